@@ -12,7 +12,7 @@ from pathlib import Path
 
 from stepgap.base.random_streams import random_stream
 from stepgap.experiment.loop import run_experiment
-from stepgap.experiment.plants import choose_plants
+from stepgap.experiment.plants import PlantRequest, choose_plants
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.settings import LearningSettings
 from stepgap.records.steps_csv import read_step_log
@@ -28,7 +28,7 @@ def measure(gap: RealityGap, seed: int) -> str:
     settings = Experiment(robot, seed, learning=LearningSettings(iterations=1))
     nominal, reference = robot.apex_map(), paper_reference()
     with tempfile.TemporaryDirectory() as name:
-        plants = choose_plants(settings, reference, False, Path(name))
+        plants = choose_plants(PlantRequest(settings, reference, Path(name)))
         last = run_experiment(nominal, plants.make, reference, settings.learning, Path(name), seed)[-1]
         steps = read_step_log(Path(name) / "steps.csv", nominal.space).completed()
     error = 1e3 * (steps.next_state - steps.true_next_state)

@@ -28,11 +28,11 @@ import stepgap
 from stepgap.base.random_streams import random_stream
 from stepgap.experiment.deployment import deploy
 from stepgap.experiment.loaded_run import LoadedRun
-from stepgap.experiment.portable.c_source import Real, c_source
-from stepgap.experiment.portable.portable_controller import PortableController, portable_controller
+from stepgap.export.controller.c_source import Real, c_source
+from stepgap.export.controller.portable_controller import PortableController, portable_controller
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.robot import Hopper
-from stepgap.robots.hopper.simulation import TwinSimulation
+from stepgap.robots.hopper.twin.simulation import TwinSimulation
 from stepgap.step import Array, StepRecord, StepStatus
 
 MAIN = Path(__file__).parents[1] / "examples" / "c_controller" / "main.c"

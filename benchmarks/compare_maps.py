@@ -13,7 +13,7 @@ from pathlib import Path
 
 from benchmarks.peers.catalogue import map_peers
 from stepgap.bench.step_map import bench_map, describe_map_bench
-from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.model.apex_map import ApexMap
 
 
 def main() -> None:

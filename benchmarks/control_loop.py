@@ -13,10 +13,10 @@ from functools import partial
 
 import numpy as np
 
-from stepgap.plants.commissioning.limp import limp_setup, ticks_of
-from stepgap.rigs.limp_rig import FrameCount
+from stepgap.hardware.commissioning.limp import limp_setup, ticks_of
+from stepgap.hardware.commissioning.limp_rig import FrameCount
+from stepgap.hardware.hopper.still import still_hopper
 from stepgap.robots.hopper.robot import Hopper
-from stepgap.robots.hopper.still import still_hopper
 from stepgap.step import Array
 
 TICKS = (1e-3, 2.5e-4)

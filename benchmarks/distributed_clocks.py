@@ -13,9 +13,9 @@ from time import perf_counter
 
 import numpy as np
 
-from stepgap.rigs.ethercat.emulator.faults import LostFrames
+from stepgap.hardware.ethercat.emulator.faults import LostFrames
 from stepgap.rigs.rig import RigFault
-from tests.rigs.ethercat.computed_time import TICK, TimedRig, drifting_clocks, settings_with_sync0, timed_rig
+from tests.hardware.ethercat.computed_time import TICK, TimedRig, drifting_clocks, settings_with_sync0, timed_rig
 
 COMPARED_EVERY = 100
 """Number of ticks between two comparisons of the drives' clocks."""

@@ -28,17 +28,17 @@ from typing import NamedTuple
 import numpy as np
 
 from stepgap.base.compiled import as_written
+from stepgap.hardware.hopper.ethercat import read_rig_settings
 from stepgap.plants.tick_control import Mode, Order, TickFlag
 from stepgap.rigs.rig import HEALTHY, LOST, Health, RigFault, Torques
 from stepgap.robots.hopper import Gains, RobotParameters
-from stepgap.robots.hopper.encoder_track import EncoderTrack, with_angle
-from stepgap.robots.hopper.ethercat import read_rig_settings
-from stepgap.robots.hopper.hop_control import HopControl
-from stepgap.robots.hopper.limits import SafetyLimits
-from stepgap.robots.hopper.plausibility import jump_ratio
-from stepgap.robots.hopper.safety import DOUBTS, Limited
-from stepgap.robots.hopper.sensors import HopperReading
-from stepgap.robots.hopper.tick import TICK_UNITS
+from stepgap.robots.hopper.tick.encoder_track import EncoderTrack, with_angle
+from stepgap.robots.hopper.tick.hop_control import HopControl
+from stepgap.robots.hopper.tick.limits import SafetyLimits
+from stepgap.robots.hopper.tick.plausibility import jump_ratio
+from stepgap.robots.hopper.tick.safety import DOUBTS, Limited
+from stepgap.robots.hopper.tick.sensors import HopperReading
+from stepgap.robots.hopper.tick.tick_row import TICK_UNITS
 from stepgap.robots.hopper.twin import twin as twin_module
 from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.robots.hopper.twin.twin import Twin

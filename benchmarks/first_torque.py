@@ -8,9 +8,9 @@ import argparse
 
 import numpy as np
 
-from stepgap.robots.hopper.jog_findings import answer_of
+from stepgap.hardware.hopper.jog_findings import answer_of
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
-from tests.robots.hopper.test_jog import (
+from tests.hardware.hopper.test_jog import (
     DISCONNECTED_1,
     EXCHANGED_DRIVES,
     EXCHANGED_ENCODERS,

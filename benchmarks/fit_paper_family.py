@@ -45,7 +45,7 @@ from fit_paper_gap import (
 
 from stepgap.base.random_streams import random_stream
 from stepgap.experiment.loop import run_experiment
-from stepgap.experiment.plants import choose_plants
+from stepgap.experiment.plants import PlantRequest, choose_plants
 from stepgap.experiment.settings import METHODS, Experiment
 from stepgap.learning.step_log import StepLog
 from stepgap.records import paper
@@ -164,7 +164,7 @@ def quality(gap: RealityGap, bounds: CommandBounds, seeds: range, stairs: Array)
         settings = Experiment(robot, seed, learning=learning, control=control)
         nominal, reference = robot.apex_map(), paper_reference()
         with tempfile.TemporaryDirectory() as name:
-            plants = choose_plants(settings, reference, False, Path(name))
+            plants = choose_plants(PlantRequest(settings, reference, Path(name)))
             done = run_experiment(nominal, plants.make, reference, learning, Path(name), seed, control=control)
             log = read_step_log(Path(name) / "steps.csv", nominal.space)
         first, last = (log.of_iteration(number) for number in (0, done[-1].iteration))

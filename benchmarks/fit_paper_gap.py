@@ -37,10 +37,10 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.records.summary import Deployment
-from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.paper import NO_GP, paper_reference
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.tick.hop_control import HopperControl
 from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin

@@ -25,9 +25,9 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from stepgap.experiment.fit import gains, read_fit_data
 from stepgap.learning.step_table import StepTable
 from stepgap.learning.validation import Reduction, Validation, deployment_folds, validate
+from stepgap.logs.fits.fit import gains, read_fit_data
 
 T = TypeVar("T")
 KINDS = ("none", "constant", "linear", "quadratic", "gp", "gp_on_linear")

@@ -16,9 +16,9 @@ from time import perf_counter
 import numpy as np
 
 from stepgap.robots.hopper import Gains, RobotParameters
-from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.step import StepStatus
-from tests.robots.hopper.reference_hop import Hopper, reference_hop
+from tests.robots.hopper.model.reference_hop import Hopper, reference_hop
 
 WIDE = np.array([[-3.0, 0.1, -300.0, -300.0], [3.0, 1.5, 300.0, 300.0]])
 

@@ -16,8 +16,8 @@ import numpy as np
 from stepgap.control.step_controller import StepController
 from stepgap.hybrid.integrator import Tolerance
 from stepgap.robots.hopper import Gains, RobotParameters
-from stepgap.robots.hopper.apex_map import SMALLEST_SHARE, ApexMap
-from stepgap.robots.hopper.hop import Tolerances
+from stepgap.robots.hopper.model.apex_map import SMALLEST_SHARE, ApexMap
+from stepgap.robots.hopper.model.hop import Tolerances
 from stepgap.step import difference_jacobian
 
 EXACT = Tolerances(flight=Tolerance(1e-12, 1e-12), stance=Tolerance(1e-12, 1e-12))

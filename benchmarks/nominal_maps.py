@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import t as student
 
-from stepgap.records.results_table import ResultsTable, as_numbers, read_results
 from stepgap.step import Array
+from stepgap.sweep.results_table import ResultsTable, as_numbers, read_results
 
 TEMPLATE = """step.state = { speed = 0.2, height = 0.58 }
 step.command = { fx = 0.0, fy = 0.0 }

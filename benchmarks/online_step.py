@@ -24,7 +24,7 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.model_plant import ModelPlant
-from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.parameters import RobotParameters
 

@@ -24,7 +24,7 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.robot import Hopper
-from stepgap.robots.hopper.simulation import TwinPlant, TwinSimulation
+from stepgap.robots.hopper.twin.simulation import TwinPlant, TwinSimulation
 
 PUSHES = (0.2, 0.5)
 """Least and largest change of the speed [m/s]."""

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.stats import t as student
 
 from stepgap.records import paper
-from stepgap.records.results_table import ResultsTable, as_numbers, read_results
 from stepgap.step import Array
+from stepgap.sweep.results_table import ResultsTable, as_numbers, read_results
 
 DIFFERENCES = {"control.cautious": "true", "learning.drift": "true", "learning.residual": "gp"}
 """Settings of ours, by the names of the axes."""

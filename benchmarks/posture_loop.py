@@ -14,9 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from stepgap.robots.hopper import Gains, RobotParameters
-from stepgap.robots.hopper.dynamics import leg_inertia, masses_of
-from stepgap.robots.hopper.joint_control import joint_law
-from stepgap.robots.hopper.leg import four_bar
+from stepgap.robots.hopper.model.dynamics import leg_inertia, masses_of
+from stepgap.robots.hopper.model.joint_control import joint_law
+from stepgap.robots.hopper.model.leg import four_bar
 from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from stepgap.records.results_table import ResultsTable, as_numbers, read_results
 from stepgap.records.steps_csv import read_step_log
 from stepgap.robots.quadruped.robot import SPACE
 from stepgap.step import Array
+from stepgap.sweep.results_table import ResultsTable, as_numbers, read_results
 
 WINDOW = 10
 """Number of hops over which an error is averaged."""

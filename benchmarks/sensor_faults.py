@@ -21,11 +21,11 @@ import numpy as np
 from false_alarms import GAINS, ROBOT, START_COMMAND, TICK, Trouble, deployment, example_limits
 
 from stepgap.plants.tick_control import Mode, Order, TickFlag
-from stepgap.robots.hopper.hop_control import HopControl
-from stepgap.robots.hopper.limits import SafetyLimits
-from stepgap.robots.hopper.phases import Phase
-from stepgap.robots.hopper.safety import DOUBTS, Limited
-from stepgap.robots.hopper.sensors import HopperReading
+from stepgap.robots.hopper.tick.hop_control import HopControl
+from stepgap.robots.hopper.tick.limits import SafetyLimits
+from stepgap.robots.hopper.tick.phases import Phase
+from stepgap.robots.hopper.tick.safety import DOUBTS, Limited
+from stepgap.robots.hopper.tick.sensors import HopperReading
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 

@@ -25,21 +25,21 @@ from time import monotonic, sleep
 import numpy as np
 
 from stepgap.base.signals import terminated_as_interrupted
-from stepgap.plants.realtime.loop import LoopSettings
-from stepgap.plants.realtime.process import RealtimeSetup
-from stepgap.plants.realtime.realtime_plant import RealtimePlant
-from stepgap.rigs.ethercat.emulator.emulator import run_emulator
-from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
-from stepgap.rigs.ethercat.rig_settings import BusSettings
+from stepgap.hardware.ethercat.emulator.emulator import run_emulator
+from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
+from stepgap.hardware.ethercat.rig_settings import BusSettings
+from stepgap.hardware.hopper.ethercat import hopper_on_ethercat
+from stepgap.hardware.hopper.ring_rig import emulated_settings
+from stepgap.hardware.hopper.twin_machine import TwinMachine
+from stepgap.hardware.realtime.loop import LoopSettings
+from stepgap.hardware.realtime.process import RealtimeSetup
+from stepgap.hardware.realtime.realtime_plant import RealtimePlant
 from stepgap.rigs.rig import RigFault, Torques
-from stepgap.robots.hopper.ethercat import hopper_on_ethercat
-from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
-from stepgap.robots.hopper.ring_rig import emulated_settings
-from stepgap.robots.hopper.sensors import HopperReading
+from stepgap.robots.hopper.tick.hop_control import HopperControl
+from stepgap.robots.hopper.tick.sensors import HopperReading
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
-from stepgap.robots.hopper.twin_machine import TwinMachine
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 LOOP = LoopSettings(release_time=inf)

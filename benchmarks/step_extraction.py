@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from tests.records.sections.hopping_logs import (
+from tests.logs.sections.hopping_logs import (
     Change,
     glitches,
     lost_rows,
@@ -31,7 +31,7 @@ from tests.records.sections.hopping_logs import (
     vibrating,
     weak_force,
 )
-from tests.records.sections.scored_steps import Score, trial
+from tests.logs.sections.scored_steps import Score, trial
 
 CASES: dict[str, tuple[Change, ...]] = {
     "as it is": (),

@@ -16,8 +16,8 @@ import numpy as np
 
 import stepgap
 from stepgap.experiment.replay import replay
-from stepgap.records.sections.section_settings import SectionSettings
-from stepgap.records.sections.step_extraction import extract_steps
+from stepgap.logs.sections.section_settings import SectionSettings
+from stepgap.logs.sections.step_extraction import extract_steps
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.step import Array
 

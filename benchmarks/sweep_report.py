@@ -18,11 +18,11 @@ import numpy as np
 from scipy.stats import qmc
 
 from stepgap.base.random_streams import random_stream
-from stepgap.cli.sweep_report import report_sweep
-from stepgap.records.results_table import RESULTS, columns_of, table_text
 from stepgap.records.summary import MEASURES
 from stepgap.robots.hopper.paper import STATE_NAMES
 from stepgap.robots.hopper.parameters import CommandBounds
+from stepgap.sweep.cli.sweep_report import report_sweep
+from stepgap.sweep.results_table import RESULTS, columns_of, table_text
 
 RANGES = {
     "gap.torque_scale": (0.6, 1.0, False),

@@ -19,9 +19,9 @@ from stepgap.learning.gaussian_process_fit import fit_gaussian_process
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
-from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.robots.hopper.hop_control import HopperControl
-from stepgap.robots.hopper.tick import Tick
+from stepgap.robots.hopper.model.apex_map import ApexMap
+from stepgap.robots.hopper.tick.hop_control import HopperControl
+from stepgap.robots.hopper.tick.tick_row import Tick
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array

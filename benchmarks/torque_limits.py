@@ -22,18 +22,18 @@ from stepgap.base.random_streams import random_stream
 from stepgap.experiment.bands import interval_coverage
 from stepgap.experiment.deployment import deploy
 from stepgap.experiment.loop import run_experiment
-from stepgap.experiment.plants import choose_plants
+from stepgap.experiment.plants import PlantRequest, choose_plants
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.records.run_folder import read_run_folder
 from stepgap.report.sentences import headline
-from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.robot import Hopper
-from stepgap.robots.hopper.simulation import TwinPlant
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.simulation import TwinPlant
 from stepgap.robots.hopper.twin.twin import Twin
 
 REPEATS = 12
@@ -47,7 +47,7 @@ def measure(limit: float, seed: int, iterations: int) -> str:
     nominal, reference = robot.apex_map(), paper_reference()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        plants = choose_plants(settings, reference, False, folder)
+        plants = choose_plants(PlantRequest(settings, reference, folder))
         run_experiment(
             nominal, plants.make, reference, settings.learning, folder, seed,
             measure_noise_floor=plants.measure_noise_floor,

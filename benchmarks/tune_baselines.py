@@ -1,7 +1,7 @@
 """Tunes the gain of the integral and the forgetting factor of recursive least squares, on twins that are not reported.
 
 Prints the geometric mean of the tracking error relative to that without correction, for each value of each method.
-`stepgap bench learning` reports twins 0 to 19; these are twins 900 to 907, with seed 0. The result, before the speed at
+The learning benchmark reports twins 0 to 19; these are twins 900 to 907, with seed 0. The result, before the speed at
 the apex was estimated by a parabola:
 
     gain k             0.05    0.1    0.2    0.3    0.5
@@ -14,7 +14,7 @@ the apex was estimated by a parabola:
 `rls_plain` was not tuned on its own and has the factor of `rls`. The best gains are at the end of the range, where the
 error hardly depends on them.
 
-    ./go python benchmarks/tune_baselines.py [--twins 8] [--methods integral,rls]
+    ./go python -m benchmarks.tune_baselines [--twins 8] [--methods integral,rls]
 """
 
 import argparse
@@ -23,10 +23,10 @@ from functools import partial
 
 import numpy as np
 
+from benchmarks.learning.methods import affine, integral
+from benchmarks.learning.tasks import DEFAULT_TASK, tasks
+from benchmarks.learning.trial import Method, Trial, hopping_gap
 from stepgap import ApexMap
-from stepgap.bench.methods import affine, integral
-from stepgap.bench.tasks import DEFAULT_TASK, tasks
-from stepgap.bench.trial import Method, Trial, hopping_gap
 from stepgap.experiment.outcome import summarise
 from stepgap.learning.step_log import StepLog
 

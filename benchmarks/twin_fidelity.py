@@ -14,9 +14,9 @@ import numpy as np
 from stepgap.control.step_controller import StepController
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
-from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.robots.hopper.hop_control import HopperControl
-from stepgap.robots.hopper.sampled_map import SampledApexMap
+from stepgap.robots.hopper.model.apex_map import ApexMap
+from stepgap.robots.hopper.model.sampled_map import SampledApexMap
+from stepgap.robots.hopper.tick.hop_control import HopperControl
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 

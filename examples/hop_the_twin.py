@@ -3,7 +3,7 @@
 import numpy as np
 
 from stepgap import CommandBounds, Gains, HopperControl, RealityGap, RigPlant, RobotParameters, Twin
-from stepgap.robots.hopper.tick import Tick
+from stepgap.robots.hopper.tick.tick_row import Tick
 
 robot, rows = RobotParameters(), []
 twin = Twin(robot, RealityGap(), np.random.default_rng(0))

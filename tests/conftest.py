@@ -4,20 +4,22 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from cyclopts import App
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
 from stepgap.base.compiled import cache_folder
 from stepgap.cli.app import main
+from stepgap.cli.verbs import command_line
 from stepgap.hybrid.motion import axpy
 from tests.cli.command_line import Command, CommandResult
 from tests.compiled_hops import compile_hops
-from tests.plants.realtime.warm_start import start_realtime_from_warm_server
+from tests.hardware.realtime.warm_start import start_realtime_from_warm_server
 from tests.quick_runs import (
     compute_in_a_thread,
     leave_out_drawing,
@@ -129,10 +131,10 @@ def stepgap(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pyte
     """Runs a command line in an empty folder, as the shell sees it, everything compiled already."""
     monkeypatch.chdir(tmp_path)
 
-    def run(*arguments: object) -> CommandResult:
+    def run(*arguments: object, verbs: Callable[[str], App] = command_line) -> CommandResult:
         capfd.readouterr()
         try:
-            main([str(argument) for argument in arguments])
+            main([str(argument) for argument in arguments], verbs)
             code = 0
         except SystemExit as end:
             code = int(end.code or 0)

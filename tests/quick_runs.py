@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.experiment.cases import processes
 from stepgap.plants.plant import Plant
 from stepgap.records.summary import NoiseFloor
 from stepgap.report import WrittenReport, drawing
+from stepgap.sweep.cases import processes
 
 EMPTY_SVG = b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"></svg>'
 """A figure that was not drawn."""
@@ -47,7 +47,7 @@ def leave_out_sweep_report(patch: pytest.MonkeyPatch) -> None:
         (folder / "report.html").touch()
         return WrittenReport(folder / "report.html", ())
 
-    patch.setattr("stepgap.cli.sweep_report.report_sweep", report_sweep)
+    patch.setattr("stepgap.sweep.cli.sweep_report.report_sweep", report_sweep)
 
 
 def compute_in_a_thread(patch: pytest.MonkeyPatch) -> None:

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from stepgap.plants.realtime.loop import LOOP_UNITS
+from stepgap.hardware.realtime.loop import LOOP_UNITS
 from stepgap.plants.ticks.rig_state import RigState
-from stepgap.robots.hopper.tick import TICK_UNITS
+from stepgap.robots.hopper.tick.tick_row import TICK_UNITS
 from stepgap.step import Array
 
 LOG_UNITS = {**TICK_UNITS, **LOOP_UNITS}

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.experiment.portable.c_source import c_source
-from stepgap.experiment.portable.model_document import filter_after
+from stepgap.export.controller.c_source import c_source
+from stepgap.export.controller.model_document import filter_after
 from stepgap.learning.step_log import LoggedStep
 from stepgap.step import StepRecord, StepStatus
-from tests.experiment.portable.learned import SPACE, learned
+from tests.export.controller.learned import SPACE, learned
 
 MAIN = Path(__file__).parents[1] / "examples" / "c_controller" / "main.c"
 COMPILER = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)

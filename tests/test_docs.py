@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 from stepgap.base.settings_file import read_toml
-from stepgap.cli.app import app, split_overrides, split_program
+from stepgap.cli.app import split_overrides, split_program
+from stepgap.cli.verbs import command_line
 from stepgap.experiment.settings import read_experiment
-from stepgap.experiment.sweep.sweep import Sweep
-from stepgap.experiment.sweep.sweep_file import read_sweep
-from stepgap.records.columns import read_columns
-from stepgap.rigs.ethercat.emulator.network import NoNetwork
+from stepgap.hardware.ethercat.emulator.network import NoNetwork
+from stepgap.logs.columns import read_columns
+from stepgap.sweep.sweep import Sweep
+from stepgap.sweep.sweep_file import read_sweep
 from tests.cli.command_line import Command
 
 ROOT = Path(__file__).parent.parent
@@ -23,7 +24,7 @@ RUN_ELSEWHERE = {
     "own_rig.md": "rigs/test_own_rig.py",
     "own_residual.md": "learning/test_own_residual.py",
     "data.md": "test_docs_data.py",
-    "model_file.md": "experiment/portable/test_model_file.py",
+    "model_file.md": "export/controller/test_model_file.py",
     "tutorial.md": "test_docs_tutorial.py",
     "steps.md": "test_docs_steps.py",
 }
@@ -138,7 +139,7 @@ def check_command(words):
     assert words[0] == "stepgap"
     arguments, program = split_program(words[1:])
     rest, overrides = split_overrides(arguments)
-    app.parse_args(rest, exit_on_error=False, print_error=False)
+    command_line().parse_args(rest, exit_on_error=False, print_error=False)
     read_experiment(None, overrides)
     if program[:1] == ["stepgap"]:
         check_command(program)

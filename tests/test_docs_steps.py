@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.records.sections.section_settings import read_section_settings
+from stepgap.logs.sections.section_settings import read_section_settings
 from tests.cli.command_line import Command
 
 PAGE = (Path(__file__).parent.parent / "docs" / "steps.md").read_text("utf-8").partition("## How well it works")[0]

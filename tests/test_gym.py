@@ -18,7 +18,7 @@ from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
 from stepgap.gym import LARGEST_COST, STEP_ID, StepEnv, robot_env
 from stepgap.plants.model_plant import ModelPlant
-from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import Gains
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.reality_gap import RealityGap

@@ -27,7 +27,7 @@ def strings(file: Path) -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def messages() -> str:
-    folders = ("cli", "report", "experiment", "plants", "records", "base")
+    folders = ("cli", "report", "experiment", "plants", "records", "base", "hardware", "logs")
     files = [file for name in folders for file in sorted((ROOT / "src" / "stepgap" / name).rglob("*.py"))]
     return "\n".join(text for file in files for text in strings(file))
 

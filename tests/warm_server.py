@@ -2,10 +2,9 @@
 
 import gc
 
-import stepgap.bench.learning
-import stepgap.experiment.sweep.sweep_case  # noqa: F401
+import stepgap.sweep.sweep_case  # noqa: F401
 from tests.compiled_hops import compile_hops
-from tests.rigs.ethercat.ring_process import RecordedTwin
+from tests.hardware.ethercat.ring_process import RecordedTwin
 from tests.warm_process import start_processes_from_a_warm_server
 
 start_processes_from_a_warm_server()  # in copies, too

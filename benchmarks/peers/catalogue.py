@@ -8,7 +8,7 @@ import numba
 
 from benchmarks.peers import full_system
 from stepgap.bench.step_map import Engine, MapPeers
-from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.model.apex_map import ApexMap
 
 
 def map_peers(nominal: ApexMap, quick: bool) -> MapPeers:

@@ -16,8 +16,8 @@ import numpy as np
 
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.tick.hop_control import HopperControl
 from stepgap.robots.hopper.twin.model import build_model
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin

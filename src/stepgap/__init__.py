@@ -54,16 +54,16 @@ if TYPE_CHECKING:
     from stepgap.rigs.rig import Rig as Rig
     from stepgap.rigs.rig import RigFault as RigFault
     from stepgap.rigs.rig import SensorModel as SensorModel
-    from stepgap.robots.hopper.apex_map import ApexMap as ApexMap
-    from stepgap.robots.hopper.hop_control import HopperControl as HopperControl
+    from stepgap.robots.hopper.model.apex_map import ApexMap as ApexMap
+    from stepgap.robots.hopper.model.sampled_map import SampledApexMap as SampledApexMap
     from stepgap.robots.hopper.paper import paper_reference as paper_reference
     from stepgap.robots.hopper.parameters import CommandBounds as CommandBounds
     from stepgap.robots.hopper.parameters import Gains as Gains
     from stepgap.robots.hopper.parameters import RobotParameters as RobotParameters
     from stepgap.robots.hopper.robot import Hopper as Hopper
-    from stepgap.robots.hopper.sampled_map import SampledApexMap as SampledApexMap
-    from stepgap.robots.hopper.sensors import HopperReading as HopperReading
-    from stepgap.robots.hopper.sensors import HopperSensorModel as HopperSensorModel
+    from stepgap.robots.hopper.tick.hop_control import HopperControl as HopperControl
+    from stepgap.robots.hopper.tick.sensors import HopperReading as HopperReading
+    from stepgap.robots.hopper.tick.sensors import HopperSensorModel as HopperSensorModel
     from stepgap.robots.hopper.twin.reality_gap import RealityGap as RealityGap
     from stepgap.robots.hopper.twin.twin import Twin as Twin
     from stepgap.robots.map_simulation import MapSimulation as MapSimulation
@@ -91,7 +91,7 @@ if TYPE_CHECKING:
     from stepgap.step import difference_jacobian as difference_jacobian
 
 _MODULES = {
-    "ApexMap": "robots.hopper.apex_map",
+    "ApexMap": "robots.hopper.model.apex_map",
     "BatchRegression": "learning.regression",
     "CautiousController": "control.cautious_controller",
     "CommandBounds": "robots.hopper.parameters",
@@ -103,9 +103,9 @@ _MODULES = {
     "FixedPoint": "control.limit_cycle",
     "Gains": "robots.hopper.parameters",
     "Hopper": "robots.hopper.robot",
-    "HopperControl": "robots.hopper.hop_control",
-    "HopperReading": "robots.hopper.sensors",
-    "HopperSensorModel": "robots.hopper.sensors",
+    "HopperControl": "robots.hopper.tick.hop_control",
+    "HopperReading": "robots.hopper.tick.sensors",
+    "HopperSensorModel": "robots.hopper.tick.sensors",
     "InputError": "base.errors",
     "Kinematics": "robots.scene",
     "Learner": "learning.learner",
@@ -135,7 +135,7 @@ _MODULES = {
     "RigPlant": "plants.rig_plant",
     "Robot": "robots.robot",
     "RobotParameters": "robots.hopper.parameters",
-    "SampledApexMap": "robots.hopper.sampled_map",
+    "SampledApexMap": "robots.hopper.model.sampled_map",
     "Scene": "robots.scene",
     "Section": "robots.mjcf.section",
     "SensorModel": "rigs.rig",

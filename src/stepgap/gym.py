@@ -26,7 +26,7 @@ from stepgap.experiment.settings import Experiment
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
 from stepgap.report.camera import FRAMES_PER_SECOND, Camera
-from stepgap.robots.entry_points import load_robot
+from stepgap.robots.entry_points import load_robot, simulations_of
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap, StepStatus
 
@@ -211,7 +211,7 @@ def robot_env(
             names = ", ".join(f"{quantity.name} [{quantity.unit}]" for quantity in chosen.space.state)
             raise ValueError(f"noise = {noise}, but it must be numbers that are not negative, for {names}")
         return StepEnv(partial(ModelPlant, nominal, reference.targets[0], std), nominal, reference, render_mode, camera)
-    simulations = chosen.simulations()
+    simulations = simulations_of(chosen)
     if settings.plant not in simulations:
         known = (*simulations, MODEL)
         raise ValueError(f"plant = {settings.plant!r}, but it must be {_one_of(settings.plant, known)}")

@@ -12,9 +12,9 @@ from benchmarks import compare_maps
 from benchmarks.peers import full_system
 from stepgap.bench import step_map as bench_map
 from stepgap.robots.hopper import Gains, RobotParameters
-from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.model.apex_map import ApexMap
 from tests.cli.command_line import Command, refused
-from tests.robots.hopper.reference_answers import CASES, stored_answers
+from tests.robots.hopper.model.reference_answers import CASES, stored_answers
 
 TINY = bench_map.MapBenchSize(points=1, rounds=1, jacobians=0, solves=3, table=5, batch=20)
 

@@ -20,7 +20,7 @@ from stepgap.plants.rig_plant import RigPlant
 from stepgap.records.steps_csv import StepWriter
 from stepgap.report import drawing
 from stepgap.rigs.rig import RigFault
-from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.step import Outcome, StepRecord
 from tests.cli.command_line import Command, CommandResult, refused
@@ -501,7 +501,12 @@ def test_the_defaults_in_the_help_are_those_of_the_settings(stepgap: Command) ->
         assert result.partition(option)[2].partition("[default: ")[2].partition("]")[0] == str(value), option
 
 
-@pytest.mark.parametrize("verb", ["run", "map", "fit", "view", "export", "bench learning"])
+def test_a_verb_that_left_the_package_names_its_new_place(stepgap: Command) -> None:
+    typed = "`./go python -m benchmarks.learning --methods gp --quick`"
+    refused(stepgap("bench", "learning", "--methods", "gp", "--quick"), f"in a clone of StepGap type {typed}")
+
+
+@pytest.mark.parametrize("verb", ["run", "map", "fit", "view", "export"])
 def test_no_integer_is_shown_as_a_string(stepgap: Command, verb: str) -> None:
     result = stepgap(*verb.split(), "--help").out
     counted = r"--(seed|iterations|explore|port|points|folds|deployment|iteration|twins|seeds)"
@@ -510,9 +515,7 @@ def test_no_integer_is_shown_as_a_string(stepgap: Command, verb: str) -> None:
     assert {kind for name, kind in kinds if not (verb == "fit" and name == "deployment")} == {"INT"}
 
 
-@pytest.mark.parametrize(
-    "verb", ["run", "sweep", "view", "export", "fit", "gait", "map", "bench learning", "rig check"]
-)
+@pytest.mark.parametrize("verb", ["run", "sweep", "view", "export", "fit", "gait", "map", "rig check"])
 def test_the_help_says_what_a_value_is_and_not_how_it_is_stored(stepgap: Command, verb: str) -> None:
     assert not re.findall(r"--[a-z-]+ (?:STR|FLOAT)\b", stepgap(*verb.split(), "--help").out)
 

@@ -1,20 +1,15 @@
 """`stepgap map`: one step, many rows, a table of commands."""
 
 import re
-import shutil
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stepgap.control.command_table_file import read_table
-from stepgap.experiment.cases import processes
-from stepgap.experiment.settings import Experiment
-from stepgap.experiment.table_plan import TablePlan
 from stepgap.robots.hopper import Gains
-from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.robots.hopper.sampled_map import SampledApexMap
+from stepgap.robots.hopper.model.apex_map import ApexMap
+from stepgap.robots.hopper.model.sampled_map import SampledApexMap
 from stepgap.step import StepStatus
 from tests.cli.command_line import Command, refused
 
@@ -103,70 +98,6 @@ def test_a_table(stepgap: Command) -> None:
     np.testing.assert_allclose(predicted, table.predicted[works], atol=1e-9)
 
 
-@pytest.fixture
-def small_batches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A table of 625 commands has two cases, as otherwise one of 10 000."""
-    monkeypatch.setattr("stepgap.experiment.table_plan.TablePlan", small_plan)
-
-
-def small_plan(settings: Experiment, points: int, tick: float, batch: int = 300) -> TablePlan:
-    return TablePlan(settings, points, tick, batch)
-
-
-@pytest.mark.usefixtures("small_batches")
-def test_every_way_to_compute_a_table_gives_the_same_file(stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    def table(name: str, *options: object) -> str:
-        result = stepgap("map", "--points", 5, "--quiet", "--table", f"{name}.npz", *options)
-        assert (result.code, result.err) == (0, "")
-        return result.out
-
-    assert table("here") == "here.npz\n"
-    assert table("processes", "--processes", 2) == "processes.npz\n"
-    monkeypatch.setattr(processes, "Processes", lambda count: ThreadPoolExecutor(1))  # starts at once
-    assert table("continued", "--shard", "1/2") == ""
-    shutil.copytree("continued.npz.cases", "shared.npz.cases")
-    shutil.copytree("continued.npz.cases", "first.cases")
-    assert table("continued", "--resume") == "continued.npz\n"
-    assert table("second", "--shard", "2/2") == ""
-    assert table("merged", "--merge", "first.cases", "second.npz.cases") == "merged.npz\n"
-    assert table("shared", "--shard", "2/2") == "shared.npz\n"
-    assert sorted(path.name for path in Path().glob("*cases")) == ["first.cases", "second.npz.cases"]
-    for name in ("processes", "continued", "merged", "shared"):
-        assert Path(f"{name}.npz").read_bytes() == Path("here.npz").read_bytes()
-
-
-@pytest.mark.usefixtures("small_batches")
-def test_parts_of_a_table_say_how_many_are_finished(stepgap: Command, in_a_thread: None) -> None:
-    command = ("map", "--points", 5, "--table", "t.npz", "--gains.stiffness", "2400")
-    result = stepgap(*command, "--shard", "1/2")
-    assert (result.code, result.out) == (0, "")
-    assert result.err.endswith("\nt.npz.cases: 1 of 2 cases are finished\n")
-    refused(stepgap(*command, "--processes", 2), "t.npz.cases: already holds results of these cases; continue by")
-    refused(
-        stepgap("map", "--points", 5, "--table", "t.npz", "--resume"),
-        "t.npz.cases/table.toml: already there, but of other cases than these; choose another",
-    )
-    refused(stepgap(*command, "--merge", "none"), "--merge none: contains no table.toml")
-    refused(stepgap(*command, "--shard", "1/2", "--dask", "local"), "--shard, --dask: give only one of them")
-
-
-def test_a_table_that_another_process_completed_is_left_as_it_is(
-    stepgap: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Last(ThreadPoolExecutor):
-        """Ends when another process has written the table."""
-
-        def shutdown(self, *arguments: bool, **options: bool) -> None:
-            super().shutdown(*arguments, **options)
-            Path("t.npz").write_text("the table")
-            shutil.rmtree("t.npz.cases", ignore_errors=True)
-
-    monkeypatch.setattr(processes, "Processes", lambda count: Last(1))
-    result = stepgap("map", "--points", 2, "--table", "t.npz", "--processes", 2, "--quiet")
-    assert (result.code, result.out, result.err) == (0, "t.npz\n", "")
-    assert Path("t.npz").read_text() == "the table"
-
-
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
@@ -181,10 +112,7 @@ def test_a_table_that_another_process_completed_is_left_as_it_is(
         ("map --csv good.csv --table t.npz", ["--csv and --table: give only one of them"]),
         ("map --out next.csv", ["--out: valid only with --csv"]),
         ("map --points 5", ["--points 5: valid only with --table"]),
-        ("map --csv good.csv --processes 2", ["--processes: valid only with --table"]),
-        ("map --retry-failed", ["--retry-failed: valid only with --table"]),
-        ("map --table t.npz --shard 0/2", ["--shard 0/2: must be I/N"]),
-        ("map --table good.csv --resume", ["good.csv: exists already; choose another --table"]),
+        ("map --quiet", ["--quiet: valid only with --table"]),
         ("map --table t.npz --points 1", ['Invalid value "1" for --points. Must be >= 2']),
         ("map --table t.npz --points 1.5", ["--points", "1.5"]),
         ("map --table good.csv --points 2", ["good.csv: exists already; choose another --table"]),

@@ -11,18 +11,18 @@ import tomli_w
 from stepgap.cli.app import main
 from stepgap.experiment.replay import find_kinematics, replay
 from stepgap.experiment.settings import Experiment
+from stepgap.hardware.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.model_plant import ModelPlant
-from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.records.missing import Missing
-from stepgap.robots.hopper.tick import TICK_UNITS
+from stepgap.robots.hopper.tick.tick_row import TICK_UNITS
 from stepgap.robots.hopper.twin.twin import Twin
 from tests.cli.command_line import Command, CommandResult, refused
 from tests.quick_runs import leave_out_drawing, leave_out_repeats
-from tests.report.sweep.tables import combinations_of, write_results_table
 from tests.rig_ticks import LOG_UNITS, rig_rows
+from tests.sweep.report.tables import combinations_of, write_results_table
 
 SHORT = 'reference = "targets.csv"\n[learning]\niterations = 1\n'
 

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from stepgap.control.command_table import CommandTable, TableBatches, build_table, measure_table
+from stepgap.control import command_table
+from stepgap.control.command_table import CommandTable, build_table, measure_table
 from stepgap.control.command_table_file import KINDS, read_table, write_table
 from stepgap.control.step_controller import StepController
 from stepgap.step import Array, StepFailed, StepStatus, box_grid
@@ -125,27 +126,18 @@ def test_progress_counts_every_node():
     assert calls == sorted(calls)
 
 
-def test_batches_can_be_solved_in_any_order():
-    expected, batches = build_table(LossyHopper(), 10), TableBatches(LossyHopper().space, 10)
-    answers = [batches.solve(LossyHopper(), number) for number in reversed(range(len(batches)))]
-    assert sum(answer.status.size for answer in answers) == batches.nodes == 10**4
-    found = batches.table(answers[::-1])
-    for name in ("commands", "predicted", "reached", "statuses"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
-    with pytest.raises(ValueError, match="reshape"):
-        batches.table(answers[1:])
-
-
-@pytest.mark.parametrize(("batch", "count"), [(1, 49), (100, 24), (10**6, 1)])
-def test_a_batch_has_at_least_one_state(batch, count):
-    assert len(TableBatches(LossyHopper().space, POINTS, batch)) == count
+def test_batches_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = build_table(LossyHopper(), POINTS)
+    for size in (1, 100):
+        monkeypatch.setattr(command_table, "BATCH", size)
+        found = build_table(LossyHopper(), POINTS)
+        for name in ("commands", "predicted", "reached", "statuses"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
 def test_bad_arguments_are_refused(table):
     with pytest.raises(ValueError, match="points = 1"):
         build_table(LossyHopper(), 1)
-    with pytest.raises(ValueError, match="batch = 0"):
-        TableBatches(LossyHopper().space, 2, 0)
     with pytest.raises(ValueError, match="state has shape"):
         table([0.2], [0.2, 0.58])
     with pytest.raises(ValueError, match="finite"):

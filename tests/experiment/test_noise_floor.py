@@ -10,11 +10,11 @@ from stepgap.control.reference import Reference
 from stepgap.experiment import noise_floor
 from stepgap.experiment.noise_floor import REPEATS, YAWS, _pooled, measure_noise_floor
 from stepgap.records.summary import NoiseFloor
-from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import CommandBounds, RobotParameters
 from stepgap.robots.hopper.robot import Hopper
-from stepgap.robots.hopper.simulation import TwinPlant
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.simulation import TwinPlant
 from stepgap.robots.hopper.twin.twin import Twin
 from tests.control.maps import NeverWorks
 
@@ -26,7 +26,7 @@ SILENT = replace(RealityGap(), torque_noise=0.0, ground_roughness=0.0, ground_sl
 
 def measured(gap: RealityGap, seed: int = 1, reference: Reference = REFERENCE) -> NoiseFloor:
     twin = Twin(ROBOT, gap, np.random.default_rng(0))
-    return measure_noise_floor(TwinPlant(twin, Hopper()), NOMINAL, reference, np.random.default_rng(seed))
+    return measure_noise_floor(TwinPlant(twin, Hopper().control()), NOMINAL, reference, np.random.default_rng(seed))
 
 
 def test_a_twin_without_noise_on_an_even_floor_repeats_itself() -> None:
@@ -84,7 +84,7 @@ def test_the_noise_floor_is_proportional_to_the_noise() -> None:
 
 def test_a_robot_that_cannot_hop_has_no_noise_floor() -> None:
     twin = Twin(ROBOT, SILENT, np.random.default_rng(0))
-    plant = TwinPlant(twin, Hopper(command=CommandBounds(fy_lower=-200, fy_upper=-190)))
+    plant = TwinPlant(twin, Hopper(command=CommandBounds(fy_lower=-200, fy_upper=-190)).control())
     found = measure_noise_floor(plant, NeverWorks(), REFERENCE, np.random.default_rng(0))
     assert np.isnan([found.any_yaw, found.same_yaw]).all()
     assert found.steps == 0

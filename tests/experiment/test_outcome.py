@@ -20,9 +20,9 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.paper import paper_reference
+from stepgap.robots.hopper.tick.hop_control import HopperControl
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array, StepRecord, StepStatus

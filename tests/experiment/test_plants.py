@@ -19,9 +19,9 @@ from stepgap.control.reference import Reference
 from stepgap.experiment import plants as run_plants
 from stepgap.experiment.inputs import write_experiment
 from stepgap.experiment.settings import Experiment, read_experiment
-from stepgap.plants.commissioning.check import Check, Timing, write_check
-from stepgap.plants.commissioning.proof import fingerprint, write_proof
-from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
+from stepgap.hardware.commissioning.check import Check, Timing, write_check
+from stepgap.hardware.commissioning.proof import fingerprint, write_proof
+from stepgap.hardware.ethercat.emulator.network import NoNetwork, wire
 from tests.quick_runs import leave_out_report, repeat_less
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "rig.toml"
@@ -115,7 +115,7 @@ def test_a_run_through_the_ring_is_resumed_to_the_same_bytes(tmp_path: Path, rin
 def test_a_rig_has_torque_only_when_it_is_armed() -> None:
     settings = Experiment(plant="ethercat", rig=str(EXAMPLE))
     with pytest.raises(InputError, match="only with --arm"):
-        run_plants.choose_plants(settings, REFERENCE, False, Path())
+        run_plants.choose_plants(run_plants.PlantRequest(settings, REFERENCE, Path()))
 
 
 def test_the_plant_and_its_rig_are_settings_of_a_run(tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_without_all_limits_there_is_no_torque(tmp_path: Path, key: str) -> None
     rig.write_text("\n".join(line for line in lines if line.partition(" ")[0] not in names), "utf-8")
     settings = Experiment(plant="ethercat", rig=str(rig))
     with pytest.raises(InputError) as refusal:
-        run_plants.choose_plants(settings, REFERENCE, True, tmp_path)
+        run_plants.choose_plants(run_plants.PlantRequest(settings, REFERENCE, tmp_path, arm=True))
     order = [name for name in MISSING_LIMITS if name in names]
     assert f"{rig}: [limits] lacks {', '.join(order)}; torque needs" in str(refusal.value)
 
@@ -144,10 +144,12 @@ def test_settings_that_change_during_a_run_give_no_torque(tmp_path: Path, monkey
     rig.write_bytes(EXAMPLE.read_bytes())
     timing = Timing(6000, 0.0, 0.0, 0.0, 0.0, 1.0, 0, 0)
     write_check(rig, fingerprint(rig), Check(1e-3, 2, False, timing, 0, "", ""))
+    settings = Experiment(plant="ethercat", rig=str(rig))
+    request = run_plants.PlantRequest(settings, REFERENCE, tmp_path, arm=True)
     with pytest.raises(InputError, match=r"rig\.jog\.json: there is no result of a jog"):
-        run_plants.choose_plants(Experiment(plant="ethercat", rig=str(rig)), REFERENCE, True, tmp_path)
+        run_plants.choose_plants(request)
     write_proof(rig, "jog", fingerprint(rig), {"passed": True})
-    plants = run_plants.choose_plants(Experiment(plant="ethercat", rig=str(rig)), REFERENCE, True, tmp_path)
+    plants = run_plants.choose_plants(request)
     plants.make(np.random.default_rng(0))
     rig.write_text(rig.read_text("utf-8").replace("torque = 38.0", "torque = 39.0"), "utf-8")
     with pytest.raises(InputError, match="the settings have changed since"):

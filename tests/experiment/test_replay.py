@@ -20,15 +20,15 @@ from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.steps_csv import RecordError, StepWriter, read_step_log
-from stepgap.robots.hopper.dynamics import masses_of
 from stepgap.robots.hopper.kinematics import TRUE_UNITS
-from stepgap.robots.hopper.leg import foot, four_bar
+from stepgap.robots.hopper.model.dynamics import masses_of
+from stepgap.robots.hopper.model.leg import foot, four_bar
 from stepgap.robots.hopper.parameters import CommandBounds, RobotParameters
-from stepgap.robots.hopper.tick import TICK_UNITS
+from stepgap.robots.hopper.tick.tick_row import TICK_UNITS
 from stepgap.step import StepStatus
+from tests.hardware.ethercat.ring_process import skipping_without_network
 from tests.quick_runs import leave_out_repeats, leave_out_report
 from tests.rig_ticks import LOG_UNITS, rig_rows
-from tests.rigs.ethercat.ring_process import skipping_without_network
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 

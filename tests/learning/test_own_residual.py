@@ -13,15 +13,13 @@ import pytest
 from uv import find_uv_bin
 
 from stepgap.base.settings_file import InputError
-from stepgap.bench.learning import measure_twin
-from stepgap.bench.tasks import Task
-from stepgap.control.reference import Reference
 from stepgap.experiment.loop import run_experiment
 from stepgap.learning.entry_points import load_residual_model, residual_names
 from stepgap.learning.regression import ResidualModel
 from stepgap.learning.residual_fit import fit_residual, residual_from_dict
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.model_plant import ModelPlant
+from stepgap.sweep.sweep_file import read_sweep
 from tests.control.maps import LossyHopper
 from tests.learning.residual_contract import ResidualContract, training_data
 from tests.learning.test_residual import steps
@@ -30,7 +28,7 @@ from tests.report.runs import REAL, TARGETS, report_of
 
 PAGE = (Path(__file__).parents[2] / "docs" / "own_residual.md").read_text("utf-8")
 MODULE, *USES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-PYPROJECT, SETTINGS = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
+PYPROJECT, SETTINGS, SWEEP = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
 NAME = "bayesian_linear"
 
 
@@ -125,11 +123,13 @@ def test_settings_accept_it_and_it_adds_its_lagged_inputs() -> None:
 
 
 @pytest.mark.usefixtures("installed")
-def test_the_benchmark_compares_it() -> None:
-    short = Reference.from_segments(("speed", "height"), [(1, (0.0, 0.55)), (5, (0.17, 0.58))], steps=10)
-    rows = measure_twin(Task("short", short), 0, 1, [NAME])
-    assert [row["method"] for row in rows] == ["none", NAME]
-    assert np.isfinite(rows[-1]["error"])
+def test_a_sweep_compares_it(tmp_path: Path) -> None:
+    (tmp_path / "sweep.toml").write_text(SWEEP, "utf-8")
+    plan = read_sweep(tmp_path / "sweep.toml")
+    assert len(plan) == 2 * 4
+    cases = [tomllib.loads(plan.case(number))["files"]["experiment.toml"] for number in range(len(plan))]
+    kinds = {tomllib.loads(case)["learning"]["residual"] for case in cases}
+    assert kinds == {"none", "linear", "gp_on_linear", NAME}
 
 
 @pytest.mark.usefixtures("installed")

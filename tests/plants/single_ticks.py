@@ -1,7 +1,7 @@
 """A rig whose ticks are called one by one, in contrast to the compiled run of the twin."""
 
 from stepgap.rigs.rig import Rig, Torques
-from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
+from stepgap.robots.hopper.tick.sensors import HopperReading, HopperSensorModel
 from stepgap.robots.hopper.twin.twin import Twin
 
 

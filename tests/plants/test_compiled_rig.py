@@ -8,8 +8,8 @@ import pytest
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick_control import Mode, Order, TickControl
 from stepgap.rigs.rig import Rig, RigFault, Torques
-from stepgap.robots.hopper.hop_control import NO_COMMAND, HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.tick.hop_control import NO_COMMAND, HopperControl
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import OVERSPEED, Twin
 from stepgap.step import StepRecord, StepStatus

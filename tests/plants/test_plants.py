@@ -7,10 +7,10 @@ from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
-from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.robots.hopper.hop_control import HopperControl
-from stepgap.robots.hopper.sensors import HopperReading
-from stepgap.robots.hopper.tick import Tick
+from stepgap.robots.hopper.model.apex_map import ApexMap
+from stepgap.robots.hopper.tick.hop_control import HopperControl
+from stepgap.robots.hopper.tick.sensors import HopperReading
+from stepgap.robots.hopper.tick.tick_row import Tick
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import StepFailed, StepStatus

@@ -14,16 +14,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from stepgap.base.errors import InputError
-from stepgap.experiment.fit import FitData
-from stepgap.experiment.model_application import apply_model
 from stepgap.learning.entry_points import load_residual_model
 from stepgap.learning.exact_gaussian_process import condition
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.residual import Residual, no_residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_table import StepTable
+from stepgap.logs.fits.fit import FitData
+from stepgap.logs.fits.model_application import apply_model
 from stepgap.records.model_files import MAP, NominalSource, saved_model_text
-from tests.experiment.portable.learned import CENTRE, SCALE, SPACE, affine, regression
+from tests.export.controller.learned import CENTRE, SCALE, SPACE, affine, regression
 
 NOMINAL = affine(np.random.default_rng(0))
 SOURCE = NominalSource(MAP, NOMINAL)

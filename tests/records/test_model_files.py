@@ -12,7 +12,7 @@ from stepgap.learning.exact_gaussian_process import condition
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.residual import Residual
 from stepgap.records.model_files import model_path, read_model, write_model
-from tests.experiment.portable.learned import CENTRE, SCALE, SPACE, affine, regression
+from tests.export.controller.learned import CENTRE, SCALE, SPACE, affine, regression
 
 
 @pytest.fixture

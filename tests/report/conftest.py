@@ -6,7 +6,6 @@ import pytest
 from stepgap.records.missing import Missing
 from stepgap.report import drawing, run_figures
 from stepgap.report.drawing import Drawing, draw_figure
-from stepgap.report.sweep import page
 from tests.quick_runs import leave_out_files_of_figures
 
 
@@ -19,12 +18,12 @@ def unplaced(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def files_of_few_figures(every_format: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures are drawn for the page, but the files of most are empty, since all are written in the same way."""
+    monkeypatch.setattr(run_figures, "draw_figure", drawn_for_few)
 
-    def draw(make: Callable[[], Any], subject: str) -> Drawing | Missing:
-        with pytest.MonkeyPatch.context() as patch:
-            if subject not in ("the tracking", "the correction", "the sensitivity"):
-                leave_out_files_of_figures(patch)
-            return draw_figure(make, subject)
 
-    monkeypatch.setattr(run_figures, "draw_figure", draw)
-    monkeypatch.setattr(page, "draw_figure", draw)
+def drawn_for_few(make: Callable[[], Any], subject: str) -> Drawing | Missing:
+    """A figure, whose files are empty unless it is one of a few."""
+    with pytest.MonkeyPatch.context() as patch:
+        if subject not in ("the tracking", "the correction", "the sensitivity"):
+            leave_out_files_of_figures(patch)
+        return draw_figure(make, subject)

@@ -10,9 +10,9 @@ BUILDERS = (
     "mujoco",
     "stepgap.experiment.loop",
     "stepgap.experiment.plants",
-    "stepgap.experiment.sweep",
+    "stepgap.sweep",
     "stepgap.plants.model_plant",
-    "stepgap.plants.realtime",
+    "stepgap.hardware.realtime",
     "stepgap.plants.rig_plant",
     "stepgap.robots.hopper.twin",
 )

@@ -10,7 +10,7 @@ from math import inf, isfinite, nan
 import pytest
 
 from stepgap.rigs.rig import Reading, Rig, RigFault
-from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
+from stepgap.robots.hopper.tick.sensors import HopperReading, HopperSensorModel
 
 MakeRig = Callable[[], AbstractContextManager[Rig]]
 

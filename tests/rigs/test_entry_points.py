@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from stepgap.base.errors import InputError
+from stepgap.hardware.ethercat.ethercat_rig import EthercatRig
+from stepgap.hardware.moteus.moteus_rig import MoteusRig
 from stepgap.rigs.entry_points import load_rig, rig_names
-from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
-from stepgap.rigs.moteus.moteus_rig import MoteusRig
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.robot import Hopper
-from stepgap.robots.hopper.sensors import hopper_sensors
+from stepgap.robots.hopper.tick.sensors import hopper_sensors
 
 ROOT, ROBOT = Path(__file__).parents[2], Hopper()
 Install = Callable[..., None]

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stepgap.hardware.hopper.moteus import hopper_on_moteus
 from stepgap.rigs.rig import Rig
-from stepgap.robots.hopper.moteus import hopper_on_moteus
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
-from tests.rigs.ethercat.ring_process import Recorder, live_ring
-from tests.rigs.moteus.emulated_moteus import emulated
-from tests.rigs.moteus.test_moteus_rig import SETTINGS, fresh
+from tests.hardware.ethercat.ring_process import Recorder, live_ring
+from tests.hardware.moteus.emulated_moteus import emulated
+from tests.hardware.moteus.test_moteus_rig import SETTINGS, fresh
 from tests.rigs.rig_contract import MakeRig, RigContract
 
 ROBOT = RobotParameters()
@@ -38,7 +38,7 @@ class TestEthercat(RigContract):
     @pytest.fixture
     def make_rig(self) -> MakeRig:
         pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
-        from tests.rigs.ethercat.test_ethercat_rig import rig_of
+        from tests.hardware.ethercat.test_ethercat_rig import rig_of
 
         @contextmanager
         def make() -> Iterator[Rig]:

@@ -12,7 +12,7 @@ from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.records.steps_csv import RecordError, read_step_log
-from stepgap.robots.hopper.tick import TICK_UNITS
+from stepgap.robots.hopper.tick.tick_row import TICK_UNITS
 from stepgap.robots.scene import Motion
 from stepgap.view.source import STILL, Source
 from tests.rig_ticks import LOG_UNITS, rig_rows

@@ -28,10 +28,10 @@ from stepgap.experiment.tick_recorder import TickRecorder
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick_control import Mode
-from stepgap.robots.hopper.hop_control import HopperControl
-from stepgap.robots.hopper.hop_tick import tick
 from stepgap.robots.hopper.robot import as_hopper
-from stepgap.robots.hopper.tick import TICK_COLUMN
+from stepgap.robots.hopper.tick.hop_control import HopperControl
+from stepgap.robots.hopper.tick.hop_tick import tick
+from stepgap.robots.hopper.tick.tick_row import TICK_COLUMN
 from stepgap.robots.hopper.twin.twin import Twin
 
 _SAMPLING_PERIOD = 1e-3

@@ -16,7 +16,7 @@ from stepgap.base.errors import StepGapError
 from stepgap.bench.timing import Announce, machine, timed
 from stepgap.control.command_table import build_table, measure_table
 from stepgap.control.step_controller import StepController
-from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.step import Array, StepStatus
 
 MAP_PACKAGES = ("stepgap", "numpy", "scipy", "numba", "mujoco", "heyoka")

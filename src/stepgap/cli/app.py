@@ -8,33 +8,16 @@ Exit codes: 0 done; 2 bad input, with one line that gives the rule; 130 Ctrl-C; 
 import re
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from inspect import signature
 from itertools import pairwise
 from typing import Any
 
 import cyclopts
-from cyclopts import App, Parameter
+from cyclopts import App
 
 from stepgap.base.errors import InputError, StepGapError, StepGapWarning, message_of
-from stepgap.cli.bench import bench
-from stepgap.cli.completion import completion
-from stepgap.cli.doctor import doctor
-from stepgap.cli.export import export
-from stepgap.cli.fit import fit
-from stepgap.cli.gait import gait
-from stepgap.cli.help_format import HelpFormat
-from stepgap.cli.map import map_
-from stepgap.cli.new import new
-from stepgap.cli.options import SETTINGS_HELP, add_verb
-from stepgap.cli.recover import recover
-from stepgap.cli.report import report
-from stepgap.cli.rig import rig
-from stepgap.cli.run import run
-from stepgap.cli.settings import settings
-from stepgap.cli.steps import steps
-from stepgap.cli.sweep import sweep
 from stepgap.cli.terminal import (
     STOPPED,
     discard_output,
@@ -43,47 +26,27 @@ from stepgap.cli.terminal import (
     replace_unwritable_characters,
     warn,
 )
-from stepgap.cli.view import view
+from stepgap.cli.verbs import command_line
 
 OVERRIDE = re.compile(r"--(robot|[a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTALL)
 
 _BAD_INPUT, _FAILED = 2, 1
 """Exit codes."""
 
-app = App(
-    name="stepgap",
-    help="Close the sim-to-real gap of a legged robot one step at a time.",
-    help_epilogue=SETTINGS_HELP,
-    help_format="plaintext",
-    help_formatter=HelpFormat(),
-    default_parameter=Parameter(negative=()),
-)
-add_verb(app, "run", run)
-add_verb(app, "settings", settings)
-add_verb(app, "new", new)
-add_verb(app, "sweep", sweep)
-add_verb(app, "report", report)
-add_verb(app, "view", view)
-add_verb(app, "export", export)
-add_verb(app, "recover", recover)
-add_verb(app, "steps", steps)
-add_verb(app, "fit", fit)
-add_verb(app, "gait", gait)
-add_verb(app, "map", map_)
-add_verb(app, "doctor", doctor)
-add_verb(app, "completion", completion)
-app.command(bench)
-app.command(rig)
 
+def main(arguments: Sequence[str] | None = None, verbs: Callable[[str], App] = command_line) -> None:
+    """Runs a command and exits with its code.
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Runs the command and exits with its code."""
+    Args:
+        arguments: The command line without the program; None for that of this process.
+        verbs: The verbs, given the first word of the command line.
+    """
     replace_unwritable_characters()
     arguments, program = split_program(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
     try:
         with _warnings_as_lines():
-            _run_verb([argument for argument in arguments if argument != "--debug"], program)
+            _run_verb([argument for argument in arguments if argument != "--debug"], program, verbs)
     except KeyboardInterrupt as interrupt:
         warn(f"stopped{interrupt}")
         sys.exit(STOPPED)
@@ -97,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(code)
 
 
-def _run_verb(arguments: Sequence[str], program: list[str]) -> None:
+def _run_verb(arguments: Sequence[str], program: list[str], verbs: Callable[[str], App]) -> None:
     """Parses a command line and calls its verb.
 
     Raises:
@@ -105,6 +68,7 @@ def _run_verb(arguments: Sequence[str], program: list[str]) -> None:
     """
     tokens, overrides = split_overrides(arguments)
     check_not_empty(tokens)
+    app = verbs(tokens[0] if tokens else "")
     verb, bound, ignored = app.parse_args(tokens, exit_on_error=False, print_error=False)
     if "overrides" in ignored:
         bound.arguments["overrides"] = overrides

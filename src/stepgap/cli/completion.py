@@ -2,7 +2,10 @@
 
 from collections.abc import Sequence
 from inspect import signature
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from cyclopts import App
 
 _BASH = """
 _stepgap_or_setting() {{
@@ -34,18 +37,17 @@ def completion(shell: Literal["bash", "zsh", "fish"], /) -> None:
     Args:
         shell: Name of the shell. For bash, add `eval "$(stepgap completion bash)"` to ~/.bashrc.
     """
-    from stepgap.cli.app import app
+    from stepgap.cli.verbs import command_line
 
+    app = command_line()
     script = app.generate_completion(prog_name="stepgap", shell=shell)
-    patterns = "|".join(f'"{verb} --"*' for verb in _verbs_with_settings())
+    patterns = "|".join(f'"{verb} --"*' for verb in _verbs_with_settings(app))
     addition = _WITH_SETTINGS.get(shell, "").format(patterns=patterns, settings=" ".join(_settings()))
     print(script + addition, end="")
 
 
-def _verbs_with_settings() -> Sequence[str]:
+def _verbs_with_settings(app: "App") -> Sequence[str]:
     """Names of the verbs that take settings of an experiment."""
-    from stepgap.cli.app import app
-
     verbs = {name: app[name].default_command for name in app if not name.startswith("-")}
     return [name for name, verb in verbs.items() if verb and "overrides" in signature(verb).parameters]
 

@@ -6,8 +6,8 @@ import sys
 from collections import defaultdict
 from collections.abc import Iterator
 
+from stepgap.base.start_method import usable_cores
 from stepgap.base.versions import INSTALL
-from stepgap.cli.execution import usable_cores
 
 PURPOSES = {
     "casadi": "stepgap export --to casadi",
@@ -18,14 +18,14 @@ PURPOSES = {
     "moteus": "robots with mjbots moteus controllers on a CAN-FD bus",
     "onnx": "stepgap export --to onnx",
     "parquet": "stepgap export --to parquet, and the table of a sweep",
-    "sysid": "method sysid of stepgap bench learning",
+    "sysid": "method sysid of the learning benchmark",
 }
 """Purposes of the extras."""
 
 RENDERING_TRIAL = "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 8, 8).close()"
 """Python code that succeeds where MuJoCo can render."""
 
-REALTIME_TRIAL = "from stepgap.plants.realtime.pace import ask_for_realtime; print('; '.join(ask_for_realtime()))"
+REALTIME_TRIAL = "from stepgap.hardware.realtime.pace import ask_for_realtime; print('; '.join(ask_for_realtime()))"
 """Python code that prints the real-time rights that are refused."""
 
 TRIAL_TIMEOUT = 30.0

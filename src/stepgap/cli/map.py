@@ -8,9 +8,8 @@ from cyclopts.validators import Number
 
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, write_new
-from stepgap.cli.execution import THIS_MACHINE, Execution
 from stepgap.cli.map_table import map_table, named_values
-from stepgap.cli.options import Integer, NamedValues, Overrides, Seconds, values_by_name
+from stepgap.cli.options import Flag, Integer, NamedValues, Overrides, Seconds, values_by_name
 from stepgap.cli.terminal import announces_compilation
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -33,7 +32,7 @@ def map_(
     table: Path | None = None,
     points: Annotated[Integer | None, Parameter(validator=Number(gte=2, lte=50))] = None,
     tick: Seconds | None = None,
-    execution: Execution = THIS_MACHINE,
+    quiet: Flag = False,
     overrides: Overrides = None,
 ) -> None:
     """Evaluate the nominal map: the next state and its derivatives, many rows of a file, or a table of commands.
@@ -47,13 +46,7 @@ def map_(
         table: New file for a table of the step controller's commands, which is computed and measured.
         points: Grid points along each axis of the table, 2 to 50. [default: 15]
         tick: Time for which torques are held, as on a robot [s], such as 0.001. [default: torques act continuously]
-        execution.processes: Number of processes that compute the table. [default: 1; with --shard, --dask or --resume
-            one for each core]
-        execution.shard: Compute only part I of N of the table, given as I/N.
-        execution.resume: Continue a table that is not complete, in the folder beside it whose name ends with .cases.
-        execution.retry_failed: Compute failed parts of the table again, too.
-        execution.merge: Folders of the same table whose parts are added; nothing is computed.
-        execution.quiet: Print only the path of the table.
+        quiet: Print only the path of the table.
     """
     from stepgap.experiment.settings import read_experiment
 
@@ -65,18 +58,14 @@ def map_(
         raise InputError("--out: valid only with --csv; the result of one point is printed")
     if points is not None and not table:
         raise InputError(f"--points {points}: valid only with --table")
-    if execution != THIS_MACHINE and not table:
-        given = [name for name, value in vars(execution).items() if value != getattr(THIS_MACHINE, name)]
-        raise InputError(f"--{given[0].replace('_', '-')}: valid only with --table")
+    if quiet and not table:
+        raise InputError("--quiet: valid only with --table")
     settings = read_experiment(experiment, overrides or [])
     nominal = _nominal(settings, tick)
     if csv:
         _map_rows(nominal, csv, out)
     elif table:
-        from stepgap.experiment.table_plan import TablePlan
-
-        plan = TablePlan(settings, points or DEFAULT_GRID, tick or 0.0)
-        map_table(plan, nominal, table, settings.seed, execution)
+        map_table(nominal, points or DEFAULT_GRID, table, settings.seed, quiet)
     else:
         space = nominal.space
         start = values_by_name("--state", state, space.state, space.state_centre)
@@ -85,7 +74,7 @@ def map_(
 
 def _nominal(settings: "Experiment", tick: float | None) -> "StepMap":
     """The nominal map, with torques held for a tick if one is given."""
-    from stepgap.experiment.table_plan import sampled_map
+    from stepgap.experiment.nominal import sampled_map
 
     try:
         return sampled_map(settings, tick)

@@ -15,6 +15,7 @@ from cyclopts import Parameter
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.files import create, new_folder, read_bounded_text
 from stepgap.base.output_files import writing
+from stepgap.base.plugins import load_plugin
 from stepgap.cli.options import NO_COLUMNS, ColumnNames, Flag
 from stepgap.cli.terminal import warn
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:  # slow imports are made where they are used
     from collections.abc import Sequence
 
     from stepgap.learning.step_log import StepLog
-    from stepgap.records.columns import Columns
     from stepgap.step import Array, Quantity, StepSpace
 
 
@@ -41,6 +41,9 @@ class Starter(NamedTuple):
     kind: str
     what: str
 
+
+IMPORTERS = "stepgap.importers"
+"""Entry points of this group read the steps of logs of other programs."""
 
 LARGEST_MJCF = 2**24
 """Largest MuJoCo model that is copied [bytes]."""
@@ -204,11 +207,10 @@ def _read_log(path: Path, columns: Path | None, names: ColumnNames) -> "StepLog"
     Effects that the steps do not show are warned of.
     """
     from stepgap.learning.step_log import StepLog
-    from stepgap.records.columns import read_columns
     from stepgap.robots.nominal_maps.log_map import fit_log_map
 
-    meaning = read_columns(columns, names.given())
-    steps, space = _steps_of_run(path) if meaning is None else (_steps_of_others(path, meaning), None)
+    foreign = columns or names.given()
+    steps, space = (_steps_of_others(path, columns, names), None) if foreign else _steps_of_run(path)
     least = len(steps.space.state) + len(steps.space.command) + 2
     if len(steps.completed()) < least:
         raise InputError(f"--from {path}: fewer than {least} completed steps; record some more")
@@ -232,13 +234,11 @@ def _steps_of_run(path: Path) -> "tuple[StepLog, StepSpace | None]":
         raise InputError(f"--from: {message_of(error)}; {hint}") from None
 
 
-def _steps_of_others(path: Path, columns: "Columns") -> "StepLog":
-    """Steps of a CSV file of any origin."""
-    from stepgap.records.foreign_log import read_foreign_logs, step_log_of
-
-    if not columns.command:
-        raise InputError("--command: no column; name the columns of the command")
-    steps = step_log_of(read_foreign_logs([path], columns))
+def _steps_of_others(path: Path, columns: Path | None, names: ColumnNames) -> "StepLog":
+    """Steps of a log of any origin, which a plug-in reads."""
+    wanted = "callable with (path, columns, names)"
+    read = load_plugin(IMPORTERS, "importer of steps", "columns", callable, wanted)
+    steps: StepLog = read(path, columns, names.given())
     for name in steps.space.names:
         if not name.isidentifier():
             rule = "a name consists of letters, digits and underscores; rename it by NAME=COLUMN"

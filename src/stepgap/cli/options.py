@@ -104,8 +104,11 @@ class ColumnNames:
 NO_COLUMNS = ColumnNames()
 
 
-def add_verb(app: App, name: str, verb: Callable[..., None]) -> None:
-    """Adds a function as a verb; its help is its docstring, with a note on settings if it takes any."""
+def add_verb(app: App, name: str, verb: Callable[..., Any]) -> None:
+    """Adds a function as a verb, whose help is its docstring with a note on settings if it takes any; or an `App`."""
+    if isinstance(verb, App):
+        app.command(verb, name=name)
+        return
     takes_settings = "overrides" in signature(verb).parameters
     app.command(verb, name=name, help_epilogue=SETTINGS_HELP if takes_settings else DEBUG_HELP)
 

@@ -1,16 +1,12 @@
 """Where an exception arose in the code of a plug-in, such as a user's robot."""
 
 import traceback
-from importlib.metadata import entry_points
+from importlib.metadata import distributions
 from importlib.util import find_spec
 from pathlib import Path
 
-from stepgap.learning.settings import RESIDUALS
-from stepgap.rigs.entry_points import GROUP
-from stepgap.robots.entry_points import ROBOTS_GROUP
-
-PLUGIN_GROUPS = (ROBOTS_GROUP, GROUP, RESIDUALS)
-"""Groups of the entry points of plug-ins."""
+ENTRY_POINTS = "stepgap."
+"""Beginning of the names of all groups of entry points that StepGap knows."""
 
 
 def location_in_plugin(error: BaseException) -> str:
@@ -26,7 +22,8 @@ def location_in_plugin(error: BaseException) -> str:
 
 def _roots() -> list[Path]:
     """Modules and folders of the packages of all plug-ins but StepGap's own."""
-    packages = {entry.module.partition(".")[0] for group in PLUGIN_GROUPS for entry in entry_points(group=group)}
+    found = (entry for installed in distributions() for entry in installed.entry_points)
+    packages = {entry.module.partition(".")[0] for entry in found if entry.group.startswith(ENTRY_POINTS)}
     roots: list[Path] = []
     for package in sorted(packages - {"stepgap"}):
         spec = find_spec(package)

@@ -4,7 +4,11 @@ from pathlib import Path
 
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import free_name
+from stepgap.base.plugins import load_plugin, plugin_names
 from stepgap.cli.terminal import warn
+
+REPORTS = "stepgap.reports"
+"""Entry points of this group are `report.FolderReport`: reports of folders that are not those of runs."""
 
 
 def report(folders: list[Path], /, *, out: Path | None = None) -> None:
@@ -16,11 +20,18 @@ def report(folders: list[Path], /, *, out: Path | None = None) -> None:
     """
     from stepgap.cli.progress import progress_bar
     from stepgap.cli.run_report import compare_runs, report_run
-    from stepgap.cli.sweep_report import is_sweep, report_sweep
+    from stepgap.report import FolderReport
 
-    sweep = next(filter(is_sweep, folders), None)
-    if sweep and (len(folders) > 1 or out):
-        raise InputError(f"{sweep}: a sweep has a report of its own, in its folder; give only: stepgap report {sweep}")
+    def is_report(found: object) -> bool:
+        return isinstance(found, FolderReport)
+
+    kinds = {name: load_plugin(REPORTS, "report", name, is_report, "a FolderReport") for name in plugin_names(REPORTS)}
+    other = next(((name, folder) for folder in folders for name, kind in kinds.items() if kind.holds(folder)), None)
+    if other and (len(folders) > 1 or out):
+        name, folder = other
+        raise InputError(
+            f"{folder}: a {name} has a report of its own, in its folder; give only: stepgap report {folder}"
+        )
     if len(folders) > 1:
         page = out or free_name(folders[0].resolve().parent / "comparison.html")
         compare_runs(folders, page)
@@ -28,7 +39,7 @@ def report(folders: list[Path], /, *, out: Path | None = None) -> None:
         raise InputError("--out: valid only with several runs; the report of one run is written into its folder")
     else:
         with progress_bar("report") as progress:
-            page, left_out = report_sweep(sweep) if sweep else report_run(folders[0], progress)
+            page, left_out = kinds[other[0]].write(folders[0]) if other else report_run(folders[0], progress)
         if left_out:
             warn(f"missing in the report: {'; '.join(left_out)}")
     print(page)

@@ -249,10 +249,10 @@ def _choose_plants(
     ready: Prepared, arm: bool, recorder: "TickRecorder", live: "LiveView | None", program: Sequence[str]
 ) -> "Plants":
     """Chooses the plants of the settings; their ticks go to the recorder and to the live page."""
-    from stepgap.experiment.plants import choose_plants
+    from stepgap.experiment.plants import PlantRequest, choose_plants
 
     on_ticks = _all_of(recorder.on_ticks, live)
-    return choose_plants(ready.settings, ready.reference, arm, ready.folder, on_ticks, program)
+    return choose_plants(PlantRequest(ready.settings, ready.reference, ready.folder, arm, on_ticks, program))
 
 
 def _all_of(record: "OnTicks", live: "LiveView | None") -> "OnTicks":

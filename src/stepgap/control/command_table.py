@@ -4,7 +4,7 @@ A table evaluates no map when it is used, so its cost does not depend on the map
 of interpolation: it compares interpolated commands with solved ones at random points.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 
@@ -128,57 +128,6 @@ def _within(commands: Array, space: StepSpace) -> bool:
     return bool(((commands >= space.command_lower) & (commands <= space.command_upper)).all())
 
 
-@dataclass(frozen=True)
-class TableBatches:
-    """The nodes of a table in batches of states with all their targets, which can be solved independently.
-
-    Attributes:
-        space: Names, units and ranges of the map.
-        points: Points along each of the 2n axes, at least 2.
-        batch: Approximate number of nodes that are solved together.
-    """
-
-    space: StepSpace
-    points: int
-    batch: int = BATCH
-
-    def __post_init__(self) -> None:
-        require(self.points >= 2, "points", self.points, "be at least 2: both ends of each axis")
-        require(self.batch >= 1, "batch", self.batch, "be at least 1")
-
-    def __len__(self) -> int:
-        """Number of batches."""
-        states = self.points ** len(self.space.state)
-        return min(states, max(1, self.nodes // self.batch))
-
-    @property
-    def nodes(self) -> int:
-        """Number of nodes of the table."""
-        return self.points ** (2 * len(self.space.state))
-
-    def solve(self, step_map: StepMap, number: int) -> Answers:
-        """Solves the nodes of a batch: those of its S states, with all T targets."""
-        n = len(self.space.state)
-        states = (self.space.state_lower + self.space.state_scale * (1 + box_grid(self.points, n))).reshape(-1, n)
-        return solve_many(step_map, np.array_split(states, len(self))[number], states)
-
-    def table(self, answers: Sequence[Answers]) -> CommandTable:
-        """Assembles the table from the solutions of all batches in their order.
-
-        Raises:
-            ValueError: They are not the solutions of all batches.
-        """
-        n, m = len(self.space.state), len(self.space.command)
-        grid = (self.points,) * (2 * n)
-        return CommandTable(
-            self.space,
-            np.concatenate([answer.command for answer in answers]).reshape(*grid, m),
-            np.concatenate([answer.predicted for answer in answers]).reshape(*grid, n),
-            np.concatenate([answer.reached for answer in answers]).reshape(grid),
-            np.concatenate([answer.status for answer in answers]).reshape(grid),
-        )
-
-
 def build_table(
     step_map: StepMap, points: int = 15, progress: TableProgress = lambda done, total: None
 ) -> CommandTable:
@@ -192,13 +141,22 @@ def build_table(
     Raises:
         ValueError: There are fewer than 2 points.
     """
-    batches = TableBatches(step_map.space, points)
+    require(points >= 2, "points", points, "be at least 2: both ends of each axis")
+    space, n = step_map.space, len(step_map.space.state)
+    states = (space.state_lower + space.state_scale * (1 + box_grid(points, n))).reshape(-1, n)
     answers, done = [], 0
-    for number in range(len(batches)):
-        answers.append(batches.solve(step_map, number))
+    for batch in np.array_split(states, min(len(states), max(1, len(states) ** 2 // BATCH))):
+        answers.append(solve_many(step_map, batch, states))
         done += answers[-1].status.size
-        progress(done, batches.nodes)
-    return batches.table(answers)
+        progress(done, len(states) ** 2)
+    grid = (points,) * (2 * n)
+    return CommandTable(
+        space,
+        np.concatenate([answer.command for answer in answers]).reshape(*grid, len(space.command)),
+        np.concatenate([answer.predicted for answer in answers]).reshape(*grid, n),
+        np.concatenate([answer.reached for answer in answers]).reshape(grid),
+        np.concatenate([answer.status for answer in answers]).reshape(grid),
+    )
 
 
 @dataclass(frozen=True, eq=False)

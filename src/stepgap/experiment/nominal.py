@@ -94,6 +94,21 @@ def _differenced(kind: str, nominal: StepMap) -> Nominal:
     return Nominal(chosen, warnings=(f"nominal map '{kind}' {rough}; {advice}",) if rough else ())
 
 
+def sampled_map(settings: Experiment, tick: float | None) -> StepMap:
+    """The nominal map or, if a tick [s] is given, that of the robot with torques that are held for it.
+
+    Raises:
+        InputError: The robot has none.
+        ValueError: The tick is out of its range.
+    """
+    if tick is None:
+        return load_nominal(settings).map
+    found = settings.robot.sampled_map(tick)
+    if found is None:
+        raise InputError(f"robot '{settings.robot.name}' has no map with torques that are held for a tick")
+    return found
+
+
 def slowness(kind: str, nominal: StepMap, evaluations: int) -> str:
     """A sentence on a map that is so slow that commands take seconds; empty for others.
 

@@ -1,8 +1,9 @@
-"""Plants of `stepgap run`: a simulated plant of the robot, another program, or a rig by name."""
+"""Plants of `stepgap run`: a simulated plant of the robot, another program, a rig by name, or one of a plug-in."""
 
 import re
 import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -10,27 +11,27 @@ from typing import NamedTuple
 import numpy as np
 
 from stepgap.base.errors import InputError
+from stepgap.base.plugins import load_plugin, plugin_names
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
 from stepgap.experiment.loop import MeasureNoiseFloor
 from stepgap.experiment.noise_floor import measure_noise_floor
 from stepgap.experiment.settings import PROCESS, Experiment
-from stepgap.plants.commissioning.check import checked
-from stepgap.plants.commissioning.jog import JOG
-from stepgap.plants.commissioning.proof import proven
 from stepgap.plants.plant import Plant
 from stepgap.plants.process.line_channel import Child, Connection
 from stepgap.plants.process.process_plant import ProcessPlant
-from stepgap.plants.realtime.consent import supervised
-from stepgap.plants.realtime.loop import LoopSettings
-from stepgap.plants.realtime.process import RealtimeSetup
-from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.ticks.stream import OnTicks
 from stepgap.records.summary import NoiseFloor
-from stepgap.rigs.entry_points import load_rig, rig_names
-from stepgap.rigs.limits import RigLimits
+from stepgap.rigs.entry_points import rig_names
+from stepgap.robots.entry_points import simulations_of
 from stepgap.robots.robot import Simulation
 from stepgap.step import StepMap
+
+PLANTS = "stepgap.plants"
+"""Entry points of this group are callables `PlantRequest` → `Plants`."""
+
+ANY_RIG = "any-rig"
+"""The plant of this name runs all rigs, which are found by their own names."""
 
 LARGEST_PORT = 65535
 """Largest TCP port."""
@@ -50,43 +51,62 @@ class Plants(NamedTuple):
     measure_noise_floor: MeasureNoiseFloor | None = None
 
 
-def choose_plants(
-    settings: Experiment,
-    reference: Reference,
-    arm: bool,
-    folder: Path,
-    on_ticks: OnTicks | None = None,
-    program: Sequence[str] = (),
-) -> Plants:
-    """Chooses the plants of an experiment.
+@dataclass(frozen=True, eq=False)
+class PlantRequest:
+    """What a plant is made from.
 
-    Args:
+    Attributes:
         settings: Settings, which name and describe the plant.
         reference: Reference that will be tracked.
-        arm: Whether a person allows torque on a rig.
         folder: Folder of the run, into which a rig's ticks are written.
+        arm: Whether a person allows torque on a rig.
         on_ticks: Called with the ticks of a simulation, if it has any.
         program: Command line of the program of the plant `process`, or `tcp:PORT`, where it listens.
+    """
+
+    settings: Experiment
+    reference: Reference
+    folder: Path
+    arm: bool = False
+    on_ticks: OnTicks | None = None
+    program: Sequence[str] = ()
+
+
+def choose_plants(request: PlantRequest) -> Plants:
+    """Chooses the plants of an experiment.
 
     Raises:
         InputError: No plant can be made with these settings.
     """
-    if (settings.simulated or settings.plant == PROCESS) and (arm or settings.rig):
-        raise InputError(f"--arm, --rig: only for real rigs; plant '{settings.plant}' takes neither")
-    if settings.plant == PROCESS:
-        return _of_process(settings, program)
-    if program:
-        raise InputError(f"-- {program[0]}: plant '{settings.plant}' runs no program; add --plant {PROCESS}")
-    if not settings.simulated:
-        return _of_rig(settings, arm, folder / "ticks")
-    simulation = simulation_of(settings)
+    settings, name = request.settings, request.settings.plant
+    if request.program and name != PROCESS:
+        raise InputError(f"-- {request.program[0]}: plant '{name}' runs no program; add --plant {PROCESS}")
+    if settings.simulated:
+        return _simulated(request)
+    installed = [plant for plant in plugin_names(PLANTS) if plant != ANY_RIG]
+    if name not in (*installed, *rig_names()) and not settings.rig:
+        known = (*simulations_of(settings.robot), *installed, *rig_names())
+        raise InputError(f"--plant {name}: unknown; it must be one of {', '.join(known)}")
+    kind = name if name in installed else ANY_RIG
+    return load_plugin(PLANTS, "plant", kind, callable, "callable with a PlantRequest")(request)
+
+
+def refuse_rig_options(request: PlantRequest) -> None:
+    """Raises InputError for options of a rig that were given with another plant."""
+    if request.arm or request.settings.rig:
+        raise InputError(f"--arm, --rig: only for real rigs; plant '{request.settings.plant}' takes neither")
+
+
+def _simulated(request: PlantRequest) -> Plants:
+    refuse_rig_options(request)
+    simulation = simulation_of(request.settings)
 
     def measure(step_map: StepMap, rng: np.random.Generator, progress: Callable[[int, int], None]) -> NoiseFloor:
         plant = simulation.repeatable_plant(rng)
         unknown = NoiseFloor.unknown(len(step_map.space.state))
-        return measure_noise_floor(plant, step_map, reference, rng, progress) if plant else unknown
+        return measure_noise_floor(plant, step_map, request.reference, rng, progress) if plant else unknown
 
-    return Plants(lambda rng: simulation.plant(rng, on_ticks), True, measure)
+    return Plants(lambda rng: simulation.plant(rng, request.on_ticks), True, measure)
 
 
 def simulation_of(settings: Experiment) -> Simulation:
@@ -95,57 +115,17 @@ def simulation_of(settings: Experiment) -> Simulation:
     Raises:
         InputError: It cannot be made with these settings.
     """
-    return settings.robot.simulations()[settings.plant](random_stream(settings.seed))
+    return simulations_of(settings.robot)[settings.plant](random_stream(settings.seed))
 
 
-def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
-    if not settings.rig:
-        plants = (*settings.robot.simulations(), PROCESS, *rig_names())
-        if settings.plant not in plants:
-            raise InputError(f"--plant {settings.plant}: unknown; it must be one of {', '.join(plants)}")
-        raise InputError(f"--plant {settings.plant}: give the rig's file by --rig RIG.toml")
-    control = settings.robot.control()
-    if control is None:
-        raise InputError(f"--plant {settings.plant}: robot '{settings.robot.name}' has no control for a rig")
-    make_rig = partial(load_rig, settings.plant, Path(settings.rig), settings.robot)
-    limits = make_rig().limits  # reports errors before the first deployment
-    if not arm:
-        raise InputError(
-            f"--plant {settings.plant}: gives torque only with --arm; `stepgap rig dry-run` tests all but torque"
-        )
-    simulated = require_limits(settings.rig, limits).simulated
-    loop, consent = supervised(LoopSettings(), control.consent_request, simulated)
-    setup = RealtimeSetup(make_rig, control, loop)
-
-    def require_proofs() -> None:
-        checked(Path(settings.rig))
-        if not simulated:
-            proven(Path(settings.rig), JOG)
-
-    def make(_: np.random.Generator) -> Plant:
-        require_proofs()  # every deployment reads the files again
-        return RealtimePlant(setup, logs, consent, Path(settings.rig).read_text("utf-8"))
-
-    require_proofs()
-    return Plants(make, replays=False)
-
-
-def require_limits(rig: str, limits: RigLimits | None) -> RigLimits:
-    """Returns the limits of a rig, after ensuring that all of them limit something.
+def process_plants(request: PlantRequest) -> Plants:
+    """The plant `process`: the program that was given, or one that listens on a port.
 
     Raises:
-        InputError: One of them does not, or there are none.
+        InputError: No program is given, it does not exist, or options of a rig are given.
     """
-    if limits is None:
-        raise InputError(f"{rig}: the rig has no limits; torque needs a rig whose `limits` are all finite")
-    if lacking := limits.without_effect():
-        raise InputError(
-            f"{rig}: [limits] lacks {', '.join(lacking)}; torque needs a finite value of each, as in examples/rig.toml"
-        )
-    return limits
-
-
-def _of_process(settings: Experiment, program: Sequence[str]) -> Plants:
+    refuse_rig_options(request)
+    settings, program = request.settings, request.program
     if not program:
         example = f"stepgap run --plant {PROCESS} -- ./robot, or -- tcp:5555 if it listens on that port"
         raise InputError(f"--plant {PROCESS}: give the robot's program after two dashes: {example}")

@@ -22,7 +22,7 @@ from stepgap.base.settings_file import (
 from stepgap.control.settings import ControlSettings
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.process.process_plant import Timeouts
-from stepgap.robots.entry_points import load_robot, robot_names
+from stepgap.robots.entry_points import load_robot, robot_names, simulations_of
 from stepgap.robots.robot import Robot
 
 _Choice = TypeVar("_Choice")
@@ -134,7 +134,7 @@ class Experiment:
     @property
     def simulated(self) -> bool:
         """Whether the plant is simulated, so that a deployment can be repeated."""
-        return self.plant in self.robot.simulations()
+        return self.plant in simulations_of(self.robot)
 
 
 def read_experiment(path: Path | None, overrides: Iterable[tuple[str, str]] = ()) -> Experiment:

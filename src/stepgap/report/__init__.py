@@ -10,6 +10,8 @@ tables, `sentences` the text, `replay_view` the replay. `page` puts all on one p
 of a sweep. `fit`, `fit_results` and `model_application` are the output of `stepgap fit`.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,6 +30,7 @@ from stepgap.report.run_figures import draw_run_figures
 
 __all__ = [
     "NO_CONTEXT",
+    "FolderReport",
     "RunContext",
     "RunRecord",
     "WrittenReport",
@@ -47,6 +50,19 @@ class WrittenReport(NamedTuple):
 
     path: Path
     missing: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class FolderReport:
+    """The report of folders of some kind other than runs, such as sweeps, for `stepgap report`.
+
+    Attributes:
+        holds: Whether a folder is of this kind.
+        write: Writes the report of such a folder into it.
+    """
+
+    holds: Callable[[Path], bool]
+    write: Callable[[Path], WrittenReport]
 
 
 def write_report(record: RunRecord, context: RunContext = NO_CONTEXT) -> WrittenReport:

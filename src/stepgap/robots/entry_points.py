@@ -1,17 +1,24 @@
 """Robots by name: those of this package and of others, found by their entry points."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
+from functools import partial
 from os import environ
 from pathlib import Path
 from shlex import quote
 from typing import Any
 
+import numpy as np
+
 from stepgap.base.errors import InputError
 from stepgap.base.plugins import load_plugin, plugin_names
-from stepgap.robots.robot import Robot
+from stepgap.robots.robot import Robot, Simulation
 
 ROBOTS_GROUP = "stepgap.robots"
 """Entry points of this group are classes: frozen dataclasses, subclasses of `Robot`."""
+
+SIMULATIONS = "stepgap.simulations"
+"""Entry points of this group, with names ROBOT.PLANT, are callables (robot, generator of the world) → `Simulation`."""
 
 
 def robot_names() -> tuple[str, ...]:
@@ -37,6 +44,18 @@ def load_robot(name: str) -> Robot:
         if not is_dataclass(getattr(robot, entry.name)):
             raise InputError(f"robot '{name}': its field {entry.name} is no table; it must be a frozen dataclass")
     return robot
+
+
+def simulations_of(robot: Robot) -> Mapping[str, Callable[[np.random.Generator], Simulation]]:
+    """The simulated plants of a robot by name: its own, and those that plug-ins add; the first one is the default."""
+
+    def made(name: str, world: np.random.Generator) -> Simulation:
+        make = load_plugin(SIMULATIONS, "simulated plant", name, callable, "callable with (robot, world)")
+        return make(robot, world)
+
+    prefix = f"{robot.name}."
+    added = (name for name in plugin_names(SIMULATIONS) if name.startswith(prefix))
+    return {**robot.simulations(), **{name.removeprefix(prefix): partial(made, name) for name in added}}
 
 
 def next_commands(folder: Path) -> tuple[str, ...]:

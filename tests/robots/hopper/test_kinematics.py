@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.kinematics import JOINTS, HopperKinematics, HopperPose, joint_positions
-from stepgap.robots.hopper.leg import foot, four_bar, leg_of
+from stepgap.robots.hopper.model.leg import foot, four_bar, leg_of
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.robot import Hopper
-from stepgap.robots.hopper.sensors import HopperSensorModel
-from stepgap.robots.hopper.tick import TICK_UNITS
+from stepgap.robots.hopper.tick.hop_control import HopperControl
+from stepgap.robots.hopper.tick.sensors import HopperSensorModel
+from stepgap.robots.hopper.tick.tick_row import TICK_UNITS
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.polynomial import Polynomial
 
 from stepgap.base.errors import StepGapError
-from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.nominal_maps.simulator import SimulatorMap
 from stepgap.robots.nominal_maps.surrogate_map import (
     fit_surrogate,

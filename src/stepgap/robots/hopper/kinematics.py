@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.robots.hopper.leg import knee_angle, leg_of
+from stepgap.robots.hopper.model.leg import knee_angle, leg_of
 from stepgap.robots.hopper.parameters import Gains, RobotParameters
-from stepgap.robots.hopper.sensors import HopperSensorModel
-from stepgap.robots.hopper.tick import TICK_UNITS
+from stepgap.robots.hopper.tick.sensors import HopperSensorModel
+from stepgap.robots.hopper.tick.tick_row import TICK_UNITS
 from stepgap.robots.scene import Kinematics, Link, Motion, Scene
 from stepgap.step import Array
 

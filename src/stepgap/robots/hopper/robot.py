@@ -9,24 +9,24 @@ import numpy as np
 from stepgap.base.errors import InputError
 from stepgap.control.reference import Reference
 from stepgap.rigs.rig import SensorModel
-from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.kinematics import HopperKinematics
+from stepgap.robots.hopper.model.apex_map import ApexMap
+from stepgap.robots.hopper.model.sampled_map import SampledApexMap
 from stepgap.robots.hopper.paper import paper_reference, paper_result
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
-from stepgap.robots.hopper.sampled_map import SampledApexMap
-from stepgap.robots.hopper.sensors import hopper_sensors
-from stepgap.robots.hopper.simulation import HopperSimulation, RingSimulation, TwinSimulation
+from stepgap.robots.hopper.tick.hop_control import HopperControl
+from stepgap.robots.hopper.tick.sensors import hopper_sensors
 from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.robots.hopper.twin.paper_family import PAPER_FAMILY
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.simulation import HopperSimulation, TwinSimulation
 from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
 from stepgap.robots.published_result import PublishedResult
 from stepgap.robots.robot import Robot
 from stepgap.step import StepMap, StepSpace
 
-TWIN, EMULATED_RING = "twin", "emulated-ring"
-"""Names of the simulated plants."""
+TWIN = "twin"
+"""Name of the simulated plant."""
 
 
 @dataclass(frozen=True)
@@ -89,11 +89,8 @@ class Hopper(Robot):
             raise ValueError(f"gains.{error}") from None
 
     def simulations(self) -> Mapping[str, Callable[[np.random.Generator], HopperSimulation]]:
-        """The twin, and the twin on an EtherCAT bus in software."""
-        return {
-            TWIN: lambda world: TwinSimulation(self, world),
-            EMULATED_RING: lambda world: RingSimulation(self, world),
-        }
+        """The twin."""
+        return {TWIN: lambda world: TwinSimulation(self.parameters, self.gap, self.control, world)}
 
     def control(self) -> HopperControl:
         """The joint controller."""

@@ -12,8 +12,8 @@ from numba import types
 
 from stepgap.base.compiled import as_written
 from stepgap.plants.tick_control import TickFlag
-from stepgap.robots.hopper.hop_tick import UNREADABLE, tick
-from stepgap.robots.hopper.tick import TICK_COLUMN
+from stepgap.robots.hopper.tick.hop_tick import UNREADABLE, tick
+from stepgap.robots.hopper.tick.tick_row import TICK_COLUMN
 from stepgap.robots.hopper.twin.devices import READ, drive, read_counts
 from stepgap.robots.hopper.twin.true_apex import update_apex
 from stepgap.robots.mujoco_callbacks import c_library

@@ -16,10 +16,10 @@ from stepgap.base.ranges import require
 from stepgap.plants.compiled_rig import CompiledRig, TickRun
 from stepgap.plants.tick_control import Order, TickControl
 from stepgap.rigs.rig import RigFault, Torques
-from stepgap.robots.hopper.hop_control import HopControl
 from stepgap.robots.hopper.parameters import Gains, RobotParameters
-from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
-from stepgap.robots.hopper.tick import TICK_UNITS
+from stepgap.robots.hopper.tick.hop_control import HopControl
+from stepgap.robots.hopper.tick.sensors import HopperReading, HopperSensorModel
+from stepgap.robots.hopper.tick.tick_row import TICK_UNITS
 from stepgap.robots.hopper.twin.devices import (
     OUT_OF_REACH,
     READ,

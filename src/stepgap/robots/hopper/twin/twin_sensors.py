@@ -3,7 +3,7 @@
 from math import inf
 
 from stepgap.robots.hopper.parameters import RobotParameters
-from stepgap.robots.hopper.sensors import HopperSensorModel
+from stepgap.robots.hopper.tick.sensors import HopperSensorModel
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 
 EXACT_COUNTS = 16384

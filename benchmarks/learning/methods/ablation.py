@@ -1,0 +1,39 @@
+"""Methods without one of the rules of the default settings: METHOD-RULE is METHOD with that rule switched off.
+
+The rule is off in all deployments that the method makes. Deployment 0 without correction, from which it may learn, is
+the common one with all rules. What a method does without a learner and without `CautiousController` has no rules.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from benchmarks.learning.trial import Method, Trial
+from stepgap.control.settings import ALL_RULES
+from stepgap.learning.step_log import StepLog
+
+LEARNING_RULES = ("drift", "remove_yaw_dependence", "monitor")
+"""Rules that are fields of `LearningSettings`."""
+
+CONTROL_RULES = ("cautious", "viability", "avoid_failures")
+"""Rules that are fields of `ControlSettings`."""
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """A change of the settings of learning and of step control, by their names."""
+
+    learning: Mapping[str, bool] = field(default_factory=dict)
+    control: Mapping[str, bool] = field(default_factory=dict)
+
+
+ABLATIONS = {
+    **{rule: Ablation(learning={rule: False}) for rule in LEARNING_RULES},
+    **{rule: Ablation(control={rule: False}) for rule in CONTROL_RULES},
+    "all_rules": Ablation(dict.fromkeys(LEARNING_RULES, False), dict.fromkeys(CONTROL_RULES, False)),
+}
+"""Rules that can be switched off, by the name of their setting; and all of them together."""
+
+
+def ablated(trial: Trial, method: Method, ablation: Ablation) -> Sequence[StepLog]:
+    """The deployments of a method without some rules."""
+    return method(replace(trial, learning=ablation.learning, control=replace(ALL_RULES, **ablation.control)))

@@ -1,0 +1,94 @@
+"""All methods of the learning benchmark by name."""
+
+from functools import partial
+
+from benchmarks.learning.learning_summary import UNCORRECTED, WITHOUT
+from benchmarks.learning.methods import affine, ensemble, integral, inverse, physics
+from benchmarks.learning.methods.ablation import ABLATIONS, ablated
+from benchmarks.learning.methods.redeployment import EXPLORATION, corrected, from_the_first_hop, paper, residual
+from benchmarks.learning.trial import UNCORRECTED_LEARNING, Method
+from stepgap.learning.entry_points import residual_models, residual_names
+from stepgap.learning.settings import AUTO, LearningSettings
+
+REASONS = {"sysid": physics.SYSID_MISSING, "sysid_plain": physics.SYSID_MISSING, "ensemble": ensemble.SKLEARN_MISSING}
+"""Why methods that need further packages cannot be used; empty if they can."""
+
+SKIPPED = {name: reason for name, reason in REASONS.items() if reason}
+"""Methods that cannot be used, with the reason."""
+
+QUICK = ("linear", "gp_on_linear")
+"""Names of the methods of a quick comparison."""
+
+TEMPLATE_RESIDUALS = ("linear", "quadratic", "gp_on_linear")
+"""Residuals that are learned on top of the template."""
+
+CLASSICAL: dict[str, Method] = {
+    "integral": integral.integral,
+    "integral_plain": integral.integral_plain,
+    "identified": partial(physics.identified, settings=physics.WITH_DISTURBANCE),
+    "identified_plain": physics.identified_plain,
+    "identified_gp_on_linear": partial(physics.identified, settings=LearningSettings()),
+    "sysid": partial(physics.sysid, settings=physics.WITH_DISTURBANCE),
+    "sysid_plain": partial(physics.sysid, settings=UNCORRECTED_LEARNING),
+    "rls": affine.rls,
+    "rls_plain": affine.rls_plain,
+}
+"""Methods of control and identification, with and without what the default learner has besides its residual."""
+
+OTHER_LEARNING: dict[str, Method] = {
+    "paper": paper,
+    "delta_command": inverse.delta_command,
+    "ensemble": ensemble.ensemble,
+    "quadratic_previous_error": partial(
+        corrected, settings=LearningSettings(residual="quadratic", lagged_inputs="previous_error")
+    ),
+}
+"""Other ways to learn from deployment 0 than the installed residuals."""
+
+FROM_THE_FIRST_HOP: dict[str, Method] = {
+    "online": partial(from_the_first_hop, settings=LearningSettings(online=True)),
+    "exploring": partial(from_the_first_hop, settings=LearningSettings(exploration=EXPLORATION)),
+    "exploring_online": partial(from_the_first_hop, settings=LearningSettings(online=True, exploration=EXPLORATION)),
+}
+"""Methods that learn during deployment 0, all with the default residual."""
+
+TEMPLATE: dict[str, Method] = {
+    "template_none": affine.template_uncorrected,
+    **{f"template_{kind}": partial(affine.template_residual, kind=kind) for kind in TEMPLATE_RESIDUALS},
+    "template_online": affine.template_online,
+}
+"""Methods whose nominal map is a template of four numbers."""
+
+
+def methods() -> dict[str, Method]:
+    """All methods by name, including every installed residual except `none`, which is deployment 0.
+
+    Each can also be run without a rule, as METHOD-RULE: `method_of`.
+    """
+    kinds = (*(name for name in residual_names() if name != UNCORRECTED), AUTO)
+    residuals: dict[str, Method] = {kind: partial(residual, kind=kind) for kind in kinds}
+    known = CLASSICAL | residuals | OTHER_LEARNING | FROM_THE_FIRST_HOP | TEMPLATE
+    return {name: method for name, method in known.items() if name not in SKIPPED}
+
+
+def method_of(name: str) -> Method:
+    """The method METHOD or METHOD-RULE; raises KeyError if there is none of this name."""
+    full, without, rule = name.partition(WITHOUT)
+    found = methods()[full]
+    return partial(ablated, method=found, ablation=ABLATIONS[rule]) if without else found
+
+
+def is_method(name: str) -> bool:
+    """Whether there is a method of this name that can be used."""
+    try:
+        method_of(name)
+    except KeyError:
+        return False
+    return True
+
+
+def default_methods() -> list[str]:
+    """Names of the methods that are compared by default; their residuals are the candidates of `auto`."""
+    kinds = [model.name for model in residual_models() if model.candidate and model.name != UNCORRECTED]
+    names = [*CLASSICAL, *kinds, AUTO, *OTHER_LEARNING, *FROM_THE_FIRST_HOP, *TEMPLATE]
+    return [name for name in names if name not in SKIPPED]

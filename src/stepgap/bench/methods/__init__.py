@@ -1,1 +1,0 @@
-"""The methods that `stepgap bench learning` compares, one file per family; `registry` lists them by name."""

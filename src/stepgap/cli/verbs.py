@@ -1,0 +1,54 @@
+"""The verbs of the command line, found by their entry points: those of this package first, then those of others."""
+
+from cyclopts import App, Parameter
+
+from stepgap.base.errors import InputError
+from stepgap.base.plugins import load_plugin, plugin_names
+from stepgap.cli.help_format import HelpFormat
+from stepgap.cli.options import SETTINGS_HELP, add_verb
+from stepgap.cli.terminal import warn
+
+VERBS = "stepgap.verbs"
+"""Entry points of this group are functions with annotated parameters, or a Cyclopts `App` with verbs of its own."""
+
+ORDER = (
+    *("run", "settings", "new", "sweep", "report", "view", "export", "recover", "steps", "fit", "gait", "map"),
+    *("doctor", "completion", "bench", "rig"),
+)
+"""Order of the verbs in the help; those of other packages follow by name."""
+
+
+def command_line(only: str = "") -> App:
+    """The command line with its verbs; a verb of another package that cannot be loaded is left out with a warning.
+
+    Args:
+        only: Name of a verb; if there is such a verb, no other one is loaded, which is faster.
+
+    Raises:
+        InputError: The only verb cannot be loaded.
+    """
+    app = App(
+        name="stepgap",
+        help="Close the sim-to-real gap of a legged robot one step at a time.",
+        help_epilogue=SETTINGS_HELP,
+        help_format="plaintext",
+        help_formatter=HelpFormat(),
+        default_parameter=Parameter(negative=()),
+    )
+    names = verb_names()
+    for name in [only] if only in names else names:
+        try:
+            verb = load_plugin(VERBS, "verb", name, callable, "a function or a Cyclopts App")
+        except InputError as error:
+            if name == only:
+                raise
+            warn(str(error))
+        else:
+            add_verb(app, name, verb)
+    return app
+
+
+def verb_names() -> list[str]:
+    """Names of all verbs, in the order of the help."""
+    installed = plugin_names(VERBS)
+    return [*(name for name in ORDER if name in installed), *(name for name in installed if name not in ORDER)]

@@ -1,0 +1,1 @@
+"""The verb of exports: `stepgap export`."""

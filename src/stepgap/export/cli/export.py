@@ -1,0 +1,190 @@
+"""The verb `stepgap export`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter, validators
+
+from stepgap.base.errors import InputError, message_of
+from stepgap.base.files import create, new_folder
+from stepgap.base.output_files import check_new, free_name, write_new, write_together, writing
+from stepgap.cli.options import Integer
+from stepgap.cli.terminal import announces_compilation
+from stepgap.export.cli.export_controller import CONTROLLER_FILES, controller_file
+
+if TYPE_CHECKING:
+    from stepgap.records.run_folder import RunRecord
+
+
+@announces_compilation
+def export(
+    folder: Path,
+    /,
+    *,
+    to: Literal["mat", "csv", "parquet", "mcap", "foxglove", "mjcf", "model", "onnx", "casadi", "fmu", "c"],
+    iteration: Annotated[
+        Integer | None, Parameter(name=("--deployment", "--iteration"), validator=validators.Number(gte=0))
+    ] = None,
+    fmi: Literal[2, 3] = 2,
+    real: Literal["double", "float"] = "double",
+    out: Path | None = None,
+) -> None:
+    """Convert a run for other programs: MATLAB, data frames, players of tick logs, viewers, controllers.
+
+    Args:
+        folder: Folder of the run.
+        to: mat: all numbers, for MATLAB and Octave; csv, parquet: the steps; mcap: the ticks; foxglove: a layout with
+            plots of the ticks; mjcf: the model of the hopper's twin; model: what was learned, as a documented JSON
+            file; onnx, casadi: the corrected map; fmu: the controller for co-simulation; c: the
+            controller as a C99 file and its header.
+        iteration: Number of the only deployment to export. [default: all of them; for mcap the last one; for what was
+            learned the one after the last]
+        fmi: For fmu, the version of FMI.
+        real: For c, the type of the numbers.
+        out: New file, or for mjcf a new folder. [default: a new one in the folder export/ of the run]
+    """
+    if to == "mjcf":
+        _export_model(folder, iteration, out)
+    elif to == "mcap":
+        _export_ticks(folder, iteration, out)
+    elif to == "foxglove":
+        _export_layout(folder, iteration, out)
+    elif to == "c":
+        _export_c(folder, iteration, real, out)
+    elif to in CONTROLLER_FILES:
+        _export_controller(folder, to, iteration, fmi, out)
+    else:
+        _export_steps(folder, to, iteration, out)
+
+
+def _export_c(folder: Path, iteration: int | None, real: Literal["double", "float"], out: Path | None) -> None:
+    from stepgap.export.cli.export_controller import c_files
+
+    target = out or _target(folder, "controller.c", None)
+    for name in (target, target.with_suffix(".h")):
+        check_new(name, "--out")
+    write_together(c_files(folder, target, iteration, real), "--out")
+
+
+def _export_steps(folder: Path, to: str, iteration: int | None, out: Path | None) -> None:
+    from stepgap.export.data.matlab import matlab_file
+    from stepgap.export.data.text import columns_text, steps_text
+    from stepgap.records.parquet_file import parquet_file
+    from stepgap.records.step_columns import step_columns
+
+    record = _read_run(folder)
+    columns = step_columns(record, iteration)
+    contents = {
+        "mat": lambda: matlab_file(record, columns),
+        "csv": lambda: steps_text(columns),
+        "parquet": lambda: parquet_file(columns),
+    }
+    content = contents[to]()
+    name = "run" if to == "mat" else "steps"
+    target = _target(folder, f"{name}{_suffix(iteration)}.{to}", out)
+    legend = target.with_stem(f"{target.stem}_columns")
+    if to == "csv":
+        check_new(legend, "--out")
+    write_together({target: content, **({legend: columns_text(columns)} if to == "csv" else {})}, "--out")
+
+
+def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None:
+    from stepgap.cli.progress import progress_bar
+    from stepgap.experiment.replay import replay
+    from stepgap.experiment.settings import read_experiment
+    from stepgap.export.data.ticks import copy_ticks, write_ticks
+
+    record = _read_run(folder)
+    settings = read_experiment(folder / "experiment.toml")
+    if settings.simulated:
+        chosen = record.steps.iterations[-1] if iteration is None else iteration
+        if out:
+            check_new(out, "--out")
+        with progress_bar("steps") as progress:
+            ticks = replay(folder, chosen, progress=progress)
+        target = _target(folder, f"ticks{_suffix(chosen)}.mcap", out)
+        write_ticks(ticks, target)
+        print(target)
+        return
+    if iteration is not None:
+        raise InputError("--deployment: not valid for the tick logs of a rig; leave this option out")
+    logs = _logs_of_rig(folder)
+    target = _target(folder, "ticks", out)
+    with writing(target, "--out"):
+        for line in copy_ticks(logs, target):
+            print(line)
+
+
+def _export_layout(folder: Path, iteration: int | None, out: Path | None) -> None:
+    from stepgap.experiment.replay import tick_units_of
+    from stepgap.experiment.settings import read_experiment
+    from stepgap.export.data.foxglove import foxglove_layout
+    from stepgap.export.data.ticks import logged_units
+
+    if iteration is not None:
+        raise InputError("--deployment: the layout is the same for all deployments; leave this option out")
+    settings = read_experiment(folder / "experiment.toml")
+    units = tick_units_of(settings) if settings.simulated else logged_units(_logs_of_rig(folder))
+    write_new(_target(folder, "foxglove.json", out), "--out", foxglove_layout(units))
+
+
+def _logs_of_rig(folder: Path) -> Path:
+    """Folder of the tick logs of a rig's run, which contains at least one."""
+    logs = folder / "ticks"
+    if not any(logs.glob("*.mcap")):
+        raise InputError(f"{logs}: contains no .mcap file, so there are no ticks of this run")
+    return logs
+
+
+def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None:
+    from stepgap.experiment.loop import deployment_generator
+    from stepgap.experiment.plants import simulation_of
+    from stepgap.experiment.settings import read_experiment
+    from stepgap.robots.hopper.twin.mjcf_files import mjcf_files
+    from stepgap.robots.hopper.twin.simulation import HopperSimulation
+
+    if iteration is not None:
+        raise InputError("--deployment: the model is the same in all deployments; leave this option out")
+    settings = read_experiment(folder / "experiment.toml")
+    simulation = simulation_of(settings) if settings.simulated else None
+    if not isinstance(simulation, HopperSimulation):
+        raise InputError(f"robot '{settings.robot.name}', plant '{settings.plant}': only the hopper's twin is exported")
+    _, twin = simulation.direct_rig(deployment_generator(settings.seed, 0))
+    files = mjcf_files(twin, simulation.parameters.boom_length)
+    target = _target(folder, "mjcf", out)
+    with writing(target, "--out"), new_folder(target):
+        for name, content in files.items():
+            create(target / name, content)
+    for name in files:
+        print(target / name)
+
+
+def _export_controller(folder: Path, to: str, iteration: int | None, fmi: Literal[2, 3], out: Path | None) -> None:
+    content = controller_file(folder, to, iteration, fmi)
+    name = Path(CONTROLLER_FILES[to])
+    write_new(_target(folder, f"{name.stem}{_suffix(iteration)}{name.suffix}", out), "--out", content)
+
+
+def _read_run(folder: Path) -> "RunRecord":
+    """Reads the record in the folder of a run."""
+    from stepgap.experiment.inputs import read_run, recorded_robot
+
+    try:
+        return read_run(folder, recorded_robot(folder))
+    except (ValueError, OSError) as error:
+        raise InputError(message_of(error)) from None
+
+
+def _suffix(iteration: int | None) -> str:
+    return "" if iteration is None else f"_{iteration}"
+
+
+def _target(folder: Path, name: str, out: Path | None) -> Path:
+    """Path of the output: the given one, or a free name in the run's folder."""
+    if out:
+        check_new(out, "--out")
+        return out
+    home = folder / "export"
+    with writing(home, "--out"):
+        home.mkdir(exist_ok=True)
+    return free_name(home / name)

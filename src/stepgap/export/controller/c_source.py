@@ -1,0 +1,396 @@
+"""A portable controller as C99: one source file and its header, without libraries, dynamic memory or global variables.
+
+The code is that of `controller.c.txt`, a port of `CautiousController`, of the searches that it uses and of
+`DisturbanceFilter`. This module writes the numbers into it: the ranges, the nominal map, the residual, the failures,
+and the settings and constants of the Python modules, so that both agree.
+"""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Final, Literal, NamedTuple, final
+
+import numpy as np
+
+from stepgap.base.errors import InputError
+from stepgap.base.versions import versions_here
+from stepgap.control import bounded_search, cautious_controller, gauss_newton
+from stepgap.export.controller.portable_controller import SAMPLE_RESOLUTION, PortableController
+from stepgap.learning import disturbance, learner, outliers
+from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
+from stepgap.learning.kernel import SQUARED_EXPONENTIAL
+from stepgap.learning.polynomial import Polynomial
+from stepgap.learning.regression import Regression
+from stepgap.learning.sparse_gaussian_process import SparseGaussianProcess
+from stepgap.robots.nominal_maps.affine_map import AffineMap
+from stepgap.robots.nominal_maps.surrogate_map import SurrogateMap, exponents_of
+from stepgap.step import Quantity, StepStatus
+
+Real = Literal["double", "float"]
+"""Type of all numbers of the C code."""
+
+_WORDS = (
+    "auto break case char const continue default do double else enum extern float for goto if inline int long register "
+    "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while real"
+)
+KEYWORDS: Final = frozenset(_WORDS.split())
+"""Words that cannot begin the names of the functions."""
+
+PER_LINE: Final = 6
+"""Numbers in a line of an array."""
+
+
+@final
+class CSource(NamedTuple):
+    """The text of the two files.
+
+    Attributes:
+        header: Of `PREFIX.h`.
+        code: Of `PREFIX.c`, which includes the header.
+    """
+
+    header: str
+    code: str
+
+
+@final
+@dataclass(frozen=True)
+class _Arithmetic:
+    """What depends on the type of the numbers: constants of the elementary functions, and tolerances.
+
+    Attributes:
+        type: Name of the type in C.
+        definitions: C definitions.
+        tolerances: In place of those of `gauss_newton`, which are below the resolution of `float`.
+        largest_angle: Largest yaw whose sine is computed [rad].
+    """
+
+    type: Real
+    definitions: str
+    tolerances: dict[str, float]
+    largest_angle: float
+
+
+_DOUBLE: Final = _Arithmetic(
+    "double",
+    """typedef uint64_t real_bits;
+#define SMALLEST_NORMAL 2.2250738585072014e-308
+#define INFINITE 1.7976931348623157e308 /* stands for infinity */
+#define EPSILON 2.220446049250313e-16
+#define LEAST_EXPONENT (-708.0)
+#define LOG_2_HIGH 6.93147180369123816490e-01
+#define LOG_2_LOW 1.90821492927058770002e-10
+#define HALF_PI_HIGH 1.57079632673412561417e+00
+#define HALF_PI_MIDDLE 6.07710050630396597660e-11
+#define HALF_PI_LOW 2.02226624879595063154e-21
+#define HALF_BIAS ((real_bits)1023 << 51)
+enum { EXPONENT_BIAS = 1023, MANTISSA_BITS = 52, TAYLOR_TERMS = 14, NEWTON_STEPS = 5 };""",
+    {
+        "TOLERANCE": gauss_newton.TOLERANCE,
+        "REACHED": gauss_newton.REACHED,
+        "FLAT": gauss_newton.FLAT,
+        "IMPROVEMENT": cautious_controller.IMPROVEMENT,
+        "STATIONARY": 1e-14,
+        "SMALLEST_MOVE": 1e-100,
+    },
+    1e6,
+)
+_FLOAT: Final = _Arithmetic(
+    "float",
+    """typedef uint32_t real_bits;
+#define SMALLEST_NORMAL 1.17549435e-38f
+#define INFINITE 3.40282347e38f /* stands for infinity */
+#define EPSILON 1.1920929e-07f
+#define LEAST_EXPONENT (-87.0f)
+#define LOG_2_HIGH 6.9313812256e-01f
+#define LOG_2_LOW 9.0580006145e-06f
+#define HALF_PI_HIGH 1.5707855225e+00f
+#define HALF_PI_MIDDLE 1.0804334124e-05f
+#define HALF_PI_LOW 6.0770943833e-11f
+#define HALF_BIAS ((real_bits)127 << 22)
+enum { EXPONENT_BIAS = 127, MANTISSA_BITS = 23, TAYLOR_TERMS = 8, NEWTON_STEPS = 4 };""",
+    {
+        "TOLERANCE": 1e-6,
+        "REACHED": 1e-5,
+        "FLAT": 1e-5,
+        "IMPROVEMENT": 1e-5,
+        "STATIONARY": 1e-6,
+        "SMALLEST_MOVE": 1e-30,
+    },
+    1e4,
+)
+
+
+def c_source(controller: PortableController, prefix: str, real: Real = "double") -> CSource:
+    """Writes a controller as C99.
+
+    Args:
+        controller: The controller.
+        prefix: Begins every public name, and is the name of the files; a C identifier.
+        real: Type of all numbers.
+
+    Raises:
+        InputError: The prefix is not a C identifier.
+    """
+    if not re.fullmatch("[A-Za-z][A-Za-z0-9_]{0,30}", prefix, re.ASCII) or prefix in KEYWORDS:
+        raise InputError(
+            f"'{prefix}': the functions are named after the file, so its name must be a C identifier: a letter, then "
+            "at most 30 letters, digits or underscores, and no word of C, such as controller.c"
+        )
+    arithmetic = _DOUBLE if real == "double" else _FLOAT
+    tables = _Tables(controller, arithmetic)
+    include = f'/* Explained in {prefix}.h. */\n#include "{prefix}.h"'
+    body = _template("controller.c.txt").replace("@include@", include).replace("@constants@", tables.text())
+    header = _header(controller, arithmetic)
+    return CSource(header.replace("PREFIX", prefix), body.replace("PREFIX", prefix))
+
+
+def _template(name: str) -> str:
+    return files("stepgap.export.controller").joinpath(name).read_text("utf-8")
+
+
+def _header(controller: PortableController, arithmetic: _Arithmetic) -> str:
+    space = controller.space
+    noise = zip(space.state, controller.map.noise_std, strict=True)
+    notes = [*map(str, controller.approximations), *controller.notes]
+    fields = {
+        "title": "A step controller that was learned by StepGap: the command with which the next state is a target.",
+        "version": versions_here()["stepgap"],
+        "n": str(len(space.state)),
+        "m": str(len(space.command)),
+        "state": _quantities(space.state, "range of use"),
+        "command": _quantities(space.command, "bounds"),
+        "noise": ", ".join(f"{quantity.name} {std:.3g} {quantity.unit}" for quantity, std in noise),
+        "approximations": "\n".join(f"   - {_ascii(note)}" for note in notes) or "   none",
+        "real": arithmetic.type,
+        "filters": str(len(disturbance.FORGETTING)),
+        "monitored": str(learner.MONITORED_STEPS),
+        "statuses": ",\n".join(f"    PREFIX_{status.name} = {status.value}" for status in StepStatus),
+        "angle": f"{arithmetic.largest_angle:g}",
+        "stack": "8" if arithmetic.type == "double" else "4",
+    }
+    text = _template("controller.h.txt")
+    for name, value in fields.items():
+        text = text.replace(f"@{name}@", value)
+    return text
+
+
+def _quantities(quantities: Iterable[Quantity], what: str) -> str:
+    return "\n".join(
+        f"       [{i}] {_ascii(each.name)} [{_ascii(each.unit)}], {what} {each.lower:g} to {each.upper:g}"
+        for i, each in enumerate(quantities)
+    )
+
+
+def _ascii(text: str) -> str:
+    """The text without what could end a comment, and in ASCII."""
+    return text.replace("→", "->").replace("*/", "* /").replace("·", " ").encode("ascii", "replace").decode()
+
+
+@final
+class _Tables:
+    """Writes the constants of a controller."""
+
+    def __init__(self, controller: PortableController, arithmetic: _Arithmetic):
+        self.controller = controller
+        self.arithmetic = arithmetic
+
+    def text(self) -> str:
+        """All constants."""
+        parts = [
+            self.arithmetic.definitions,
+            *(f"#define {name} R({value!r})" for name, value in self._numbers().items()),
+            f"enum {{ {', '.join(f'{name} = {value}' for name, value in self._sizes().items())} }};",
+            "enum { AFFINE, POLYNOMIAL_MAP };",
+            "enum { ZERO, POLYNOMIAL, GAUSSIAN_PROCESS };",
+            "enum { MATERN_52, SQUARED_EXPONENTIAL };",
+            *self._space(),
+            *self._filters(),
+            self._nominal(),
+            self._residual(),
+        ]
+        return "\n".join(parts)
+
+    def _numbers(self) -> dict[str, float]:
+        return {
+            **self.arithmetic.tolerances,
+            "NEARBY": gauss_newton.NEARBY,
+            "MOST_DAMPING": gauss_newton.MOST_DAMPING,
+            "LEAST_DAMPING": gauss_newton.LEAST_DAMPING,
+            "NO_DAMPING": gauss_newton.NO_DAMPING,
+            "ACCEPTED": gauss_newton.ACCEPTED,
+            "RISK": cautious_controller.RISK,
+            "FAILURE_RADIUS": cautious_controller.FAILURE_RADIUS,
+            "SCORE_MEMORY": disturbance.SCORE_MEMORY,
+            "SWITCHING_PENALTY": disturbance.SWITCHING_PENALTY,
+            "SIGNIFICANCE": learner.SIGNIFICANCE,
+            "SAMPLE_RESOLUTION": SAMPLE_RESOLUTION,
+            "IMPROBABLE": outliers.IMPROBABLE,
+            "LEAST_STD": outliers.LEAST_STD,
+            "LARGEST_ANGLE": self.arithmetic.largest_angle,
+        }
+
+    def _sizes(self) -> dict[str, int]:
+        settings, m = self.controller.settings, len(self.controller.space.command)
+        nominal, regressions = self.controller.map.nominal, self.controller.map.residual.regressions
+        coarse, fine = (max(3, round(total ** (1 / m))) for total in bounded_search.GRID_POINTS)
+        affordable = int((cautious_controller.SEARCH_SHARE * settings.evaluations) ** (1 / m))
+        side = min(cautious_controller.SEARCH_POINTS, max(2, affordable))
+        half = settings.evaluations // 2
+        centres = [len(_process(each).inducing) for each in regressions if isinstance(each, GaussianProcessRegression)]
+        return {
+            "DEGREE": nominal.degree if isinstance(nominal, SurrogateMap) else 1,
+            "CENTRES": max(centres, default=1),
+            "MOST_TRIALS": gauss_newton.MOST_TRIALS,
+            "BASINS": bounded_search.BASINS,
+            "ZOOM_ROUNDS": bounded_search.ZOOM_ROUNDS,
+            "COARSE_SIDE": coarse,
+            "FINE_SIDE": fine,
+            "GRID_SIZE": max([1, *(side**m for side in (coarse, fine) if side**m <= half)]),
+            "SEARCH_SIDE": side,
+            "SEARCH_SIZE": side**m,
+            "VIABILITY_SIDE": cautious_controller.VIABILITY_POINTS,
+            "EVALUATIONS": settings.evaluations,
+            "CAUTIOUS": int(settings.cautious),
+            "VIABILITY": int(settings.viability),
+            "AVOID_FAILURES": int(settings.avoid_failures),
+            "DRIFT": int(self.controller.drift),
+            "MONITOR": int(self.controller.monitor),
+            "REJECT_OUTLIERS": int(self.controller.reject_outliers),
+        }
+
+    def _space(self) -> list[str]:
+        space, failures = self.controller.space, self.controller.failures
+        names = "state_scale", "command_scale", "command_centre", "command_lower", "command_upper"
+        arrays = [self._array(name, getattr(space, name)) for name in names]
+        return [*arrays, self._array("failures", failures), f"static const int failure_count = {len(failures)};"]
+
+    def _filters(self) -> list[str]:
+        strengths = np.repeat(disturbance.FILTER_STRENGTHS, len(disturbance.RATES))
+        return [
+            self._array("filter_strength", strengths),
+            self._array("filter_forgetting", disturbance.FORGETTING),
+        ]
+
+    def _nominal(self) -> str:
+        """The nominal map: `centre` and `scale` are those of its inputs."""
+        nominal = self.controller.map.nominal
+        declaration = (
+            "static const struct {\n    int kind, terms, sample_count;\n"
+            "    const real *centre, *scale, *next_state, *weights;\n"
+            "    const unsigned char *exponents;\n    const int16_t *samples;\n"
+            "    const unsigned char *sample_status;\n"
+            "} nominal = "
+        )
+        if isinstance(nominal, AffineMap):
+            arrays = [
+                self._array("nominal_centre", np.concatenate([nominal.state, nominal.command])),
+                self._array("nominal_next_state", nominal.next_state),
+                self._array("nominal_weights", nominal.matrix),
+            ]
+            fields = "{AFFINE, 0, 0, nominal_centre, NULL, nominal_next_state, nominal_weights, NULL, NULL, NULL};"
+            return "\n".join([*arrays, declaration + fields])
+        if not isinstance(nominal, SurrogateMap):
+            raise TypeError(f"{type(nominal).__name__} is not the map of a portable controller")
+        samples, dimension = nominal.samples, len(self.controller.space.names)
+        exponents = exponents_of(dimension, nominal.degree)
+        arrays = [
+            self._array("nominal_centre", nominal.centre),
+            self._array("nominal_scale", nominal.scale),
+            self._array("nominal_weights", nominal.weights),
+            _integers("nominal_exponents", "unsigned char", exponents),
+        ]
+        if len(samples.status):
+            arrays.append(_integers("nominal_samples", "int16_t", samples.points / SAMPLE_RESOLUTION))
+            arrays.append(_integers("nominal_sample_status", "unsigned char", samples.status))
+        sampled = "nominal_samples, nominal_sample_status" if len(samples.status) else "NULL, NULL"
+        fields = (
+            f"{{POLYNOMIAL_MAP, {len(exponents)}, {len(samples.status)}, nominal_centre, nominal_scale, NULL,\n"
+            f"    nominal_weights, nominal_exponents, {sampled}}};"
+        )
+        return "\n".join([*arrays, declaration + fields])
+
+    def _residual(self) -> str:
+        declaration = (
+            "typedef struct {\n    int kind, degree, kernel, plug_in, centre_count;\n    real noise_std, signal;\n"
+            "    const real *origin, *scale, *weights, *posterior, *centres, *factor, *slope_scale;\n} regression;"
+        )
+        arrays, rows = [], []
+        for i, each in enumerate(self.controller.map.residual.regressions):
+            found, row = self._regression(f"residual_{i}", each)
+            arrays += found
+            rows.append(f"    {{{row}}}")
+        table = ",\n".join(rows)
+        return "\n".join([declaration, *arrays, f"static const regression residual[N] = {{\n{table}\n}};"])
+
+    def _regression(self, name: str, regression: Regression) -> tuple[list[str], str]:
+        """Arrays of a regression, and its row in the table."""
+        noise = self._literal(regression.noise_std)
+        if isinstance(regression, Polynomial):
+            moments = regression.moments
+            weights, inverse, noise_variance = moments.solve(np.eye(len(moments.projection)))
+            arrays = {
+                "origin": regression.data.centre,
+                "scale": regression.data.scale,
+                "weights": weights,
+                "posterior": _triangle(noise_variance * inverse),
+            }
+            pointers = ", ".join(f"{name}_{each}" for each in arrays)
+            head = f"POLYNOMIAL, {regression.degree}, 0, 0, 0, {noise}, {self._literal(0.0)}"
+            row = f"{head}, {pointers}, NULL, NULL, NULL"
+        elif isinstance(regression, GaussianProcessRegression):
+            process = _process(regression)
+            inducing, mean = process.inducing, process.posterior.mean
+            covariance = process.hyper_parameters.covariance(process.kernel, inducing, process.input_scale)
+            kernel_weights = process.inducing_factor.solve_transposed(mean[: len(inducing)])
+            arrays = {
+                "origin": covariance.origin,
+                "scale": covariance.length_scale,
+                "weights": np.concatenate([kernel_weights, mean[len(inducing) :]]),
+                "posterior": _triangle(process.posterior.factor.assembled()),
+                "centres": inducing / covariance.length_scale,
+                "factor": _triangle(process.inducing_factor.assembled()),
+                "slope_scale": covariance.slope_scale,
+            }
+            kernel = "SQUARED_EXPONENTIAL" if process.kernel is SQUARED_EXPONENTIAL else "MATERN_52"
+            signal = self._literal(process.hyper_parameters.signal_std)
+            pointers = ", ".join(f"{name}_{each}" for each in arrays)
+            plug_in, count = int(regression.plug_in), len(process.inducing)
+            row = f"GAUSSIAN_PROCESS, 0, {kernel}, {plug_in}, {count}, {noise}, {signal}, {pointers}"
+        else:
+            zero = self._literal(0.0)
+            return [], f"ZERO, 0, 0, 0, 0, {noise}, {zero}, NULL, NULL, NULL, NULL, NULL, NULL, NULL"
+        return [self._array(f"{name}_{key}", value) for key, value in arrays.items()], row
+
+    def _literal(self, value: float) -> str:
+        if self.arithmetic.type == "double":
+            return repr(float(value))
+        return f"{float(f'{np.float32(value):.9g}')!r}f"
+
+    def _array(self, name: str, values: np.ndarray) -> str:
+        return _declaration(name, "real", [self._literal(value) for value in np.ravel(values)])
+
+
+def _integers(name: str, kind: str, values: np.ndarray) -> str:
+    return _declaration(name, kind, [str(int(value)) for value in np.ravel(values)])
+
+
+def _declaration(name: str, kind: str, numbers: list[str]) -> str:
+    """A constant array; a null pointer if it is empty, since C has no empty arrays."""
+    if not numbers:
+        return f"static const {kind} *const {name} = NULL;"
+    lines = [", ".join(numbers[start : start + PER_LINE]) for start in range(0, len(numbers), PER_LINE)]
+    body = ",\n    ".join(lines)
+    return f"static const {kind} {name}[{len(numbers)}] = {{\n    {body}\n}};"
+
+
+def _triangle(matrix: np.ndarray) -> np.ndarray:
+    """The lower triangle, row by row."""
+    return matrix[np.tril_indices(len(matrix))]
+
+
+def _process(regression: GaussianProcessRegression) -> SparseGaussianProcess:
+    if not isinstance(regression.process, SparseGaussianProcess):
+        raise TypeError(f"{type(regression.process).__name__} is not the process of a portable controller")
+    return regression.process

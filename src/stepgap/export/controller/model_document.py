@@ -1,0 +1,189 @@
+"""The documented model: one object for JSON with everything that another program needs to compute a controller.
+
+docs/model_file.md has its keys and formulas. What is exported to ONNX and CasADi is computed from this object alone.
+"""
+
+import json
+from collections.abc import Iterable
+from importlib.metadata import version
+from math import nan
+from typing import Any, Final
+
+import numpy as np
+
+from stepgap.base.errors import InputError
+from stepgap.control.cautious_controller import FAILURE_RADIUS, RISK
+from stepgap.export.controller.portable_controller import PortableController
+from stepgap.learning.disturbance import (
+    FORGETTING,
+    INITIAL_COVARIANCE,
+    SCORE_MEMORY,
+    SWITCHING_PENALTY,
+    DisturbanceFilter,
+)
+from stepgap.learning.disturbance_estimator import DisturbanceEstimator
+from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
+from stepgap.learning.kernel import MATERN_52, SQUARED_EXPONENTIAL
+from stepgap.learning.learner import MONITORED_STEPS, SIGNIFICANCE
+from stepgap.learning.observations import error_of
+from stepgap.learning.outliers import IMPROBABLE, LEAST_STD
+from stepgap.learning.polynomial import Polynomial, monomials
+from stepgap.learning.regression import Regression
+from stepgap.learning.residual import join_points
+from stepgap.learning.sparse_gaussian_process import SparseGaussianProcess
+from stepgap.learning.step_log import LoggedStep
+from stepgap.learning.zero import Zero
+from stepgap.robots.nominal_maps.affine_map import AffineMap
+from stepgap.robots.nominal_maps.surrogate_map import NEIGHBOURS, SurrogateMap, exponents_of
+from stepgap.step import Quantity, StepMap, StepStatus
+
+FORMAT: Final = "StepGap model"
+"""Value of the key `format`."""
+
+MODEL_SCHEMA: Final = 1
+"""Number of the format; it grows with every change that a reader must know of."""
+
+
+def model_document(controller: PortableController, last: DisturbanceFilter | None = None) -> dict[str, Any]:
+    """The documented model of a controller, as objects for JSON.
+
+    Args:
+        controller: The controller.
+        last: The disturbance filter after the last step of the deployment; None if there was none.
+
+    Raises:
+        InputError: Its residual has a kernel that is not documented.
+    """
+    residual, settings = controller.map.residual, controller.settings
+    return {
+        "format": FORMAT,
+        "schema": MODEL_SCHEMA,
+        "stepgap": version("stepgap"),
+        "state": [_quantity(each) for each in controller.space.state],
+        "command": [_quantity(each) for each in controller.space.command],
+        "nominal": _nominal(controller.map.nominal),
+        "residual": {
+            "kind": residual.kind,
+            "regressions": [_regression(each) for each in residual.regressions],
+        },
+        "disturbance": _disturbance(controller.drift, len(controller.space.state), last),
+        "outliers": {"used": controller.reject_outliers, "improbable": IMPROBABLE, "least_std": LEAST_STD},
+        "monitor": {"used": controller.monitor, "steps": MONITORED_STEPS, "significance": SIGNIFICANCE},
+        "control": {
+            "cautious": settings.cautious,
+            "viability": settings.viability,
+            "avoid_failures": settings.avoid_failures,
+            "evaluations": settings.evaluations,
+            "risk": RISK,
+            "failure_radius": FAILURE_RADIUS,
+        },
+        "failures": controller.failures.tolist(),
+        "approximations": [str(each) for each in controller.approximations],
+        "notes": list(controller.notes),
+    }
+
+
+def model_text(controller: PortableController, last: DisturbanceFilter | None = None) -> str:
+    """Text of the model file of a controller; its arguments are those of `model_document`."""
+    return json.dumps(model_document(controller, last), ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def filter_after(controller: PortableController, steps: Iterable[LoggedStep]) -> DisturbanceFilter:
+    """The disturbance filter after the steps of one deployment, as an exported controller computes it."""
+    residual, yaw = controller.map.residual, nan
+    disturbance = DisturbanceEstimator.start(
+        controller.space.state_scale, drift=controller.drift, reject_outliers=controller.reject_outliers
+    )
+    for record in (step.record for step in steps):
+        point = join_points(record.state, record.requested)
+        error = error_of(record, controller.map.nominal) - residual.mean(point)
+        if np.isfinite(error).all():
+            disturbance = disturbance.after(residual, error, residual.std(point, include_noise=True), yaw)
+        yaw = record.yaw_after
+    return disturbance.filter
+
+
+def _quantity(quantity: Quantity) -> dict[str, Any]:
+    return {"name": quantity.name, "unit": quantity.unit, "lower": quantity.lower, "upper": quantity.upper}
+
+
+def _nominal(nominal: StepMap) -> dict[str, Any]:
+    if isinstance(nominal, AffineMap):
+        names = ("state", "command", "next_state", "matrix")
+        return {"kind": "affine", **{name: getattr(nominal, name).tolist() for name in names}}
+    if isinstance(nominal, SurrogateMap):
+        names = ("centre", "scale", "weights", "error")
+        degrees = exponents_of(len(nominal.centre), nominal.degree)
+        found = nominal.samples.status != StepStatus.OK
+        samples = {"points": nominal.samples.points.tolist(), "status": nominal.samples.status.tolist()}
+        return {
+            "kind": "legendre",
+            "degrees": degrees.tolist(),
+            **{name: getattr(nominal, name).tolist() for name in names},
+            "neighbours": NEIGHBOURS,
+            "samples": samples if found.any() else {"points": [], "status": []},
+        }
+    raise TypeError(f"{type(nominal).__name__} is not portable")
+
+
+def _regression(regression: Regression) -> dict[str, Any]:
+    """The numbers that a prediction needs, and the data that they follow from."""
+    data = {"noise_std": regression.noise_std, "data": regression.to_dict()}
+    if isinstance(regression, Zero):
+        return {"kind": "zero", **data}
+    if isinstance(regression, Polynomial):
+        return {"kind": "polynomial", **_polynomial(regression), **data}
+    if isinstance(regression, GaussianProcessRegression) and isinstance(regression.process, SparseGaussianProcess):
+        numbers = _gaussian_process(regression.process)
+        return {"kind": "gaussian_process", "constant_is_exact": regression.plug_in, **numbers, **data}
+    raise TypeError(f"{type(regression).__name__} is not portable")
+
+
+def _polynomial(polynomial: Polynomial) -> dict[str, Any]:
+    inputs = len(polynomial.data.centre)
+    # The degree of x in a monomial is its logarithm to base 2 where x is 2 and the other inputs are 1.
+    degrees = np.log2(monomials(1 + np.eye(inputs), polynomial.degree)).T.astype(int)
+    return {
+        "centre": polynomial.data.centre.tolist(),
+        "scale": polynomial.data.scale.tolist(),
+        "degrees": degrees.tolist(),
+        "weights": polynomial.weights.tolist(),
+        "covariance": polynomial.weight_covariance.tolist(),
+    }
+
+
+def _gaussian_process(process: SparseGaussianProcess) -> dict[str, Any]:
+    covariance, (weights, slopes) = process.covariance, process.weights
+    if process.kernel not in (MATERN_52, SQUARED_EXPONENTIAL):
+        known = f"{MATERN_52.name} or {SQUARED_EXPONENTIAL.name}"
+        raise InputError(f"kernel {process.kernel.name}: cannot be exported; it must be {known}")
+    return {
+        "kernel": process.kernel.name,
+        "length_scale": covariance.length_scale.tolist(),
+        "signal_std": process.hyper_parameters.signal_std,
+        "centres": covariance.centres.tolist(),
+        "origin": covariance.origin.tolist(),
+        "slope_scale": covariance.slope_scale.tolist(),
+        "constant": process.coefficient,
+        "weights": weights.tolist(),
+        "slopes": (slopes * covariance.slope_scale).tolist(),
+        "centre_factor": process.inducing_factor.assembled().tolist(),
+        "weight_factor": process.posterior.factor.assembled().tolist(),
+    }
+
+
+def _disturbance(used: bool, size: int, last: DisturbanceFilter | None) -> dict[str, Any]:
+    return {
+        "used": used,
+        "forgetting": FORGETTING.tolist(),
+        "initial_covariance": INITIAL_COVARIANCE.tolist(),
+        "score_memory": SCORE_MEMORY,
+        "switching_penalty": SWITCHING_PENALTY,
+        "start": _filter(DisturbanceFilter.initial(size)),
+        "end": None if last is None else _filter(last),
+    }
+
+
+def _filter(state: DisturbanceFilter) -> dict[str, Any]:
+    arrays = {name: getattr(state, name).tolist() for name in ("coefficients", "covariance", "scores")}
+    return {**arrays, "weight": state.weight}

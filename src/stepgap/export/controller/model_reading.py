@@ -1,0 +1,163 @@
+"""Reads a documented model back, as the controller that it was written from."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from stepgap.base.errors import InputError, message_of
+from stepgap.base.json_data import boolean, integer, numbers
+from stepgap.control.settings import ControlSettings
+from stepgap.export.controller.model_document import FORMAT, MODEL_SCHEMA, model_document
+from stepgap.export.controller.portable_controller import PortableController
+from stepgap.learning.corrected_map import CorrectedMap
+from stepgap.learning.disturbance import FORGETTING, DisturbanceFilter
+from stepgap.learning.residual import Residual
+from stepgap.learning.residual_fit import residual_from_dict
+from stepgap.records.summary import read_text
+from stepgap.robots.nominal_maps.affine_map import AffineMap
+from stepgap.robots.nominal_maps.surrogate_map import Samples, SurrogateMap
+from stepgap.step import Array, Quantity, StepMap, StepSpace, StepStatus
+
+LARGEST_PORTABLE: Final = 2**28
+"""Largest model file that is read [bytes]."""
+
+LARGEST_DEGREE: Final = 10
+"""Largest total degree of a nominal map that is read."""
+
+SAME_NUMBERS: Final = 1e-6
+"""Relative difference of numbers that another processor or version computes from the same data."""
+
+
+def read_portable(path: Path) -> PortableController:
+    """Reads the controller of a model file.
+
+    Args:
+        path: The file that `stepgap export RUN --to model` wrote.
+
+    Raises:
+        InputError: It is not such a file, of another schema, or its numbers do not follow from its data.
+    """
+    try:
+        text = read_text(path, LARGEST_PORTABLE)
+        if text is None:
+            raise InputError(f"{path}: there is no such file; give one of `stepgap export RUN --to model`")
+        saved = json.loads(text)
+        if not isinstance(saved, dict) or saved.get("format") != FORMAT:
+            raise ValueError(f'format must be "{FORMAT}"')
+        if saved.get("schema") != MODEL_SCHEMA:
+            raise ValueError(f"schema must be {MODEL_SCHEMA}, not {saved.get('schema')!r:.40}")
+        controller = _controller(saved)
+        _check_same(saved, model_document(controller, _last_filter(saved)))
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(message_of(error)) from None
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+        short = " ".join(str(error).split())[:160]
+        raise InputError(f"{path}: not a model file ({short}); export the run again") from None
+    return controller
+
+
+def _controller(saved: Mapping[str, Any]) -> PortableController:
+    space = StepSpace(_quantities(saved, "state"), _quantities(saved, "command"))
+    control = saved["control"]
+    rules = {name: boolean(control, name) for name in ("cautious", "viability", "avoid_failures")}
+    return PortableController(
+        CorrectedMap(_nominal(space, saved["nominal"]), _residual(space, saved["residual"])),
+        _points(saved, "failures", len(saved["failures"]), len(space.names)),
+        ControlSettings(**rules, evaluations=integer(control, "evaluations")),
+        drift=boolean(saved["disturbance"], "used"),
+        monitor=boolean(saved["monitor"], "used"),
+        reject_outliers=boolean(saved["outliers"], "used"),
+        notes=tuple(map(str, (*saved["approximations"], *saved["notes"]))),
+    )
+
+
+def _quantities(saved: Mapping[str, Any], key: str) -> tuple[Quantity, ...]:
+    return tuple(
+        Quantity(str(each["name"]), str(each["unit"]), *(float(numbers(each, end, 0)) for end in ("lower", "upper")))
+        for each in saved[key]
+    )
+
+
+def _nominal(space: StepSpace, saved: Mapping[str, Any]) -> StepMap:
+    n, m = len(space.state), len(space.command)
+    if saved["kind"] == "affine":
+        arrays = [_sized(saved, *each) for each in (("state", n), ("command", m), ("next_state", n))]
+        return AffineMap(space, *arrays, matrix=_sized(saved, "matrix", n, n + m))
+    if saved["kind"] != "legendre":
+        raise ValueError(f'nominal.kind must be "affine" or "legendre", not {saved["kind"]!r:.40}')
+    degree = int(numbers(saved, "degrees", 2).max())
+    if degree > LARGEST_DEGREE:
+        raise ValueError(f"nominal.degrees must be at most {LARGEST_DEGREE}")
+    centre, scale, error = (
+        _sized(saved, key, size) for key, size in (("centre", n + m), ("scale", n + m), ("error", n))
+    )
+    weights = _sized(saved, "weights", len(saved["degrees"]), n)
+    return SurrogateMap(space, centre, scale, degree, weights, error, _samples(saved["samples"], n, n + m))
+
+
+def _samples(saved: Mapping[str, Any], n: int, d: int) -> Samples:
+    """The sampled steps; their next states are not in the file, since only those that failed matter."""
+    status = np.array(saved["status"], np.int64)
+    if not np.isin(status, [int(each) for each in StepStatus]).all():
+        raise ValueError("nominal.samples.status must be status codes")
+    return Samples(_points(saved, "points", len(status), d), np.full((len(status), n), np.nan), status)
+
+
+def _residual(space: StepSpace, saved: Mapping[str, Any]) -> Residual:
+    return residual_from_dict({
+        "kind": saved["kind"],
+        "command_size": len(space.command),
+        "lagged_inputs": "none",
+        "forgetting_time": None,
+        "regressions": [regression["data"] for regression in saved["regressions"]],
+    })  # fmt: skip
+
+
+def _last_filter(saved: Mapping[str, Any]) -> DisturbanceFilter | None:
+    end, n, count = saved["disturbance"]["end"], len(saved["state"]), len(FORGETTING)
+    if end is None:
+        return None
+    return DisturbanceFilter(
+        _sized(end, "coefficients", count, 3, n),
+        _sized(end, "covariance", count, 3, 3),
+        _sized(end, "scores", 1 + count, n),
+        float(numbers(end, "weight", 0)),
+    )
+
+
+def _points(saved: Mapping[str, Any], key: str, count: int, d: int) -> Array:
+    """The points under a key; an empty list has no columns."""
+    return _sized(saved, key, count, d) if saved[key] else np.empty((0, d))
+
+
+def _sized(saved: Mapping[str, Any], key: str, *shape: int) -> Array:
+    """The array of finite numbers under a key, of this shape."""
+    array = np.asarray(saved[key], float)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"{key} must be finite numbers of shape {shape}, not {array.shape}")
+    return array
+
+
+def _check_same(saved: Any, computed: Any, where: str = "") -> None:
+    """Raises ValueError where the file's numbers are not those that follow from its data."""
+    if isinstance(computed, dict):
+        for key, value in computed.items():
+            if key not in ("stepgap", "approximations", "notes"):
+                _check_same(saved[key], value, f"{where}.{key}" if where else key)
+    elif isinstance(computed, list) and computed and isinstance(computed[0], dict):
+        if not isinstance(saved, list) or len(saved) != len(computed):
+            raise ValueError(f"{where} must have {len(computed)} entries")
+        for index, value in enumerate(computed):
+            _check_same(saved[index], value, f"{where}[{index}]")
+    elif isinstance(computed, list | float):
+        array, expected = np.asarray(saved, float), np.asarray(computed, float)
+        scale = np.abs(expected).max(initial=0.0)
+        if array.shape != expected.shape or not np.allclose(array, expected, rtol=0, atol=SAME_NUMBERS * scale):
+            raise ValueError(f"{where} does not follow from the data")
+    elif saved != computed:
+        raise ValueError(f"{where} must be {computed!r}, not {saved!r:.40}")

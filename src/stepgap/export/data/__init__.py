@@ -1,0 +1,1 @@
+"""The data of a run in the formats of other programs."""

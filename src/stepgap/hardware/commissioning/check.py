@@ -1,0 +1,323 @@
+"""Check of computer and bus before a robot gets torque: late ticks, lost frames, privileges, and the watchdog."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from stepgap.base.errors import InputError
+from stepgap.hardware.commissioning.clock_check import ClockCheck, clock_check
+from stepgap.hardware.commissioning.limp import describe_devices, ticks_of
+from stepgap.hardware.commissioning.limp_rig import FrameCount
+from stepgap.hardware.commissioning.proof import proof_file, proven, write_proof
+from stepgap.hardware.realtime.pace import NEEDED_FOR_TORQUE
+from stepgap.hardware.realtime.process import RealtimeSetup
+from stepgap.rigs.limits import RigLimits
+from stepgap.rigs.rig import ClockLimits, Finding, Rig, RigFault, WatchdogTimes
+from stepgap.step import Array
+
+CHECK = "check"
+"""Verb of `stepgap rig`."""
+
+PUNCTUAL = 0.999
+"""Fraction of the ticks that must begin within half a tick."""
+
+LEAST_SECONDS = 5.0
+"""Least duration of a measurement before a robot gets torque [s]."""
+
+WATCHDOG_MARGIN = 0.02
+"""Time by which a measured watchdog may exceed its setting [s]; the measurement itself takes some of it."""
+
+_WATCHDOG_ATTEMPTS = 3
+"""Number of measurements of the watchdog, of which the shortest counts: each is an upper bound."""
+
+_ADVICE = (
+    "remedies: no other load on this machine; an rtprio and a memlock limit for your user "
+    "(/etc/security/limits.conf), or root; a kernel with PREEMPT_RT, or an isolated core (isolcpus); "
+    "no power saving of the processor; no virtual machine"
+)
+BUS_ADVICE = (
+    "check cables and connectors; the interface must be connected to the robot only, and no network manager may use "
+    "it; frames are also lost if reply_timeout is too short"
+)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Statistics of the delays of ticks.
+
+    Attributes:
+        ticks: Number of ticks.
+        p50: Median of the delays [s].
+        p99: 99 % quantile [s].
+        p99_9: 99.9 % quantile [s].
+        worst: Largest delay [s].
+        punctual: Fraction of the ticks that began within half a tick.
+        missed: Number of ticks that were missed, since the one before them was late by more than a tick.
+        missed_in_a_row: Largest number of consecutive missed ticks.
+    """
+
+    ticks: int
+    p50: float
+    p99: float
+    p99_9: float
+    worst: float
+    punctual: float
+    missed: int
+    missed_in_a_row: int
+
+
+@dataclass(frozen=True)
+class Check:
+    """Result of a check.
+
+    Attributes:
+        tick: Time between two ticks [s].
+        late_ticks: Largest allowed number of consecutive missed ticks.
+        simulated: The robot is a simulation: privileges and watchdog are reported, but not required.
+        timing: Statistics of the delays.
+        lost_frames: Number of frames that did not come back in time.
+        refused: The requests that the kernel refused; empty if there were none.
+        fault: Why the measurement was aborted; empty if it was not.
+        watchdog: When the motors gave up their torque without messages; None if it was not measured.
+        watchdog_fault: Why the watchdog is not proven; empty if it is, or if it was not measured.
+        remarks: What a person should know about the rig, although it is no fault.
+        contradictions: What documents of the devices say against the settings; empty if they agree.
+        drives: Temperatures, bus voltages and states of STO and enable inputs at the end, by name.
+        clock: Frames and clocks on the reference clock; None without distributed clocks.
+    """
+
+    tick: float
+    late_ticks: int
+    simulated: bool
+    timing: Timing
+    lost_frames: int
+    refused: str
+    fault: str
+    watchdog: WatchdogTimes | None = None
+    watchdog_fault: str = ""
+    remarks: tuple[str, ...] = ()
+    contradictions: tuple[str, ...] = ()
+    drives: Mapping[str, str] = field(default_factory=dict)
+    clock: ClockCheck | None = None
+
+    def failures(self) -> list[str]:
+        """Describes what is not within the limits; empty if the check is passed."""
+        timing, found = self.timing, list(self.contradictions)
+        if timing.missed_in_a_row > self.late_ticks:
+            found.append(f"{timing.missed_in_a_row} ticks in a row were missed, at most {self.late_ticks} are allowed")
+        if timing.punctual < PUNCTUAL:
+            found.append(
+                f"{100 * timing.punctual:.2f} % of the ticks began within half a tick, "
+                f"at least {100 * PUNCTUAL:g} % are required"
+            )
+        if self.fault:
+            found.append(self.fault)
+        if self.clock:
+            found += self.clock.failures()
+        if not self.simulated:
+            found += [refusal for refusal in NEEDED_FOR_TORQUE if refusal in self.refused]
+            found += [self.watchdog_fault] if self.watchdog_fault else _slow_watchdogs(self.watchdog)
+        return found
+
+
+def _slow_watchdogs(watchdog: WatchdogTimes | None) -> list[str]:
+    """Describes the motors that kept their torque for too long."""
+    if watchdog is None:
+        return []
+    return [
+        f"{motor} kept its torque for {1e3 * time:.0f} ms without frames; its watchdog is {1e3 * watchdog.setting:g} ms"
+        for motor, time in watchdog.measured.items()
+        if time > watchdog.setting + WATCHDOG_MARGIN
+    ]
+
+
+def timing_of(late: Array, tick: float) -> Timing:
+    """Computes the statistics of the delays of ticks.
+
+    Args:
+        late: Delay of each tick [s]; shape (k,), at least one.
+        tick: Time between two of them [s].
+    """
+    missed = (late / tick).astype(int)
+    p50, p99, p99_9 = np.quantile(late, (0.5, 0.99, 0.999)).tolist()
+    return Timing(
+        ticks=len(late),
+        p50=p50,
+        p99=p99,
+        p99_9=p99_9,
+        worst=float(late.max()),
+        punctual=float(np.mean(late <= tick / 2)),
+        missed=int(missed.sum()),
+        missed_in_a_row=_longest(missed.tolist()),
+    )
+
+
+def _longest(missed: Sequence[int]) -> int:
+    """Largest number of ticks missed in a row, as the safety function counts them: until one begins in time."""
+    most = in_a_row = 0
+    for count in missed:
+        in_a_row = in_a_row + count if count else 0
+        most = max(most, in_a_row)
+    return most
+
+
+def measure(
+    setup: RealtimeSetup,
+    frames: FrameCount,
+    tick: float,
+    limits: RigLimits,
+    seconds: float,
+    clock_limits: ClockLimits | None = None,
+) -> Check:
+    """Measures a rig without torque.
+
+    Args:
+        setup: Setup of that rig.
+        frames: Count of the frames that it lost.
+        tick: Its tick [s].
+        limits: Its limits.
+        seconds: Duration, rounded to ticks [s].
+        clock_limits: Those of its reference clock; None without one.
+
+    Raises:
+        RigFault: There was no tick at all.
+    """
+    ticks = ticks_of(setup, round(seconds / tick))
+    timing = timing_of(ticks.table["late"], tick)
+    lost, clock = frames.lost, clock_check(ticks.table, clock_limits)
+    last = dict(zip(ticks.table.units, ticks.table.rows[-1].tolist(), strict=True))
+    drives = describe_devices(setup.make_rig(), last)
+    return Check(
+        tick, limits.late_ticks, limits.simulated, timing, lost, ticks.refused, ticks.fault, clock=clock, drives=drives
+    )
+
+
+def with_watchdog(check: Check, make_rig: Callable[[], Rig]) -> Check:
+    """Adds the proof of the watchdog: without torque, messages to the motors end, and the motors must notice it.
+
+    Args:
+        check: The result so far; if it has a fault, the rig is left alone.
+        make_rig: Creates the rig.
+    """
+    if check.fault:
+        return check
+    remarks, findings, shortest = tuple[str, ...](), None, None
+    for _ in range(_WATCHDOG_ATTEMPTS):
+        try:
+            with make_rig() as rig:
+                remarks, found = rig.remarks, rig.watchdog_times()
+                if findings is None:
+                    findings = rig.findings()  # which takes time: when frames have ended
+        except RigFault as fault:
+            return replace(check, watchdog_fault=str(fault))
+        if found and (shortest is None or _longest_time(found) < _longest_time(shortest)):
+            shortest = found
+        if not _slow_watchdogs(found):
+            break
+    return with_findings(replace(check, remarks=remarks, watchdog=shortest), findings or ())
+
+
+def with_findings(check: Check, findings: Sequence[Finding]) -> Check:
+    """Adds what documents of the devices say: contradictions are failures, doubts are remarks."""
+    doubts = tuple(each.text for each in findings if not each.is_error)
+    contradictions = tuple(each.text for each in findings if each.is_error)
+    return replace(check, remarks=(*check.remarks, *doubts), contradictions=contradictions)
+
+
+def _longest_time(watchdog: WatchdogTimes) -> float:
+    return max(watchdog.measured.values())
+
+
+def describe(check: Check, bus: bool) -> str:
+    """Formats a table of the result, the rule, and remedies.
+
+    Args:
+        check: The result.
+        bus: Whether a bus was measured, not only the machine.
+    """
+    timing, failures = check.timing, check.failures()
+    rule = f"at most {check.late_ticks} ticks missed in a row, {100 * PUNCTUAL:g} % within half a tick, no fault"
+    if check.simulated:
+        rule += "; for a simulated robot (limits.simulated) neither privileges nor watchdog"
+    else:
+        rule += "; SCHED_FIFO and locked memory; watchdogs in time"
+    if check.clock:
+        limits = check.clock.limits
+        rule += f"; frames within {1e6 * limits.usual:g} µs (99.9 %), clocks within {1e6 * limits.difference:g} µs"
+    rows = {
+        "ticks": f"  {timing.ticks}, one every {1e6 * check.tick:g} µs",
+        "late by   50 %": f"≤ {1e6 * timing.p50:.1f} µs",
+        "          99 %": f"≤ {1e6 * timing.p99:.1f} µs",
+        "          99.9 %": f"≤ {1e6 * timing.p99_9:.1f} µs",
+        "          at most": f"  {1e6 * timing.worst:.1f} µs",
+        "within half a tick": f"  {100 * timing.punctual:.3f} %",
+        "ticks missed": f"  {timing.missed}, at most {timing.missed_in_a_row} in a row",
+        "reference clock": f"  {check.clock.describe() if check.clock else 'no distributed clocks'}",
+        "frames lost": f"  {check.lost_frames if bus else 'no bus was measured'}",
+        "the kernel refused": f"  {check.refused or 'nothing'}",
+        "watchdog": f"  {_describe_watchdog(check)}",
+        "drives": f"  {', '.join(f'{name} {text}' for name, text in check.drives.items()) or 'report nothing of this'}",
+        "remarks": f"  {'; '.join(check.remarks) or 'none'}",
+        "rule": f"  {rule}",
+        "result": "  passed" if not failures else f"  not passed: {'; '.join(failures)}",
+    }
+    lines = [f"{name:19} {text}" for name, text in rows.items()]
+    if failures:
+        lines.append(_ADVICE)
+    if failures and bus and (check.fault or check.lost_frames):
+        lines.append(BUS_ADVICE)
+    return "\n".join(lines)
+
+
+def _describe_watchdog(check: Check) -> str:
+    if check.watchdog_fault:
+        return check.watchdog_fault
+    if check.watchdog is None:
+        return "not measured"
+    times = ", ".join(f"{motor} {1e3 * time:.0f} ms" for motor, time in check.watchdog.measured.items())
+    return f"no torque after the last frame: {times} (setting {1e3 * check.watchdog.setting:g} ms)"
+
+
+def write_check(rig_file: Path, mark: Mapping[str, str], check: Check) -> Path:
+    """Writes the result next to the settings and returns its path.
+
+    Args:
+        rig_file: File of the settings.
+        mark: Their `fingerprint` when they were read.
+        check: The result.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    seconds = check.timing.ticks * check.tick
+    return write_proof(rig_file, CHECK, mark, {"passed": not check.failures(), "seconds": seconds, **asdict(check)})
+
+
+def write_refusal(rig_file: Path, mark: Mapping[str, str], contradictions: Sequence[str]) -> Path:
+    """Writes that settings have not passed, because they contradict documents; returns the path.
+
+    Args:
+        rig_file: File of the settings.
+        mark: Their `fingerprint` when they were read.
+        contradictions: What the documents say.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    return write_proof(rig_file, CHECK, mark, {"passed": False, "contradictions": list(contradictions)})
+
+
+def checked(rig_file: Path) -> None:
+    """Ensures that exactly these settings have passed a check on this machine, kernel and user within the last week.
+
+    Raises:
+        InputError: They have not; the message is one line with the remedy.
+    """
+    seconds = proven(rig_file, CHECK).get("seconds")
+    if not isinstance(seconds, float) or not seconds >= LEAST_SECONDS:
+        raise InputError(
+            f"{proof_file(rig_file, CHECK)}: the check measured {seconds} s, less than {LEAST_SECONDS:g}; "
+            f"run `stepgap rig check {rig_file}` first"
+        )

@@ -1,0 +1,157 @@
+"""A deployment without torque: it displays sensor values and the torques that the control law would command."""
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from time import sleep
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from stepgap.base.errors import InputError
+from stepgap.base.signals import terminated_as_interrupted
+from stepgap.hardware.commissioning.limp import LastTick, describe_devices, ended, limp_setup
+from stepgap.hardware.commissioning.limp_rig import FrameCount
+from stepgap.hardware.realtime.session import Session
+from stepgap.plants.tick_control import RobotControl
+from stepgap.plants.ticks.log_description import LogEvent
+from stepgap.plants.ticks.rig_state import RigState
+from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
+from stepgap.rigs.rig import Rig, RigFault
+from stepgap.step import Array
+
+FOLDER = Path("dry-run")
+"""Folder of the tick logs."""
+
+_UPDATE_EVERY = 0.1
+"""Time between two updates of the display [s]."""
+
+DisplayedTick = dict[str, str]
+"""Displayed texts of a tick by their names."""
+
+
+class WatchedLog:
+    """A tick log that also remembers the last tick.
+
+    Attributes:
+        count: Number of ticks so far.
+        worst: Largest delay of a tick [s].
+    """
+
+    def __init__(self, log: TickLog, names: Iterable[str]):
+        self._log, self._last, self.count, self.worst = log, LastTick(names), 0, 0.0
+
+    @property
+    def last(self) -> dict[str, float]:
+        """Fields by name of the last tick with known sensor values; empty before the first."""
+        return self._last.fields
+
+    def append(self, rows: Array) -> None:
+        """Adds ticks to the log."""
+        self._log.append(rows)
+        self.count += len(rows)
+        self._last.append(rows)
+        self.worst = max([self.worst, *rows[:, -1].tolist()])
+
+    def note(self, event: LogEvent) -> None:
+        """Adds an event to the log."""
+        self._log.note(event)
+
+    def flush(self) -> None:
+        """Flushes the log."""
+        self._log.flush()
+
+    def close(self) -> None:
+        """Closes the log."""
+        self._log.close()
+
+
+def dry_run(make_rig: Callable[[], Rig], robot_control: RobotControl, seconds: float | None) -> Path:
+    """Displays the ticks of a limp robot for a time, or until Ctrl-C; returns the path of their log.
+
+    Args:
+        make_rig: Creates its rig; it must be possible to pickle it.
+        robot_control: Computes the torques that are displayed.
+        seconds: Duration, rounded to ticks [s]; None until Ctrl-C.
+
+    Raises:
+        InputError: The log cannot be written.
+        RigFault: The bus or a drive failed.
+    """
+    path, frames, rig = next_path(FOLDER), FrameCount(), make_rig()
+    setup = limp_setup(make_rig, robot_control, frames)
+    try:
+        log = WatchedLog(TickLog(path, setup.units, setup.described()), setup.units)
+    except TickLogError as error:
+        raise InputError(str(error)) from None
+    wanted, fault = float("inf") if seconds is None else seconds / rig.sensor_model.tick, ""
+    describe = _describer(rig, robot_control, frames)
+    session = Session(setup, log)
+    try:
+        with (
+            suppress(KeyboardInterrupt),  # the regular end
+            terminated_as_interrupted(),
+            _display(round(1 / rig.sensor_model.tick)) as display,
+        ):
+            while log.count < wanted and not session.over():
+                sleep(_UPDATE_EVERY)
+                display(describe(log, session), log.count)
+            if fault := ended(session):
+                sleep(_UPDATE_EVERY)  # until the last ticks are read
+                display(describe(log, session), None)
+    finally:
+        session.close()
+    print(path)
+    if fault:
+        raise RigFault(fault)
+    return path
+
+
+def _describer(
+    rig: Rig, robot_control: RobotControl, frames: FrameCount
+) -> Callable[[WatchedLog, Session], DisplayedTick]:
+    """Creates the function that describes the last tick."""
+
+    def describe(log: WatchedLog, session: Session) -> DisplayedTick:
+        tick = log.last
+        if not tick:
+            return {"state": session.board.state.name}
+        return {
+            "state": RigState(int(tick["state"])).name,
+            **robot_control.describe(rig, tick),
+            **describe_devices(rig, tick),
+            "late": f"{1e6 * tick['late']:.0f} µs, at most {1e6 * log.worst:.0f} µs",
+            "lost": f"{frames.lost} frames",
+        }
+
+    return describe
+
+
+@contextmanager
+def _display(every: int) -> Iterator[Callable[[DisplayedTick, int | None], None]]:
+    """Displays ticks as a table that is updated, on a terminal; otherwise as a plain line every `every` ticks.
+
+    The last tick before a fault, which has no number, is always displayed.
+    """
+    console = Console(stderr=True, highlight=False)
+    if console.is_terminal:
+        with Live(console=console, auto_refresh=False) as live:
+            yield lambda tick, _: live.update(_table(tick), refresh=True)
+        return
+    due = 0
+
+    def line(tick: DisplayedTick, count: int | None) -> None:
+        nonlocal due
+        if count is None or count >= due:
+            console.print("; ".join(f"{name} {text}" for name, text in tick.items()), soft_wrap=True)
+            due = ((count or 0) // every + 1) * every
+
+    yield line
+
+
+def _table(tick: DisplayedTick) -> Table:
+    table = Table(show_header=False, title="limp: no torque is given", box=None)
+    for name, text in tick.items():
+        table.add_row(name, text)
+    return table

@@ -1,0 +1,132 @@
+"""A real-time process that reads a robot's bus and gives it no torque."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from math import isfinite
+from time import sleep
+
+import numpy as np
+
+from stepgap.base.signals import terminated_as_interrupted
+from stepgap.hardware.commissioning.limp_rig import FrameCount, LimpRig
+from stepgap.hardware.realtime.process import RealtimeSetup
+from stepgap.hardware.realtime.session import Session, TickSink
+from stepgap.plants.tick_control import RobotControl
+from stepgap.plants.ticks.rig_state import RigState
+from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.rigs.rig import Rig, RigFault
+from stepgap.step import Array
+
+_CHECK_EVERY = 0.05
+"""Time between two checks whether there are enough ticks [s]."""
+
+
+@dataclass(frozen=True)
+class LimpTicks:
+    """Ticks of a rig without torque, from the first one on.
+
+    Attributes:
+        table: The ticks, at least one.
+        refused: The requests that the kernel refused; empty if there were none.
+        fault: Why there are fewer ticks than requested; empty if there are not.
+    """
+
+    table: TickTable
+    refused: str
+    fault: str
+
+
+def ticks_of(setup: RealtimeSetup, count: int) -> LimpTicks:
+    """Runs a rig for a number of ticks, without a request to step.
+
+    Raises:
+        RigFault: There was no tick at all.
+    """
+    kept, refused = _Memory(), ""
+    session = Session(setup, kept)
+    try:
+        with terminated_as_interrupted():
+            while kept.count < count and not session.over():
+                sleep(_CHECK_EVERY)
+                if session.board.state in (RigState.CALIBRATE, RigState.READY):
+                    refused = refused or session.message()
+        fault = ended(session)
+    finally:
+        session.close()
+    if not kept.count:
+        raise RigFault(fault)
+    return LimpTicks(TickTable(setup.units, np.concatenate(kept.blocks)[:count]), refused, fault)
+
+
+def ended(session: Session) -> str:
+    """Reason why a session has ended; empty while it is running."""
+    return (session.message() or "the real-time process ended") if session.over() else ""
+
+
+class _Memory(TickSink):
+    """Keeps ticks in memory."""
+
+    def __init__(self) -> None:
+        self.blocks: list[Array] = []
+        self.count = 0
+
+    def append(self, rows: Array) -> None:
+        self.blocks.append(rows)
+        self.count += len(rows)
+
+
+class LastTick(TickSink):
+    """Keeps the last tick with known sensor values, and what is known of later ones, such as that of a fault.
+
+    Attributes:
+        fields: Last known values by name; empty before the first tick with all of them.
+    """
+
+    def __init__(self, names: Iterable[str]):
+        self._names = tuple(names)
+        self.fields: dict[str, float] = {}
+
+    def append(self, rows: Array) -> None:
+        """Takes ticks."""
+        later = list[list[float]]()
+        for row in rows[::-1].tolist():
+            if all(map(isfinite, row)):
+                self.fields = dict(zip(self._names, row, strict=True))
+                break
+            later.append(row)
+        if self.fields:
+            for row in reversed(later):
+                self.fields |= {name: value for name, value in zip(self._names, row, strict=True) if isfinite(value)}
+
+
+def describe_devices(rig: Rig, fields: Mapping[str, float]) -> dict[str, str]:
+    """Describes what the rig itself judges: temperatures, bus voltages and the state of inputs of its drives.
+
+    Args:
+        rig: The rig.
+        fields: Fields of a tick by name.
+    """
+    names, units = rig.diagnostic_names, rig.diagnostic_units
+    judged = {name: fields[name] for name in units if name in fields and name in {*names, *rig.diagnostic_ranges}}
+    return {
+        name: names[name].get(round(value), f"{value:g}") if name in names else f"{value:.1f} {units[name]}"
+        for name, value in judged.items()
+        if isfinite(value)
+    }
+
+
+def limp_setup(make_rig: Callable[[], Rig], robot_control: RobotControl, frames: FrameCount) -> RealtimeSetup:
+    """Creates the setup of a robot that gets no torque.
+
+    Args:
+        make_rig: Creates its rig; it must be possible to pickle it.
+        robot_control: Computes the torques that are logged, but not written.
+        frames: Counts the lost frames.
+    """
+    return RealtimeSetup(partial(_limp_robot, make_rig, robot_control, frames), robot_control)
+
+
+def _limp_robot(make_rig: Callable[[], Rig], robot_control: RobotControl, frames: FrameCount) -> LimpRig:
+    rig = make_rig()
+    return LimpRig(rig, robot_control.limp_limits(rig), frames)

@@ -1,0 +1,266 @@
+"""What a drive reports beside its motion, reading by reading: is it within its limits, and can it be believed?"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf, nan
+from typing import NamedTuple, Self
+
+from stepgap.hardware.ethercat.cia402 import STATUSWORD_UNIT
+from stepgap.hardware.ethercat.drive_limits import (
+    BUS_VOLTAGE,
+    DIGITAL_INPUTS,
+    TEMPERATURE,
+    TEMPERATURES,
+    VOLTAGES,
+    DriveLimits,
+    largest_number,
+)
+from stepgap.hardware.ethercat.pdo import SIGNED_VALUES, Entry
+
+MOTION_UNITS = {"statusword": STATUSWORD_UNIT, "velocity": "drive counts/s", "torque": "rated torque / 1000"}
+"""Values of a drive that are logged as they are, with their units."""
+
+BEYOND = 3
+"""Number of plausible readings in a row beyond a limit, after which it counts as exceeded: one may be noise."""
+
+MOST_DOUBTS = 20
+"""Number by which implausible readings must exceed plausible ones, until a value counts as invalid."""
+
+LARGEST_JUMP = 5.0
+"""Largest plausible change of a temperature from one reading to the next [°C]; at least two counts."""
+
+INPUT_STATES = {0: "closed", 1: "open"}
+"""Names of the logged numbers of an STO or enable input."""
+
+
+@dataclass(frozen=True)
+class ReportedValue:
+    """A value that a drive reports as a number, and its limits.
+
+    Attributes:
+        name: Name of the value in the PDOs.
+        unit: Unit of the limits.
+        scale: Value of one count.
+        plausible: Least and largest plausible value.
+        jump: Largest plausible change from one reading to the next.
+        limits: Least and largest value that is allowed.
+        warning: Value above which the robot shall land.
+        frozen: Number of readings for which the value may stay exactly the same.
+        without_value: Numbers by which the drive indicates that it has no value.
+    """
+
+    name: str
+    unit: str
+    scale: float
+    plausible: tuple[float, float]
+    jump: float = inf
+    limits: tuple[float, float] = (-inf, inf)
+    warning: float = inf
+    frozen: float = inf
+    without_value: tuple[int, ...] = ()
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether anything depends on the value."""
+        return self.limits != (-inf, inf) or self.warning < inf or self.frozen < inf
+
+    def value(self, raw: int) -> float:
+        """Value of a number in the process data; NaN if the drive has none."""
+        return nan if raw in self.without_value else raw * self.scale
+
+
+class Track(NamedTuple):
+    """What was seen of a value.
+
+    Attributes:
+        value: Last plausible value; NaN before the first.
+        doubts: Number of implausible readings that were not outweighed by plausible ones.
+        beyond: Number of plausible readings in a row beyond the limits.
+        warned: Number of plausible readings in a row above the warning level.
+        same: Number of readings since the value changed.
+    """
+
+    value: float = nan
+    doubts: int = 0
+    beyond: int = 0
+    warned: int = 0
+    same: int = 0
+
+
+def with_value(reported: ReportedValue, track: Track, value: float) -> Track:
+    """Track with another reading; an implausible one, such as NaN, changes the doubts only."""
+    least, most = reported.plausible
+    if not least <= value <= most or abs(value - track.value) > reported.jump:
+        return track._replace(doubts=track.doubts + 1)
+    low, high = reported.limits
+    return Track(
+        value,
+        track.doubts - 1 if track.doubts else 0,
+        track.beyond + 1 if not low <= value <= high else 0,
+        track.warned + 1 if value > reported.warning else 0,
+        track.same + 1 if value == track.value else 0,
+    )
+
+
+def excess_of(reported: ReportedValue, track: Track) -> str:
+    """Describes a value beyond its limits, after which torque must go off; empty if it is within them."""
+    if track.beyond < BEYOND:
+        return ""
+    low, high = reported.limits
+    rule = f"at most {high:g}" if low == -inf else f"{low:g} to {high:g}"
+    return f"its {_words(reported)} is {track.value:.1f} {reported.unit}, allowed is {rule}"
+
+
+def warning_of(reported: ReportedValue, track: Track) -> str:
+    """Describes why the robot should land: the warning level, or a value that cannot be relied upon; or empty."""
+    if not reported.is_limited:
+        return ""
+    if track.doubts >= MOST_DOUBTS:
+        return f"its {_words(reported)} is not plausible"
+    if track.same >= reported.frozen:
+        return f"its {_words(reported)} is frozen at {track.value:.1f} {reported.unit}"
+    if track.warned >= BEYOND:
+        return f"its {_words(reported)} is {track.value:.1f} {reported.unit}, more than {reported.warning:g}"
+    return ""
+
+
+def _words(reported: ReportedValue) -> str:
+    return reported.name.replace("_", " ")
+
+
+def reported_values(limits: DriveLimits, entries: Mapping[str, Entry], cycle: float) -> list[ReportedValue]:
+    """Temperature and bus voltage, as far as a drive sends them.
+
+    Args:
+        limits: Limits of the drive.
+        entries: Entries of its inputs by name.
+        cycle: Time between two readings [s].
+    """
+    pair = limits.bus_voltage
+    wanted = (
+        ReportedValue(
+            TEMPERATURE,
+            "°C",
+            limits.temperature_unit,
+            TEMPERATURES,
+            max(LARGEST_JUMP, 2 * limits.temperature_unit),
+            (-inf, limits.temperature_limit),
+            limits.temperature_warning,
+            limits.temperature_frozen_time / cycle,
+            _without_value(entries.get(TEMPERATURE)),
+        ),
+        ReportedValue(
+            BUS_VOLTAGE,
+            "V",
+            limits.bus_voltage_unit,
+            VOLTAGES,
+            limits=(pair[0], pair[1]) if pair else (-inf, inf),
+            frozen=limits.bus_voltage_frozen_time / cycle,
+            without_value=_without_value(entries.get(BUS_VOLTAGE)),
+        ),
+    )
+    return [reported for reported in wanted if reported.name in entries]
+
+
+def _without_value(entry: Entry | None) -> tuple[int, ...]:
+    if entry is None:
+        return ()
+    most = largest_number(entry)
+    return (most, -most - 1) if SIGNED_VALUES[entry.name] else (most,)
+
+
+@dataclass(frozen=True)
+class SafetyInput:
+    """An input that must be closed for torque.
+
+    Attributes:
+        name: Name of its field in the log.
+        label: Its name for messages.
+        mask: Its bits; 0 if the drive does not report it.
+        closed: These bits while all its channels are closed.
+    """
+
+    name: str
+    label: str
+    mask: int
+    closed: int
+
+    @classmethod
+    def of(cls, name: str, label: str, bits: tuple[int, ...], opened: int) -> Self:
+        """Input with some bits, each of which has the value `opened` while its channel is open."""
+        mask = sum(1 << bit for bit in bits)
+        return cls(name, label, mask, 0 if opened else mask)
+
+    def is_open(self, inputs: int) -> bool:
+        """Whether one of its channels is open."""
+        return inputs & self.mask != self.closed
+
+
+class DriveWatch:
+    """Watches the values of one drive, and keeps those that are logged.
+
+    Args:
+        label: Name of the drive for messages.
+        limits: Its limits.
+        entries: Entries of its inputs by name.
+        cycle: Time between two readings [s].
+    """
+
+    def __init__(self, label: str, limits: DriveLimits, entries: Mapping[str, Entry], cycle: float):
+        self._label = label
+        self._reported = reported_values(limits, entries, cycle)
+        self.restart()
+        inputs = (
+            SafetyInput.of("sto", "STO input", limits.sto_bits, limits.sto_open),
+            SafetyInput.of("enable", "enable input", limits.enable_bits, limits.enable_open),
+        )
+        self._inputs = [each for each in inputs if each.mask]
+        self._raw = [name for name in MOTION_UNITS if name in entries]
+        self._raw += [DIGITAL_INPUTS] if DIGITAL_INPUTS in entries else []
+        self.units = {
+            **{name: MOTION_UNITS.get(name, "") for name in self._raw},
+            **{reported.name: reported.unit for reported in self._reported},
+            **{each.name: "" for each in self._inputs},
+        }
+        """Logged values with their units."""
+        self.ranges = {reported.name: reported.limits for reported in self._reported}
+        """Limits of logged values; infinite if there is none."""
+        self.names = {each.name: INPUT_STATES for each in self._inputs}
+        """Names of the numbers of logged values."""
+        self.values: tuple[float, ...] = (nan,) * len(self.units)
+        """Logged values in the last reading."""
+
+    def restart(self) -> None:
+        """Forgets earlier readings, as after a pause without frames."""
+        self._tracks = [Track()] * len(self._reported)
+
+    def update(self, values: Mapping[str, int]) -> str:
+        """Takes the inputs of a good frame; returns why torque must go off, or an empty text."""
+        numbers, excess = [float(values[name]) for name in self._raw], ""
+        for index, reported in enumerate(self._reported):
+            raw = values[reported.name]
+            self._tracks[index] = track = with_value(reported, self._tracks[index], reported.value(raw))
+            excess = excess_of(reported, track) or excess
+            numbers.append(raw * reported.scale)
+        opened = [float(each.is_open(values[DIGITAL_INPUTS])) for each in self._inputs]
+        self.values = (*numbers, *opened)
+        if any(opened):
+            return self.open_inputs(values)
+        return f"{self._label}: {excess}" if excess else ""
+
+    def open_inputs(self, values: Mapping[str, int]) -> str:
+        """Names the inputs that are open, or returns an empty text."""
+        found = [each.label for each in self._inputs if each.is_open(values[DIGITAL_INPUTS])]
+        return (
+            f"the {' and the '.join(found)} of {self._label} {'are' if len(found) > 1 else 'is'} open" if found else ""
+        )
+
+    def describe(self, values: Mapping[str, int]) -> str:
+        """Describes temperature and bus voltage in the inputs of a frame; empty if the drive reports neither."""
+        return ", ".join(f"{values[each.name] * each.scale:.1f} {each.unit}" for each in self._reported)
+
+    @property
+    def warning(self) -> str:
+        """Why the robot should land, or an empty text."""
+        found = map(warning_of, self._reported, self._tracks)
+        return next((f"{self._label}: {text}" for text in found if text), "")

@@ -1,0 +1,273 @@
+"""A torque-controlled drive: its side of the device control of CiA 402-2 (ETG.6010), mode 10 only."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from math import tau
+
+from stepgap.hardware.ethercat.emulator.device import EmulatedDevice
+from stepgap.hardware.ethercat.emulator.dictionary import Abort, Dictionary, ObjectEntry
+from stepgap.hardware.ethercat.emulator.drive_layout import ELMO_LAYOUT, DriveLayout
+from stepgap.hardware.ethercat.emulator.drive_power import PowerSettings, PowerStage, next_stage
+from stepgap.hardware.ethercat.emulator.faults import DriveCondition, FedBus, Heated, OpenedInput, StuckObject
+from stepgap.hardware.ethercat.emulator.mailbox import emergency
+from stepgap.hardware.ethercat.emulator.sii import Identity
+from stepgap.rigs.rig import Reading
+
+ERROR_REGISTER, _ERROR_CODE = 0x1001, 0x603F
+CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY = 0x6040, 0x6041, 0x6060, 0x6061
+POSITION, VELOCITY = 0x6064, 0x606C
+TARGET_TORQUE, _LARGEST_TORQUE, _RATED_TORQUE, TORQUE = 0x6071, 0x6072, 0x6076, 0x6077
+SUPPORTED_MODES, ABORT_CONNECTION = 0x6502, 0x6007
+DRIVE_TEMPERATURE, DC_LINK_VOLTAGE, DRIVE_INPUTS = 0x2100, 0x6079, 0x60FD
+OPTION_CODES = (0x605A, 0x605B, 0x605C, 0x605E)
+"""Objects (CiA 402-2: device control, position, velocity and torque; CiA 301 for the error register).
+
+The temperature [0.1 °C, INTEGER16] is an object of this emulator, since the profile has none; the voltage is in mV.
+"""
+
+CYCLIC_SYNCHRONOUS_TORQUE = 10
+
+COMMUNICATION_LOST, SPEED_RUN_AWAY = 0x8130, 0x8400
+"""Error codes (CiA 402-2, error codes): no process data while enabled; the machine left its bounds."""
+
+GENERIC_ERROR = 0x01
+"""Bit of the error register (CiA 301)."""
+
+ELMO_GOLD = Identity("Gold drive", 0x0000009A, 0x00030924, 0x00010420)
+"""Identity of Elmo's Gold drives."""
+
+STO_CLOSED, ENABLE_CLOSED = 0x3_0000, 0x4_0000
+"""Bits of the digital inputs: both channels of the STO input, and the enable input; 1 where they are closed."""
+
+_SWITCH_ON, VOLTAGE, NO_QUICK_STOP, _ENABLE, FAULT_RESET = 0x01, 0x02, 0x04, 0x08, 0x80
+"""Bits of the controlword (CiA 402-2, object 0x6040)."""
+
+VOLTAGE_ENABLED, REMOTE, FOLLOWS = 0x0010, 0x0200, 0x1000
+"""Bits of the statusword besides the state: voltage enabled, remote, drive follows the command value."""
+
+
+class DriveState(IntEnum):
+    """States, with their low bits in the statusword (CiA 402-2, object 0x6041)."""
+
+    SWITCH_ON_DISABLED = 0x40
+    READY_TO_SWITCH_ON = 0x21
+    SWITCHED_ON = 0x23
+    OPERATION_ENABLED = 0x27
+    QUICK_STOP = 0x07
+    FAULT = 0x08
+
+
+def next_drive_state(state: DriveState, controlword: int, before: int) -> DriveState:
+    """Next state for a controlword (CiA 402-2, device control state machine); at most one transition upwards.
+
+    Args:
+        state: Present state.
+        controlword: New controlword.
+        before: Previous controlword, since a fault is reset by a rising edge.
+    """
+    if state is DriveState.FAULT:
+        rises = controlword & ~before & FAULT_RESET
+        return DriveState.SWITCH_ON_DISABLED if rises else state
+    if not controlword & VOLTAGE or state is DriveState.QUICK_STOP:  # a quick stop is over within a tick: no torque
+        return DriveState.SWITCH_ON_DISABLED
+    if not controlword & NO_QUICK_STOP:
+        return DriveState.QUICK_STOP if state is DriveState.OPERATION_ENABLED else DriveState.SWITCH_ON_DISABLED
+    if state is DriveState.SWITCH_ON_DISABLED:
+        return state if controlword & _SWITCH_ON else DriveState.READY_TO_SWITCH_ON
+    if not controlword & _SWITCH_ON:
+        return DriveState.READY_TO_SWITCH_ON
+    if state is DriveState.READY_TO_SWITCH_ON:
+        return DriveState.SWITCHED_ON
+    return DriveState.OPERATION_ENABLED if controlword & _ENABLE else DriveState.SWITCHED_ON
+
+
+@dataclass(frozen=True)
+class DriveSettings:
+    """Parameters of a drive.
+
+    Attributes:
+        identity: Its identity.
+        layout: The PDOs that it exchanges.
+        rated_torque: Torque of the value 1000 of a torque object, in `rated_torque_unit`.
+        rated_torque_unit: Unit of that object, 0x6076 [N·m].
+        largest_torque: Limit of the drive, in 1/1000 of `rated_torque`; the master may change it by SDO.
+        period: Time of a tick [s].
+        abort_connection: What it does when frames end, after power-up: 0 nothing, 1 fault, 2 or 3 torque off
+            (CiA 402-2, object 0x6007).
+        ramps: Value of its other option codes after power-up: 0 torque off, 1 and 2 ramps (0x605A to 0x605E).
+        counts_per_turn: Counts of its encoder per turn of the motor, for the power that it takes.
+        power: Parameters of its power stage.
+    """
+
+    identity: Identity = ELMO_GOLD
+    layout: DriveLayout = ELMO_LAYOUT
+    rated_torque: int = 16_000
+    rated_torque_unit: float = 1e-3
+    largest_torque: int = 2500
+    period: float = 1e-3
+    abort_connection: int = 1
+    ramps: int = 1
+    counts_per_turn: float = 16384.0
+    power: PowerSettings = PowerSettings()
+
+
+class Drive(EmulatedDevice):
+    """A drive behind a slave controller.
+
+    Args:
+        name: Its name in the ring.
+        settings: Its parameters.
+        counts: Selects its motor's encoder counts from a reading.
+    """
+
+    def __init__(self, name: str, settings: DriveSettings, counts: Callable[[Reading], float]):
+        self._settings, self._counts = settings, counts
+        self._position = self._velocity = self._status = self._error = ObjectEntry(0, 0)  # replaced by power_on
+        self._true_counts, self._closed = 0, STO_CLOSED | ENABLE_CLOSED
+        self._heating = self._fed = 0.0
+        self._stuck: dict[int, int] = {}
+        super().__init__(name, settings.identity)
+        self.power_on()
+
+    def power_on(self) -> None:
+        """Resets the drive: switch-on disabled, no torque, PDOs as after power-up."""
+        settings = self._settings
+        self._control, self._status = ObjectEntry(0, 16, writable=True), ObjectEntry(DriveState.SWITCH_ON_DISABLED, 16)
+        self._mode, self._mode_display = ObjectEntry(0, 8, True, True), ObjectEntry(0, 8, True)
+        self._target, self._torque = ObjectEntry(0, 16, True, True), ObjectEntry(0, 16, True)
+        self._position, self._velocity = ObjectEntry(0, 32, True), ObjectEntry(0, 32, True)
+        self._largest = ObjectEntry(settings.largest_torque, 16, writable=True)
+        self._error, self._register = ObjectEntry(0, 16), ObjectEntry(0, 8)
+        cold = PowerStage(settings.power.ambient, settings.power.voltage)
+        self._stage, self._temperature, self._voltage = cold, ObjectEntry(0, 16, True), ObjectEntry(0, 32)
+        self._inputs = ObjectEntry(self._closed, 32)
+        self._abort = ObjectEntry(settings.abort_connection, 16, True, True)
+        options = {index: ObjectEntry(settings.ramps, 16, True, True) for index in OPTION_CODES}
+        entries = {
+            ABORT_CONNECTION: self._abort,
+            **options,
+            CONTROLWORD: self._control,
+            STATUSWORD: self._status,
+            MODE: self._mode,
+            MODE_DISPLAY: self._mode_display,
+            POSITION: self._position,
+            VELOCITY: self._velocity,
+            TARGET_TORQUE: self._target,
+            _LARGEST_TORQUE: self._largest,
+            _RATED_TORQUE: ObjectEntry(settings.rated_torque, 32),
+            TORQUE: self._torque,
+            _ERROR_CODE: self._error,
+            ERROR_REGISTER: self._register,
+            DRIVE_TEMPERATURE: self._temperature,
+            DC_LINK_VOLTAGE: self._voltage,
+            DRIVE_INPUTS: self._inputs,
+            SUPPORTED_MODES: ObjectEntry(1 << CYCLIC_SYNCHRONOUS_TORQUE - 1, 32),
+        }
+        objects, layout = {(index, 0): entry for index, entry in entries.items()}, settings.layout
+        self._objects = entries
+        self.dictionary = Dictionary(
+            settings.identity,
+            {**objects, **layout.idle_objects(objects)},
+            layout.outputs,
+            layout.inputs,
+            layout.assigned_outputs,
+            layout.assigned_inputs,
+            _check,
+            layout.mappable,
+        )
+        self.state, self.torque, self._before = DriveState.SWITCH_ON_DISABLED, 0.0, 0
+        self.messages.clear()
+        self._measure(0.0)
+
+    @property
+    def is_enabled(self) -> bool:
+        """Whether the drive is enabled, so that torque follows its target."""
+        return self.state is DriveState.OPERATION_ENABLED
+
+    def update(self, operational: bool) -> None:
+        """Updates the state, then the torque; an enabled drive without process data trips."""
+        if operational:
+            self.state = next_drive_state(self.state, self._control.value, self._before)
+            self._before = self._control.value
+        elif self.state in (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP):
+            self._lose_connection()
+        elif self.state is not DriveState.FAULT:
+            self.state = DriveState.SWITCH_ON_DISABLED
+        if self._is_open and self.state is not DriveState.FAULT:
+            self.state = DriveState.SWITCH_ON_DISABLED
+        if self.state is not DriveState.FAULT and self._error.value:
+            self._error.value = self._register.value = 0
+            self.messages.append(emergency(0, 0))  # the error is reset
+        if self._mode.value in (0, CYCLIC_SYNCHRONOUS_TORQUE):
+            self._mode_display.value = self._mode.value
+        self._act()
+
+    def _lose_connection(self) -> None:
+        """Acts as the option code 0x6007 demands, after which a drive may continue with its last torque."""
+        if self._abort.value == 1:
+            self.trip(COMMUNICATION_LOST)
+        elif self._abort.value in (2, 3):
+            self.state = DriveState.SWITCH_ON_DISABLED
+
+    def trip(self, code: int) -> None:
+        """Enters the fault state: torque off, emergency sent, latched until reset; the first fault is kept."""
+        if self.state is not DriveState.FAULT:
+            self.state = DriveState.FAULT
+            self._error.value, self._register.value = code, GENERIC_ERROR
+            self.messages.append(emergency(code, GENERIC_ERROR))
+        self._act()
+
+    def begin(self, condition: DriveCondition) -> None:
+        """Begins a fault of its power stage or its inputs, which lasts."""
+        if isinstance(condition, Heated):
+            self._heating += condition.rate
+        elif isinstance(condition, FedBus):
+            self._fed += condition.power
+        elif isinstance(condition, OpenedInput):
+            self._closed &= ~condition.bits
+            if condition.code:
+                self.trip(condition.code)
+        elif isinstance(condition, StuckObject):
+            present = self._objects[condition.index].value
+            self._stuck[condition.index] = present if condition.value is None else condition.value
+
+    @property
+    def _is_open(self) -> bool:
+        return self._closed != STO_CLOSED | ENABLE_CLOSED
+
+    def sense(self, reading: Reading) -> None:
+        """Updates position and velocity of the motor [counts, counts/s]."""
+        counts = round(self._counts(reading))
+        shown = self.error.shown(counts)
+        moved = counts - self._true_counts if self.error.true_velocity else shown - self._position.value
+        self._velocity.value = round(moved / self._settings.period)
+        self._position.value, self._true_counts = shown, counts
+        self._measure(moved / self._settings.counts_per_turn * tau)
+
+    def _measure(self, turned: float) -> None:
+        """Updates temperature, bus voltage and inputs after a tick in which the motor turned by an angle [rad]."""
+        settings, period = self._settings, self._settings.period
+        taken = self.torque * turned / period - self._fed
+        self._stage = next_stage(settings.power, self._stage, period, self._torque.value / 1000, taken, self._heating)
+        self._temperature.value = round(10 * self._stage.temperature)
+        self._voltage.value = round(1000 * self._stage.voltage)
+        self._inputs.value = self._closed
+        for index, value in self._stuck.items():
+            self._objects[index].value = value
+
+    def _act(self) -> None:
+        """Sets torque [N·m] and statusword according to the state."""
+        follows = self.state is DriveState.OPERATION_ENABLED and self._mode_display.value == CYCLIC_SYNCHRONOUS_TORQUE
+        limit = self._largest.value
+        self._torque.value = min(max(self._target.value, -limit), limit) if follows else 0
+        self.torque = self._torque.value * self._settings.rated_torque * (self._settings.rated_torque_unit / 1000)
+        self._status.value = self.state | VOLTAGE_ENABLED | REMOTE | (FOLLOWS if follows else 0)
+
+
+def _check(index: int, value: int) -> None:
+    """Refuses modes other than cyclic synchronous torque and 0, which is no mode, and unknown option codes."""
+    if index in (ABORT_CONNECTION, *OPTION_CODES) and not 0 <= value <= 3:
+        raise Abort(Abort.VALUE_RANGE)
+    if index == MODE and value not in (0, CYCLIC_SYNCHRONOUS_TORQUE):
+        raise Abort(Abort.VALUE_RANGE)

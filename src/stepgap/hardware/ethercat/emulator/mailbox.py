@@ -1,0 +1,119 @@
+"""CANopen over EtherCAT in a slave's mailbox: answers to SDO requests, and emergencies (ETG.1000.6 §5.6)."""
+
+from struct import Struct, pack
+
+from stepgap.hardware.ethercat.emulator.dictionary import Abort, Dictionary
+
+MAILBOX_ERROR, COE = 0, 3
+"""Mailbox types (ETG.1000.4, mailbox header)."""
+
+EMERGENCY, SDO_REQUEST, SDO_RESPONSE, PDO_REQUEST, SDO_INFORMATION = 1, 2, 3, 7, 8
+"""CoE services (ETG.1000.6, CoE header). An abort is a request, also from a slave."""
+
+UPLOAD, DOWNLOAD, DOWNLOADED, ABORT = 0x40, 0x20, 0x60, 0x80
+COMMAND_MASK, EXPEDITED, SIZE_GIVEN, COMPLETE = 0xE0, 0x02, 0x01, 0x10
+"""Command and flags in the SDO command byte (ETG.1000.6, SDO services)."""
+
+INFORMATION_ERROR = 7
+"""Operation code of the answer that refuses a request for information on objects (ETG.1000.6, SDO information)."""
+
+UNSUPPORTED_PROTOCOL, UNSUPPORTED_SERVICE, INVALID_HEADER, TOO_SHORT = 0x0002, 0x0004, 0x0005, 0x0006
+"""Details of a mailbox error: type or service not supported, wrong header, too short for its service (ETG.1000.4)."""
+
+_HEADER = Struct("<HHBB")
+_SDO = Struct("<HBHB")
+_INFORMATION_ERROR = Struct("<HBBHI")
+
+
+def answer(dictionary: Dictionary, request: bytes, may_assign: bool, room: int) -> bytes | None:
+    """Answers a mailbox message.
+
+    Args:
+        dictionary: Dictionary that is read and written.
+        request: Mailbox message of a master; it may contain arbitrary bytes.
+        may_assign: Whether PDOs may be assigned in the present state.
+        room: Longest answer [bytes]; longer objects are refused, since segments are not supported.
+
+    Returns:
+        The answer; None to an abort, which is not confirmed (CiA 301).
+    """
+    length, _, _, kind = _HEADER.unpack_from(request.ljust(_HEADER.size, b"\0"))
+    if not length or kind & 0x0F == MAILBOX_ERROR:
+        return _error(INVALID_HEADER)
+    if kind & 0x0F != COE:
+        return _error(UNSUPPORTED_PROTOCOL)
+    body = request[_HEADER.size : _HEADER.size + length]
+    if len(body) < _SDO.size:
+        return _error(TOO_SHORT)
+    coe, command, index, subindex = _SDO.unpack_from(body)
+    service = coe >> 12
+    if service == SDO_INFORMATION:
+        refusal = SDO_INFORMATION << 12, INFORMATION_ERROR, 0, 0, Abort.UNKNOWN_COMMAND
+        return _message(COE, _INFORMATION_ERROR.pack(*refusal))
+    if service != SDO_REQUEST:
+        return _error(UNSUPPORTED_SERVICE if EMERGENCY <= service <= PDO_REQUEST else INVALID_HEADER)
+    if command & COMMAND_MASK == ABORT:
+        return None
+    try:
+        answered, value = _served(dictionary, command, index, subindex, body[_SDO.size :], may_assign, room)
+        return _sdo(SDO_RESPONSE, index, subindex, answered, value)
+    except Abort as abort:
+        return _sdo(SDO_REQUEST, index, subindex, ABORT, pack("<I", abort.code))
+
+
+def _served(
+    dictionary: Dictionary, command: int, index: int, subindex: int, data: bytes, may_assign: bool, room: int
+) -> tuple[int, bytes]:
+    """Command and data of the answer to an SDO request."""
+    if command & COMPLETE and command & COMMAND_MASK in (UPLOAD, DOWNLOAD):
+        raise Abort(Abort.UNSUPPORTED_ACCESS)
+    if command & COMMAND_MASK == UPLOAD:
+        return _uploaded(dictionary.read(index, subindex), room)
+    if command & COMMAND_MASK == DOWNLOAD:
+        dictionary.write(index, subindex, _downloaded(command, data), may_assign)
+        return DOWNLOADED, bytes(4)
+    raise Abort(Abort.UNKNOWN_COMMAND)
+
+
+def emergency(code: int, register: int, detail: bytes = b"") -> bytes:
+    """Encodes an emergency message (ETG.1000.6, emergency service).
+
+    Args:
+        code: Error code, as in object 0x603F.
+        register: Error register, as in object 0x1001.
+        detail: Up to five bytes that the vendor defines.
+    """
+    return _message(COE, pack("<HHB", EMERGENCY << 12, code, register) + detail[:5].ljust(5, b"\0"))
+
+
+def _uploaded(value: bytes, room: int) -> tuple[int, bytes]:
+    """Command and data of an upload: at most four bytes are expedited."""
+    if len(value) <= 4:
+        return UPLOAD | EXPEDITED | SIZE_GIVEN | (4 - len(value)) << 2, value.ljust(4, b"\0")
+    if _HEADER.size + _SDO.size + 4 + len(value) > room:
+        raise Abort(Abort.TOO_LONG)
+    return UPLOAD | SIZE_GIVEN, pack("<I", len(value)) + value
+
+
+def _downloaded(command: int, data: bytes) -> bytes:
+    """Value of a download."""
+    if command & EXPEDITED:
+        return data[: 4 - (command >> 2 & 3) if command & SIZE_GIVEN else 4]
+    size = int.from_bytes(data[:4], "little")
+    if size != len(data) - 4:
+        raise Abort(Abort.TOO_LONG)
+    return data[4:]
+
+
+def _error(detail: int) -> bytes:
+    """Encodes a mailbox error."""
+    return _message(MAILBOX_ERROR, pack("<HH", 1, detail))
+
+
+def _sdo(service: int, index: int, subindex: int, command: int, data: bytes) -> bytes:
+    return _message(COE, _SDO.pack(service << 12, command, index, subindex) + data)
+
+
+def _message(kind: int, body: bytes) -> bytes:
+    """Encodes a mailbox message; the slave sets its counter when it is sent (bits 4–6 of the type byte)."""
+    return _HEADER.pack(len(body), 0, 0, kind) + body

@@ -1,0 +1,188 @@
+"""Reads an ESI file; every error is one line with the file, its line and what would be right."""
+
+import re
+from pathlib import Path
+
+from stepgap.base.errors import InputError
+from stepgap.hardware.ethercat.esi.document import EsiDevice, EsiEntry, EsiFile, EsiModule, EsiPdo, InitCommand, OpMode
+from stepgap.hardware.ethercat.esi.tree import Element, read_tree
+
+ENGLISH = "1033"
+"""Language of a name (LcId) that is preferred to others."""
+
+_NUMBER = re.compile(r"(?:(?:#|0)[xX](?P<hex>[0-9a-fA-F]{1,16})|(?P<decimal>[0-9]{1,20}))")
+_BOOLEANS = {"": False, "0": False, "false": False, "1": True, "true": True}
+_LONGEST_NAME = 80
+
+
+def read_esi(path: Path) -> EsiFile:
+    """Reads an ESI file.
+
+    Raises:
+        InputError: It cannot be read, is not an ESI file, or a number in it is not valid.
+    """
+    root = read_tree(path)
+    try:
+        vendor = root.find("Vendor")
+        if vendor is None:
+            raise ValueError("it has no Vendor, so it is not a complete ESI file")
+        return EsiFile(
+            name=path.name,
+            vendor=_child_number(vendor, "Id"),
+            vendor_name=_name_of(vendor),
+            devices=tuple(map(_device, root.find_all("Descriptions", "Devices", "Device"))),
+            modules=tuple(map(_module, root.find_all("Descriptions", "Modules", "Module"))),
+        )
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def parse_number(text: str) -> int:
+    """Parses a number of an ESI file, `#x1A00` or `6656`; one from 0 to 2³² − 1.
+
+    Raises:
+        ValueError: It is another text.
+    """
+    match = _NUMBER.fullmatch(text.strip())
+    value = int(match["hex"], 16) if match and match["hex"] else int(match["decimal"]) if match else 2**32
+    if value >= 2**32:
+        raise ValueError(f"'{shorten(text, 30)}' is not a number such as #x1A00 or 6656, less than 2³²")
+    return value
+
+
+def shorten(text: str, most: int = _LONGEST_NAME) -> str:
+    """Makes a text of a file one printable line of limited length."""
+    line = " ".join("".join(each if each.isprintable() else " " for each in text).split())
+    return line if len(line) <= most else f"{line[:most]}…"
+
+
+def _device(element: Element) -> EsiDevice:
+    kind, coe = element.find("Type"), element.find("Mailbox", "CoE")
+    if kind is None:
+        raise ValueError(f"line {element.line}: Device has no Type")
+    timeout = element.find("Info", "StateMachine", "Timeout", "SafeopOpTimeout")
+    objects = element.find_all("Profile", "Dictionary", "Objects", "Object", "Index")
+    return EsiDevice(
+        kind=shorten(kind.text),
+        name=_name_of(element),
+        product=_attribute_number(kind, "ProductCode") or 0,
+        revision=_attribute_number(kind, "RevisionNo") or 0,
+        outputs=tuple(map(_pdo, element.find_all("RxPdo"))),
+        inputs=tuple(map(_pdo, element.find_all("TxPdo"))),
+        has_coe=coe is not None,
+        pdo_assign=coe is not None and _flag(coe, "PdoAssign"),
+        pdo_config=coe is not None and _flag(coe, "PdoConfig"),
+        init_commands=_init_commands(element),
+        op_modes=tuple(map(_op_mode, element.find_all("Dc", "OpMode"))),
+        control_bytes=tuple(_attribute_number(each, "ControlByte") for each in element.find_all("Sm")),
+        safeop_op_timeout=_number(timeout) / 1000 if timeout else 0.0,
+        objects=frozenset(map(_number, objects)),
+        has_slots=element.find("Slots") is not None,
+    )
+
+
+def _module(element: Element) -> EsiModule:
+    return EsiModule(
+        name=_name_of(element) or shorten(element.text_of("Type")),
+        outputs=tuple(map(_pdo, element.find_all("RxPdo"))),
+        inputs=tuple(map(_pdo, element.find_all("TxPdo"))),
+        init_commands=_init_commands(element),
+    )
+
+
+def _pdo(element: Element) -> EsiPdo:
+    return EsiPdo(
+        index=_child_number(element, "Index"),
+        name=_name_of(element),
+        entries=tuple(map(_entry, element.find_all("Entry"))),
+        fixed=_flag(element, "Fixed"),
+        mandatory=_flag(element, "Mandatory"),
+        sync_manager=_attribute_number(element, "Sm"),
+        excludes=frozenset(map(_number, element.find_all("Exclude"))),
+        excluded_managers=frozenset(map(_number, element.find_all("ExcludedSm"))),
+    )
+
+
+def _entry(element: Element) -> EsiEntry:
+    index = _child_number(element, "Index")
+    subindex = element.find("SubIndex")
+    return EsiEntry(
+        index=index,
+        subindex=_number(subindex) if subindex and index else 0,
+        bits=_child_number(element, "BitLen"),
+        name=_name_of(element),
+    )
+
+
+def _init_commands(element: Element) -> tuple[InitCommand, ...]:
+    """Those of a device or module, which some files have in an element of their own."""
+    return tuple(
+        InitCommand(
+            transitions=tuple(each.text for each in command.find_all("Transition")),
+            index=_child_number(command, "Index"),
+            subindex=_child_number(command, "SubIndex"),
+            data=_data(command.text_of("Data")),
+            fixed=_flag(command, "Fixed"),
+            complete_access=_flag(command, "CompleteAccess"),
+            comment=shorten(command.text_of("Comment")),
+        )
+        for path in (("InitCmd",), ("InitCmds", "InitCmd"))
+        for command in element.find_all("Mailbox", "CoE", *path)
+    )
+
+
+def _data(text: str) -> bytes | None:
+    try:
+        return bytes.fromhex(text) or None
+    except ValueError:
+        return None
+
+
+def _op_mode(element: Element) -> OpMode:
+    cycle = element.find("CycleTimeSync0")
+    scaled = cycle is not None and cycle.attributes.get("Factor", "1") not in ("0", "")
+    activate = element.find("AssignActivate")
+    description = shorten(element.text_of("Desc"))
+    return OpMode(
+        name=shorten(element.text_of("Name")) + (f" ({description})" if description else ""),
+        assign_activate=_number(activate) if activate else 0,
+        cycle=_number(cycle) if cycle and cycle.text and not scaled else 0,
+    )
+
+
+def _name_of(element: Element) -> str:
+    """The name of something, in English if there are several."""
+    names = list(element.find_all("Name"))
+    english = [each for each in names if each.attributes.get("LcId") == ENGLISH]
+    return shorten((english or names)[0].text) if names else ""
+
+
+def _child_number(element: Element, name: str) -> int:
+    child = element.find(name)
+    if child is None:
+        raise ValueError(f"line {element.line}: {element.name} has no {name}")
+    return _number(child)
+
+
+def _number(element: Element) -> int:
+    try:
+        return parse_number(element.text)
+    except ValueError as error:
+        raise ValueError(f"line {element.line}: {element.name}: {error}") from None
+
+
+def _attribute_number(element: Element, name: str) -> int | None:
+    text = element.attributes.get(name, "").strip()
+    try:
+        return parse_number(text) if text else None
+    except ValueError as error:
+        raise ValueError(f"line {element.line}: {name} of {element.name}: {error}") from None
+
+
+def _flag(element: Element, name: str) -> bool:
+    text = element.attributes.get(name, "").strip().lower()
+    if text not in _BOOLEANS:
+        raise ValueError(
+            f"line {element.line}: {name} of {element.name}: '{shorten(text, 30)}' is not 0, 1, true or false"
+        )
+    return _BOOLEANS[text]

@@ -1,0 +1,227 @@
+"""The twin behind an emulated ring as a `Rig`: the whole path of a robot on EtherCAT without hardware."""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+
+from stepgap.hardware.ethercat.distributed_clocks import SYNC0_ONLY
+from stepgap.hardware.ethercat.emulator.drive import ELMO_GOLD
+from stepgap.hardware.ethercat.emulator.emulator import emulated
+from stepgap.hardware.ethercat.emulator.machine import Machine
+from stepgap.hardware.ethercat.emulator.network import NoNetwork
+from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
+from stepgap.hardware.ethercat.emulator.terminals import ANALOG_IDENTITY, COUPLER_IDENTITY, ENCODER_IDENTITY
+from stepgap.hardware.ethercat.rig_settings import Encoder, Motor, Slave, WrittenPdo, WrittenPdoSet
+from stepgap.hardware.hopper.ethercat import Contact, RigSettings, hopper_on_ethercat
+from stepgap.rigs.rig import Health, Reading, Rig, RigFault, Torques
+from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.tick.limits import SafetyLimits
+from stepgap.robots.hopper.tick.sensors import HopperSensorModel
+
+INTERFACE = "stepgap0"
+"""Name of the network interface that a master opens."""
+
+PATIENT_REPLY = 0.45
+"""Timeout for a frame of a ring in lock-step [s]; its simulated time stands still while a frame is awaited."""
+
+PATIENT_WATCHDOG = 0.5
+"""Watchdog time of a ring in lock-step [s], the longest allowed; such a ring counts its own ticks."""
+
+_DRIVE_PDOS = WrittenPdoSet(
+    name="emulated-drive",
+    outputs=(
+        WrittenPdo(index=0x1602, entries=("0x6071:00:16 target_torque", "0x6040:00:16 controlword")),
+        WrittenPdo(index=0x160B, entries=("0x6060:00:8 mode", "0x0000:00:8")),
+    ),
+    inputs=(
+        WrittenPdo(
+            index=0x1A02,
+            entries=(
+                "0x6064:00:32 position",
+                "0x6077:00:16 torque",
+                "0x6041:00:16 statusword",
+                "0x6061:00:8 mode_display",
+                "0x0000:00:8",
+            ),
+        ),
+        WrittenPdo(
+            index=0x1A11,
+            entries=(
+                "0x606C:00:32 velocity",
+                "0x2100:00:16 temperature",
+                "0x6079:00:32 bus_voltage",
+                "0x60FD:00:32 digital_inputs",
+            ),
+        ),
+    ),
+)
+"""The set `elmo-cst`, and what else an emulated drive reports: its temperature is not an object of CiA 402."""
+
+_DEVICES = (
+    ("drive_1", ELMO_GOLD, _DRIVE_PDOS.name),
+    ("drive_2", ELMO_GOLD, _DRIVE_PDOS.name),
+    ("coupler", COUPLER_IDENTITY, "none"),
+    ("boom_horizontal", ENCODER_IDENTITY, "beckhoff-el5151"),
+    ("boom_vertical", ENCODER_IDENTITY, "beckhoff-el5151"),
+    ("contact_force", ANALOG_IDENTITY, "analog-input"),
+)
+"""Slaves of `hopper_devices` and their sets of PDOs."""
+
+
+def emulated_settings(
+    sensor_model: HopperSensorModel, robot: RobotParameters, ring: RingSettings, interface: str = INTERFACE
+) -> RigSettings:
+    """Settings, as in a `rig.toml`, of an emulated ring whose encoders count from zero, forward positive.
+
+    Args:
+        sensor_model: Sensor model of the twin behind the ring.
+        robot: Robot whose torque limit the motors have, as far as the drives allow.
+        ring: Settings of the ring.
+        interface: Network interface that the master opens.
+    """
+    rated = ring.rated_torque / 1000
+    most = min(robot.torque_limit, rated * ring.largest_torque / 1000)
+
+    drive = Motor(
+        slave="drive_1",
+        counts_per_turn=sensor_model.motor_counts,
+        rated_torque=rated,
+        torque_limit=most,
+        temperature_unit=0.1,
+        temperature_warning=80.0,
+        temperature_limit=90.0,
+        bus_voltage=(30.0, 65.0),
+        sto_bits=(16, 17),
+        enable_bits=(18,),
+    )
+    return RigSettings(
+        interface=interface,
+        pivot_height=sensor_model.pivot_height,
+        slaves=_slaves(ring),
+        pdo_sets=(_DRIVE_PDOS,),
+        motor_1=drive,
+        motor_2=replace(drive, slave="drive_2"),
+        boom_horizontal=Encoder(slave="boom_horizontal", counts_per_turn=sensor_model.boom_counts_horizontal),
+        boom_vertical=Encoder(slave="boom_vertical", counts_per_turn=sensor_model.boom_counts_vertical),
+        contact=Contact(
+            slave="contact_force",
+            newton_per_count=ring.force_resolution,
+            touchdown_force=sensor_model.touchdown_force,
+            takeoff_length=sensor_model.takeoff_length,
+        ),
+        limits=_limits(most, 0.1 if ring.lock_step else 1.0),
+        tick=sensor_model.tick,
+        reply_timeout=PATIENT_REPLY if ring.lock_step else sensor_model.tick / 2,
+        watchdog=PATIENT_WATCHDOG if ring.lock_step else 0.05,
+    )
+
+
+def _slaves(ring: RingSettings) -> tuple[Slave, ...]:
+    """The devices, with SYNC0 where the ring needs it."""
+    return tuple(
+        Slave(
+            name=name,
+            vendor=identity.vendor,
+            product=identity.product,
+            pdos=pdos,
+            assign_activate=SYNC0_ONLY if name in ring.clocks.need_sync0 else 0,
+        )
+        for name, identity, pdos in _DEVICES
+    )
+
+
+def _limits(torque: float, jitter: float) -> SafetyLimits:
+    """Complete limits for a torque [N·m] and a sample jitter; a hopping twin never reaches them: it cannot break."""
+    return SafetyLimits(
+        torque=torque,
+        torque_step=2 * torque,
+        lean_angle=1.5,
+        fold_angle=3.0,
+        shortest_leg=0.09,
+        longest_leg=0.32,
+        lowest_hip=0.05,
+        highest_hip=2.0,
+        lost_frames=5,
+        stale_ticks=5,
+        late_ticks=40,
+        simulated=True,
+        continuous_torque=torque,
+        overload_time=1.0,
+        mean_power=1e4,
+        posture_torque=5.0,
+        posture_speed=20.0,
+        first_share=1.0,
+        first_hops=1,
+        brake_torque=10.0,
+        jump_angle=0.004,
+        sample_jitter=jitter,
+        frozen_time=0.016,
+        ground_height=0.03,
+    )
+
+
+class RingRig(Rig):
+    """A machine behind an emulated ring that runs in a separate process while the rig is connected.
+
+    Args:
+        make_machine: Makes the machine that the drives move, in that process; must be picklable.
+        ring: Settings of the ring and of the way it passes frames.
+        settings: Settings of the master.
+        robot: Robot whose boom length the sensor model uses.
+    """
+
+    def __init__(
+        self, make_machine: Callable[[], Machine], ring: RingSettings, settings: RigSettings, robot: RobotParameters
+    ):
+        self._make_machine, self._ring, self._settings, self._robot = make_machine, ring, settings, robot
+        self._rig, self._running = hopper_on_ethercat(settings, robot), ExitStack()
+        self._sensor_model = settings.sensor_model(robot.boom_length)
+
+    @property
+    def sensor_model(self) -> HopperSensorModel:
+        """Sensor model of the settings."""
+        return self._sensor_model
+
+    @property
+    def limits(self) -> SafetyLimits:
+        """Safety limits of the settings."""
+        return self._settings.limits
+
+    @property
+    def health(self) -> Health:
+        """Whether the last frame was lost."""
+        return self._rig.health
+
+    def clock_correction(self, slip: float = 0.0) -> float:
+        """That of the master."""
+        return self._rig.clock_correction(slip)
+
+    def connect(self) -> None:
+        """Starts the ring with its machine in the starting pose, and brings the bus up like a real one.
+
+        Raises:
+            RigFault: No ring can run on this computer (the message gives the remedy), or as for `EthercatRig`.
+        """
+        self.close()
+        try:
+            self._running.enter_context(emulated(self._settings.interface, self._make_machine, self._ring))
+        except NoNetwork as reason:
+            raise RigFault(str(reason)) from None
+        self._rig = hopper_on_ethercat(self._settings, self._robot)
+        try:
+            self._running.enter_context(self._rig)
+        except BaseException:
+            self.close()  # or the ring would keep its interface
+            raise
+
+    def read(self) -> Reading:
+        """Reads the sensors as `EthercatRig.read` does."""
+        return self._rig.read()
+
+    def write(self, torques: Torques) -> Torques:
+        """Writes the torques as `EthercatRig.write` does."""
+        return self._rig.write(torques)
+
+    def close(self) -> None:
+        """Switches torque off and ends bus and ring; may be called twice."""
+        self._running.close()

@@ -1,0 +1,382 @@
+"""A robot on moteus controllers as a `Rig`: joint commands out; positions, encoders and forces in."""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from math import isfinite, nan
+from time import monotonic
+
+import moteus
+from moteus import Mode, Register
+
+from stepgap.hardware.host_time import COMPUTER, HostTime
+from stepgap.hardware.moteus.can_bus import CanBus, Registers, registers_of
+from stepgap.hardware.moteus.configuration import check_timeout
+from stepgap.hardware.moteus.joint import JointCommand, JointState
+from stepgap.hardware.moteus.moteus_settings import AuxEncoder, AuxForce, CanDevice, CanSettings, Controller
+from stepgap.hardware.moteus.watchdog import measure_watchdogs, watchdog_query
+from stepgap.rigs.limits import RigLimits
+from stepgap.rigs.rig import HEALTHY, LOST, Health, Reading, Rig, RigFault, SensorModel, Torques, WatchdogTimes
+
+POSITION_COUNTS = 2**16
+"""Counts per turn in which moteus stores the position of its output."""
+
+ANALOG_COUNTS = 4096
+"""Counts of a controller's analog-digital converter; finer values are noise."""
+
+REGISTER_MAP = 5
+"""Version of the register map that this rig supports."""
+
+LIMITING = range(96, 104)
+"""Fault codes of a controller that works, but at a limit."""
+
+ANSWER_TIMEOUT = 1.0
+"""Timeout of the first answers of the controllers, and of their getting ready [s]."""
+
+_LAST_FRAMES = 3
+"""Number of stop commands that are sent at the end, in case one is lost."""
+
+FAULTS = {
+    32: "calibration",
+    33: "motor driver",
+    34: "over voltage",
+    35: "encoder",
+    36: "motor not configured",
+    37: "PWM cycle overrun",
+    38: "over temperature",
+    39: "outside limit",
+    40: "under voltage",
+    41: "configuration changed",
+    42: "theta invalid",
+    43: "position invalid",
+    44: "driver enable",
+    45: "stop position",
+    46: "timing violation",
+    47: "feedforward without acceleration limit",
+    48: "invalid limits",
+}
+
+ENCODER_POSITION = {1: Register.ENCODER_1_POSITION, 2: Register.ENCODER_2_POSITION}
+ENCODER_VALID = {1: 0x04, 2: 0x10}
+"""Bits of the validity register by encoder source."""
+
+ANALOG_INPUTS = {1: Register.AUX1_ANALOG_IN1, 2: Register.AUX2_ANALOG_IN1}
+"""Register of the first pin by auxiliary port."""
+
+SUPPLY = {"bus_voltage": (Register.VOLTAGE, "V"), "temperature": (Register.TEMPERATURE, "°C")}
+"""Values of a controller that are logged, with their registers and units; the temperature is that of its board."""
+
+LIMP = JointCommand(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class MoteusRig(Rig):
+    """Controllers as `moteus.toml` describes them, in position mode with gains zero.
+
+    `read` queries all controllers and waits for their answers, so that they are of this tick; `write` sends each a
+    command that includes the watchdog and the torque limit. If answers are missing in a tick, the reading before is
+    repeated; too many such ticks in a row are a fault. Any fault stops all controllers and is latched for the life of
+    the object. A controller that is in fault at connect is reset once.
+
+    Args:
+        settings: The robot's bus, with its limit of lost frames.
+        sensor_model: Timing of the sensors and conversion of their counts.
+        host: The computer's clock, with which watchdogs are measured.
+    """
+
+    def __init__(self, settings: CanSettings, sensor_model: SensorModel, host: HostTime = COMPUTER):
+        self._settings, self._sensor_model, self._host = settings, sensor_model, host
+        self._motors = settings.motors
+        self._controllers = {motor.id: self._controller(motor.id) for motor in self._motors}
+        self._sensors = tuple(_sensor(device) for device in settings.devices.values())
+        self._bus: CanBus | None = None
+        self._fault, self._lost, self._written = "", 0, False
+        self._reading = settings.reading((0.0,) * len(self._sensors))
+        self._joints = (JointState(0, 0, 0),) * len(self._motors)
+        self._supplies, self._remarks = (nan,) * (len(SUPPLY) * len(self._motors)), list[str]()
+
+    @property
+    def sensor_model(self) -> SensorModel:
+        """Timing of the sensors and conversion of their counts; zeros and signs are already applied."""
+        return self._sensor_model
+
+    @property
+    def limits(self) -> RigLimits:
+        """Limits from the settings."""
+        return self._settings.budgets
+
+    @property
+    def health(self) -> Health:
+        """Whether the last answers were lost, so that the reading is an older one."""
+        return LOST if self._lost else HEALTHY
+
+    @property
+    def joints(self) -> tuple[JointState, ...]:
+        """States of the top links from the controllers, at the last good reading; for logs."""
+        return self._joints
+
+    @property
+    def diagnostic_units(self) -> Mapping[str, str]:
+        """Bus voltage (in steps of 0.5 V) and temperature of the board of every controller."""
+        motors = [name for name, device in self._settings.devices.items() if isinstance(device, Controller)]
+        return {f"{motor}_{value}": unit for motor in motors for value, (_, unit) in SUPPLY.items()}
+
+    @property
+    def diagnostics(self) -> tuple[float, ...]:
+        """Those values at the last good reading."""
+        return self._supplies
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Timeouts in the configuration of the controllers that other programs should know."""
+        return tuple(self._remarks)
+
+    def connect(self) -> None:
+        """Opens the bus, checks the controllers, and prepares them without torque.
+
+        The first `write` must follow within the watchdog's time.
+
+        Raises:
+            RigFault: There is no such bus, a controller does not answer, has another firmware, would have torque after
+                a timeout or does not become ready, an encoder does not work, or the rig had a fault before.
+        """
+        if self._fault:
+            raise RigFault(f"the rig had a fault: {self._fault}; remove its cause, then start again")
+        self.close()
+        self._bus = CanBus(self._settings.interface, self._settings.channel)
+        try:
+            self._check_controllers(self._bus)
+            self._remarks = [text for each in self._controllers.values() for text in check_timeout(self._bus, each)]
+            self._get_ready(self._bus)
+        except RigFault:
+            self.close()
+            raise
+        self._lost, self._written = 0, False
+
+    def read(self) -> Reading:
+        """Reads counts and force of this tick, or repeats earlier ones if no more answers than allowed are lost.
+
+        Raises:
+            RigFault: Not connected, too many answers lost, or a controller no longer accepts torque commands.
+        """
+        bus = self._up()
+        if not self._written:
+            return self._reading
+        self._written = False
+        replies = self._ask(bus)
+        if len(replies) == len(self._controllers):
+            self._lost = 0
+            self._update_reading(replies)
+        else:
+            self._lost += 1
+            if self._lost > self._settings.budgets.lost_frames:
+                raise self._trip(f"{self._absent(replies)} did not answer in time for {self._lost} ticks in a row")
+        return self._reading
+
+    def write(self, torques: Torques) -> Torques:
+        """Sends the motor torques [N·m] and returns those sent, within limits.
+
+        Raises:
+            RigFault: A torque is not finite, or the rig is stopped.
+        """
+        bus = self._up()
+        if self._written:
+            self.read()
+        if not all(map(isfinite, torques)):
+            raise self._trip(f"torques must be finite, not {', '.join(map(str, torques))}")
+        limits = [motor.torque_limit for motor in self._motors]
+        sent = tuple(min(max(torque, -most), most) for torque, most in zip(torques, limits, strict=True))
+        self._command(bus, [LIMP._replace(tau=torque) for torque in sent])
+        self._written = True
+        return sent
+
+    def watchdog_times(self) -> WatchdogTimes:
+        """Sends a last command, without torque, and measures when the controllers report a timeout and no torque.
+
+        Raises:
+            RigFault: A controller still accepts torque after twice the time of its watchdog, or has another one.
+        """
+        bus = self._up()
+        self.write((0.0,) * len(self._motors))
+        self._written, query = False, watchdog_query()
+        setting, pause = self._settings.watchdog, self._settings.tick
+        return measure_watchdogs(lambda: self._ask(bus, query), self._controllers, setting, pause, self._host)
+
+    def close(self) -> None:
+        """Stops the controllers and releases the bus; may be called twice."""
+        bus, self._bus = self._bus, None
+        if bus:
+            self._stop(bus)
+            bus.close()
+
+    def _controller(self, number: int) -> moteus.Controller:
+        """Creates the encoder of one controller's frames; its query covers the registers that a reading needs."""
+        more = {int(Register.ENCODER_VALIDITY): moteus.INT8}
+        for device in self._settings.devices.values():
+            if device.id == number and not isinstance(device, Controller):
+                more[_register(device)] = moteus.F32
+        return moteus.Controller(id=number, query_resolution=_query(more))
+
+    def _check_controllers(self, bus: CanBus) -> None:
+        """Stops all controllers, which resets their faults, and checks the version of their registers."""
+        version = _query({Register.REGISTER_MAP_VERSION: moteus.INT32})
+        self._stop(bus)
+        until, replies = monotonic() + ANSWER_TIMEOUT, self._ask(bus, version)
+        while len(replies) < len(self._controllers):
+            if monotonic() > until:
+                raise RigFault(f"{self._absent(replies)} on {bus.name} did not answer")
+            replies = self._ask(bus, version)
+        for number, registers in replies.items():
+            if registers.get(Register.REGISTER_MAP_VERSION) != REGISTER_MAP:
+                raise RigFault(
+                    f"controller {number} has registers of version {registers.get(Register.REGISTER_MAP_VERSION)}, "
+                    f"but {REGISTER_MAP} is needed: flash another firmware with moteus_tool"
+                )
+
+    def _get_ready(self, bus: CanBus) -> None:
+        """Commands zero torque until all controllers accept commands."""
+        until = monotonic() + ANSWER_TIMEOUT
+        while True:
+            self._command(bus, [LIMP] * len(self._motors))
+            replies = self._ask(bus)
+            ready = [registers.get(Register.MODE) == Mode.POSITION for registers in replies.values()]
+            if len(ready) == len(self._controllers) and all(ready):
+                return self._update_reading(replies)
+            if monotonic() > until:
+                states = [_state(number, registers) for number, registers in replies.items()]
+                raise RigFault(f"the controllers do not become ready: {'; '.join(states) or 'no answers'}")
+            self._host.pause(self._settings.tick)
+
+    def _ask(self, bus: CanBus, query: moteus.QueryResolution | None = None) -> dict[int, Registers]:
+        """Queries the controllers; returns the answers that arrive in time."""
+        self._send(bus, {number: each.make_query(query) for number, each in self._controllers.items()})
+        return bus.receive(self._controllers, self._settings.reply_timeout, registers_of)
+
+    def _command(self, bus: CanBus, commands: Sequence[JointCommand]) -> None:
+        """Sends a command to each controller, without a reply."""
+        frames = {}
+        for motor, command in zip(self._motors, commands, strict=True):
+            frames[motor.id] = self._controllers[motor.id].make_position(
+                **motor.scale.position_command(command),
+                maximum_torque=motor.torque_limit / motor.gear,
+                watchdog_timeout=self._settings.watchdog,
+                query=False,
+            )
+        self._send(bus, frames)
+
+    def _send(self, bus: CanBus, frames: Mapping[int, moteus.Command]) -> None:
+        try:
+            bus.send(frames)
+        except RigFault as fault:
+            raise self._trip(str(fault)) from None
+
+    def _update_reading(self, replies: Mapping[int, Registers]) -> None:
+        """Updates the reading from complete answers; a controller without torque or an encoder error is a fault."""
+        try:
+            for number, registers in replies.items():
+                if registers[Register.MODE] != Mode.POSITION or registers[Register.FAULT] not in (0, *LIMITING):
+                    raise self._trip(f"{_state(number, registers)}: it no longer accepts torque commands")
+            self._joints = tuple(self._joint(replies, motor) for motor in self._motors)
+            self._supplies = tuple(replies[motor.id][key] for motor in self._motors for key, _ in SUPPLY.values())
+            values = [sensor(replies) for sensor in self._sensors]
+        except KeyError as missing:
+            raise self._trip(f"a controller does not report register 0x{missing.args[0]:03X}") from None
+        except ValueError as error:
+            raise self._trip(str(error)) from None
+        self._reading = self._settings.reading(values)
+
+    @staticmethod
+    def _joint(replies: Mapping[int, Registers], motor: Controller) -> JointState:
+        registers = replies[motor.id]
+        return motor.scale.joint_state(
+            registers[Register.POSITION], registers[Register.VELOCITY], registers[Register.TORQUE]
+        )
+
+    def _up(self) -> CanBus:
+        if self._fault or not self._bus:
+            raise RigFault(self._fault or "the rig is not connected")
+        return self._bus
+
+    def _trip(self, message: str) -> RigFault:
+        """Stops all controllers and latches the fault; returns it to be raised."""
+        self._fault = message
+        if self._bus:
+            self._stop(self._bus)
+        return RigFault(message)
+
+    def _stop(self, bus: CanBus) -> None:
+        for _ in range(_LAST_FRAMES):
+            with suppress(RigFault):  # then their watchdogs stop them
+                bus.send({number: each.make_stop() for number, each in self._controllers.items()})
+
+    def _absent(self, replies: Mapping[int, Registers]) -> str:
+        return " and ".join(f"controller {number}" for number in self._controllers if number not in replies)
+
+
+class _Turns:
+    """Counts of an encoder at an auxiliary port, relative to its zero; its register is a fraction of a turn."""
+
+    def __init__(self, encoder: AuxEncoder):
+        self.encoder = encoder
+        self._turns = encoder.zero / encoder.counts_per_turn
+
+    def counts(self, registers: Registers) -> int:
+        """Unwraps the counts: they are the nearest to those before.
+
+        Raises:
+            ValueError: The encoder does not work, or does not report a fraction of a turn.
+        """
+        encoder = self.encoder
+        name = f"encoder {encoder.source} of controller {encoder.id}"
+        fraction = registers[ENCODER_POSITION[encoder.source]]
+        if not int(registers[Register.ENCODER_VALIDITY]) & ENCODER_VALID[encoder.source]:
+            raise ValueError(f"{name} does not work: see aux and motor_position in tview")
+        if not 0 <= fraction <= 1:
+            raise ValueError(f"{name} reports {fraction:g}, but it must be a fraction of a turn: is the firmware old?")
+        self._turns = fraction + round(self._turns - fraction)
+        return encoder.sign * (round(self._turns * encoder.counts_per_turn) - encoder.zero)
+
+
+def _query(more: dict[int, int]) -> moteus.QueryResolution:
+    """Creates a query of mode, position, velocity, torque, voltage, temperature, fault, and more registers.
+
+    Voltage and temperature are one byte each, next to the fault, which does not change the length of a frame.
+    """
+    query = moteus.QueryResolution()
+    query._extra = more
+    return query
+
+
+def _counts(position: float, motor: Controller) -> int:
+    if not isfinite(position):
+        raise ValueError(f"the position of controller {motor.id} is not finite")
+    return motor.sign * round((position - motor.zero) * POSITION_COUNTS)
+
+
+def _force(fraction: float, sensor: AuxForce) -> float:
+    if not isfinite(fraction):
+        raise ValueError("the contact force is not finite")
+    return sensor.newton_per_count * (round(ANALOG_COUNTS * fraction) - sensor.zero)
+
+
+def _register(device: AuxEncoder | AuxForce) -> int:
+    """Register with the value of a sensor."""
+    if isinstance(device, AuxEncoder):
+        return ENCODER_POSITION[device.source]
+    return ANALOG_INPUTS[device.port] + device.pin - 1
+
+
+def _sensor(device: CanDevice) -> Callable[[Mapping[int, Registers]], float]:
+    """Creates the function that computes a device's value in a reading from the answers of all controllers."""
+    if isinstance(device, Controller):
+        return lambda replies: _counts(replies[device.id][Register.POSITION], device)
+    if isinstance(device, AuxEncoder):
+        turns = _Turns(device)
+        return lambda replies: turns.counts(replies[device.id])
+    return lambda replies: _force(replies[device.id][_register(device)], device)
+
+
+def _state(number: int, registers: Registers) -> str:
+    """Describes mode and fault of a controller."""
+    mode, fault = int(registers.get(Register.MODE, -1)), int(registers.get(Register.FAULT, 0))
+    name = Mode(mode).name.lower() if mode in set(Mode) else "getting ready" if 2 <= mode <= 4 else str(mode)
+    cause = f", fault {fault}: {FAULTS.get(fault, 'see the manual')}" if fault else ""
+    return f"controller {number} is in mode {name}{cause}"

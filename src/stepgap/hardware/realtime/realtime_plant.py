@@ -1,0 +1,124 @@
+"""A plant in real time: the loop runs in a separate process, and this one gives it a command for every step."""
+
+from contextlib import ExitStack
+from pathlib import Path
+from time import sleep
+
+import numpy as np
+
+from stepgap.hardware.realtime.board import Request, StepEnd
+from stepgap.hardware.realtime.consent import Consent
+from stepgap.hardware.realtime.process import RealtimeSetup
+from stepgap.hardware.realtime.session import Session
+from stepgap.plants.plant import Plant
+from stepgap.plants.tick_control import FinishedStep
+from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
+from stepgap.rigs.rig import RigFault
+from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus
+
+_CHECK_EVERY = 1e-3
+"""Time between two checks whether a step has ended [s]."""
+
+
+class RealtimePlant(Plant):
+    """Executes steps on a rig that does not wait for commands.
+
+    The robot's control determines when a step ends and until when the next command may come; for a hopper, from the
+    apex to the following mid-stance, some 0.3 s. A step whose command comes later is made without one, and the
+    requested command in its record is zero. If that happens twice in a row, the robot lands
+    (`LoopSettings.missed_commands`).
+
+    Args:
+        setup: The rig and its control.
+        logs: Folder for the ticks of every deployment, `ticks-*.mcap`.
+        consent: Asks a person for consent, when the rig is connected and limp, before torque is given.
+        settings: Text of the file that describes the rig, for the logs.
+    """
+
+    def __init__(self, setup: RealtimeSetup, logs: Path, consent: Consent, settings: str = ""):
+        self._setup, self._logs, self._consent, self._settings = setup, logs, consent, settings
+        self._consented = ExitStack()
+        self._space, self._session = setup.robot_control.space, None
+        self._state, self._step, self._fault = np.full(len(self._space.state), np.nan), 0, ""
+
+    @property
+    def space(self) -> StepSpace:
+        """Names, units and ranges of its robot."""
+        return self._space
+
+    @property
+    def fault(self) -> str:
+        """Why the last deployment was aborted, or what failed during the landing; empty if there was no fault."""
+        return self._fault
+
+    def start(self) -> Array:
+        """Takes the first step, without a command, which begins when the robot, held until then, is released.
+
+        Before, the rig is connected without torque, a person consents, and the robot takes its posture for the release.
+
+        Returns:
+            The state at the end of that step; shape (n,).
+
+        Raises:
+            RigFault: The rig cannot be connected, or the first step failed.
+        """
+        self.stop()
+        self._step, self._fault = 0, ""
+        try:
+            log = TickLog(next_path(self._logs), self._setup.units, self._setup.described(self._settings))
+        except TickLogError as error:
+            raise RigFault(str(error)) from None
+        self._session = session = Session(self._setup, log)
+        session.await_ready()
+        self._consented.enter_context(self._consent(session.board))
+        session.board.request = Request.START
+        status = self._await_step(session).status
+        if status != StepStatus.OK:
+            detail = f" ({self._fault})" if self._fault else ""
+            raise RigFault(f"the first step failed: {status.label}{detail}: {ADVICE[status]}")
+        return self._state
+
+    def take_step(self, command: Array) -> StepRecord:
+        """Takes a step; after a fall, a fault or a safety stop the record has no next state, and the robot lands.
+
+        Args:
+            command: Command, which is limited to the bounds; shape (m,).
+
+        Raises:
+            RigFault: The log of ticks cannot be written.
+        """
+        session, state, command = self._session, self._state, np.asarray(command, float)
+        if session is None:
+            raise RigFault("the rig is not started")
+        within = np.clip(command, self._space.command_lower, self._space.command_upper)
+        if np.isnan(within).any():
+            self.stop()
+            return StepRecord(state, command, within, np.full(len(state), np.nan), StepStatus.INVALID)
+        self._step += 1
+        session.board.post_command(self._step, within.tolist())
+        step, status = self._await_step(session)
+        return StepRecord(state, command, step.applied, step.state, status, step.yaw, requested=step.requested)
+
+    def stop(self) -> None:
+        """Lands the robot and switches torque off."""
+        if self._session:
+            self._session, session = None, self._session
+            try:
+                session.close()
+            finally:
+                self._consented.close()
+            self._fault = self._fault or session.message()
+
+    def _await_step(self, session: Session) -> StepEnd:
+        """Waits for the end of the present step."""
+        while (end := session.board.finished(self._step)) is None:
+            if session.over():  # the loop may have finished the step since the last look
+                stopped = StepEnd(FinishedStep.stopped(self._space), StepStatus.STOPPED)
+                end = session.board.finished(self._step) or stopped
+                break
+            session.check_sink()
+            sleep(_CHECK_EVERY)
+        if end.status != StepStatus.OK:
+            self._fault = session.message()
+        self._state = end.result.state
+        return end

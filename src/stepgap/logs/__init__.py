@@ -1,0 +1,1 @@
+"""Logs of other programs: their tables, the steps in them, and residuals fitted to these."""

@@ -1,0 +1,1 @@
+"""The verbs of logs: `stepgap steps` and `stepgap fit`."""

@@ -1,0 +1,1 @@
+"""Residuals fitted to the steps of a log, and the corrected map applied to further ones."""

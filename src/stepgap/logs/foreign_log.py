@@ -1,0 +1,150 @@
+"""Steps from any log whose columns are described by `Columns`."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stepgap.base.errors import InputError
+from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.step_table import Labels, StepTable, describe_left_out
+from stepgap.logs.columns import ROLES, Columns, column_of, read_columns
+from stepgap.logs.tables.files import LARGEST_LOG
+from stepgap.logs.tables.log_table import LogTable
+from stepgap.logs.tables.reading import chosen_table, read_log_tables
+from stepgap.records.steps_csv import RecordError
+from stepgap.step import Array, StepRecord, StepStatus
+
+
+def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> StepTable:
+    """Reads the steps of logs that have the same columns, in any format; each file begins a new deployment.
+
+    Rows in which a number is missing are left out, and so are the ends of chained rows.
+
+    Raises:
+        RecordError: A file cannot be read, or does not fit; the message names file, line and column.
+    """
+    parts, deployments, left_out, found = [], [], Counter[str](), 0
+    for path in paths:
+        part, deployment, missing = _steps_of(_read(path, columns), columns)
+        parts.append(part)
+        deployments.append(deployment + found)
+        found += int(deployment.max(initial=-1)) + 1
+        left_out.update(missing)
+    table = {role: np.concatenate([part[role] for part in parts]) for role in parts[0]}
+    command = table["command" if columns.command else "target"]
+    if not len(command):
+        raise RecordError(f"{paths[0]}: no row holds a complete step; rows left out: {describe_left_out(left_out)}")
+    return StepTable(
+        space=columns.space(table["state"], command),
+        state=table["state"],
+        command=command,
+        next_state=table["next"],
+        target=table.get("target"),
+        predicted=table.get("predicted"),
+        deployment=np.concatenate(deployments),
+        left_out={reason: count for reason, count in left_out.items() if count},
+        yaw=table["yaw"][:, 0] if columns.yaw else None,
+    )
+
+
+def imported_steps(path: Path, columns: Path | None, names: Mapping[str, str]) -> StepLog:
+    """The steps of a log of any origin, for `stepgap new --from`.
+
+    Args:
+        path: The log.
+        columns: TOML file that names its columns.
+        names: Columns by their roles, which override those of the file.
+
+    Raises:
+        InputError: No column is the command, or the file of columns is not valid.
+        RecordError: As of `read_foreign_logs`.
+    """
+    meaning = read_columns(columns, names)
+    if meaning is None or not meaning.command:
+        raise InputError("--command: no column; name the columns of the command")
+    return step_log_of(read_foreign_logs([path], meaning))
+
+
+def step_log_of(table: StepTable) -> StepLog:
+    """The steps of a table as a log, such as for a `steps.csv`; what the table does not contain is unknown.
+
+    A new deployment begins where a step does not start from the state in which the one before it ended. A target that
+    is not known is the next state; predictions are not known. The yaw after a step is the one at which the next step of
+    its deployment starts, so it is not known for the last one.
+    """
+    n, count, follows = len(table.space.state), len(table), table.follows
+    iteration = np.cumsum(~follows) - 1
+    number = 1 + np.arange(count) - np.flatnonzero(~follows)[iteration]
+    target = table.next_state if table.target is None else table.target
+    yaw = np.full(count, np.nan) if table.yaw is None else table.yaw
+    yaw_after = np.roll(np.where(follows, yaw, np.nan), -1)
+    unknown, exact = np.full(n, np.nan), np.zeros(n)
+    logged: list[LoggedStep] = []
+    for row, (state, command, next_state) in enumerate(zip(table.state, table.command, table.next_state, strict=True)):
+        record = StepRecord(state, command, command, next_state, StepStatus.OK, float(yaw_after[row]))
+        logged.append(LoggedStep(int(iteration[row]), int(number[row]), target[row], unknown, exact, record))
+    return StepLog(table.space, logged)
+
+
+def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Labels, dict[str, int]]:
+    """Arrays of the complete steps by role, their deployments, and the numbers of rows that are left out.
+
+    A yaw belongs to the start of a step, and may be missing.
+    """
+    table = {
+        role: np.stack([rows.numbers[column_of(entry)] for entry in getattr(columns, role)], axis=-1)
+        for role in ROLES
+        if getattr(columns, role)
+    }
+    deployment, ends = rows.deployment, 0
+    yaw = {"yaw": rows.numbers[columns.yaw][:, None]} if columns.yaw else {}
+    if not (columns.state and columns.next):
+        follows = deployment[1:] == deployment[:-1]
+        if columns.step:
+            follows &= np.diff(rows.numbers[columns.step]) == 1
+        ends = len(deployment) - int(follows.sum())
+        earlier = {role: values[:-1][follows] for role, values in table.items()}
+        later = {role: values[1:][follows] for role, values in table.items()}
+        table = earlier | {"next": later["state"]} if columns.state else later | {"state": earlier["next"]}
+        deployment = deployment[1:][follows]
+        yaw = {role: values[:-1][follows] for role, values in yaw.items()}
+    complete = np.all([np.isfinite(values).all(axis=1) for values in table.values()], axis=0)
+    left_out = {"with a number missing": int((~complete).sum()), "at the end of a chain": ends}
+    return {role: values[complete] for role, values in (table | yaw).items()}, deployment[complete], left_out
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """The needed columns of a file's R rows.
+
+    Attributes:
+        numbers: Columns of numbers by name, NaN where one is missing; each of shape (R,).
+        deployment: Number of the deployment of each row; shape (R,).
+    """
+
+    numbers: Mapping[str, Array]
+    deployment: Labels
+
+
+def _read(path: Path, columns: Columns) -> _Rows:
+    """Reads the needed columns of a file."""
+    roles = columns.numbers | ({columns.deployment: "deployment"} if columns.deployment else {})
+    tables = read_log_tables(path, columns.format, LARGEST_LOG)
+    table = chosen_table(path, tables, list(roles), roles)
+    numbers = {name: table.numbers(name) * columns.factors.get(name, 1.0) for name in columns.numbers}
+    return _Rows(numbers, _deployments(table, columns.deployment))
+
+
+def _deployments(table: LogTable, column: str) -> Labels:
+    """Number of the deployment of each row, in the order in which they occur; without a column all rows are of one."""
+    if not column:
+        return np.zeros(len(table), np.intp)
+    labels = table.columns[column]
+    if labels.dtype.kind == "f" and (inexact := np.abs(labels) >= 2**53).any():
+        row = table.row(int(inexact.argmax()))
+        raise RecordError(f"{row}, column {column!r}: too large for the number of a deployment")
+    _, first, label = np.unique(labels, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[label].astype(np.intp)

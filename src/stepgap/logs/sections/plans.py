@@ -1,0 +1,184 @@
+"""Commands and targets of the steps of a log, matched by time."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+
+from stepgap.logs.columns import unknown_column
+from stepgap.logs.sections.section_settings import SectionSettings
+from stepgap.logs.sections.signals import TIMES, Signal, SignalLog
+from stepgap.logs.tables.log_table import LogTable, number_in
+from stepgap.logs.tables.reading import read_log_tables, with_topic
+from stepgap.records.steps_csv import RecordError
+from stepgap.step import Array
+
+LEAD: Final = 0.1
+"""A plan that is made up to this part of a step before a section is for the step that begins there."""
+
+UNCLEAR: Final = 0.05
+"""A plan that is made closer than this part of a step to that limit is not used."""
+
+SAMPLED: Final = 4
+"""A signal with at least this number of samples for each step is sampled; one with fewer consists of plans."""
+
+HELD: Final = (0.2, 0.8)
+"""Parts of a step between which a sampled command must not change."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class StepValues:
+    """Values of one quantity for the steps between K sections.
+
+    Attributes:
+        values: One for each step; shape (K − 1,), NaN where there is none.
+        doubts: Why there is none; empty texts where there is one.
+    """
+
+    values: Array
+    doubts: tuple[str, ...]
+
+
+def step_values(signal: Signal, sections: Array) -> StepValues:
+    """The value of a signal for each step between successive sections.
+
+    If the signal is sampled, this is the value that it holds in the middle of the step. Otherwise, its samples are
+    plans, and a step has the one that was made during it.
+
+    Args:
+        signal: The signal.
+        sections: Times of the sections [s]; shape (K,).
+    """
+    inside = signal.between(float(sections[0]), float(sections[-1]))
+    if len(inside) >= SAMPLED * (len(sections) - 1):
+        return _held_values(signal, sections)
+    return _planned_values(signal, sections)
+
+
+def _held_values(signal: Signal, sections: Array) -> StepValues:
+    values, doubts = np.full(len(sections) - 1, np.nan), [""] * (len(sections) - 1)
+    for number, (begin, end) in enumerate(pairwise(sections.tolist())):
+        middle = signal.between(*(begin + share * (end - begin) for share in HELD))
+        held = np.asarray(middle.values, float)
+        if not len(held):
+            doubts[number] = "no sample of the command"
+        elif np.ptp(held) > 1e-6 * max(1.0, float(np.abs(held).max())):
+            doubts[number] = "the command changes during the step"
+        else:
+            values[number] = held[0]
+    return StepValues(values, tuple(doubts))
+
+
+def _planned_values(plans: Signal, sections: Array) -> StepValues:
+    durations = np.diff(sections)
+    values, counts = np.full(len(durations), np.nan), np.zeros(len(durations), int)
+    unclear = np.zeros(len(durations), bool)
+    for time, value in zip(plans.time.tolist(), np.asarray(plans.values, float).tolist(), strict=True):
+        step = int(np.searchsorted(sections, time, "right")) - 1
+        nearest = int(np.clip(step, 0, len(durations) - 1))
+        phase = (time - sections[nearest]) / durations[nearest]
+        number = int(np.floor(phase + LEAD)) + nearest
+        if abs(phase % 1 - (1 - LEAD)) < UNCLEAR:
+            unclear[[one for one in (nearest, nearest + 1) if one < len(durations)]] = True
+        if 0 <= number < len(durations) and abs(number - nearest) <= 1:
+            values[number] = value
+            counts[number] += 1
+    doubts = [
+        "no plan" if count == 0 else "several plans" if count > 1 else "a plan between two steps" if doubt else ""
+        for count, doubt in zip(counts.tolist(), unclear.tolist(), strict=True)
+    ]
+    return StepValues(np.where([not doubt for doubt in doubts], values, np.nan), tuple(doubts))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Plans:
+    """The plans of a log.
+
+    Attributes:
+        table: It has a row for each plan.
+        time: Times at which they were made [s]; shape (P,).
+        factors: Factors by which columns are multiplied.
+    """
+
+    table: LogTable
+    time: Array
+    factors: Mapping[str, float]
+
+    def signal(self, column: str) -> Signal | None:
+        """A column of numbers, or the element of a column of lists as COLUMN[0]; None if there is no such column.
+
+        Raises:
+            RecordError: It contains something else.
+        """
+        values = self._numbers(column)
+        if values is None:
+            return None
+        values = values * self.factors.get(column, 1.0)
+        known = np.isfinite(self.time) & np.isfinite(values)
+        order = np.argsort(self.time[known], kind="stable")
+        return Signal(self.time[known][order], values[known][order])
+
+    def _numbers(self, column: str) -> Array | None:
+        if not self.table.fault_of(column):
+            return self.table.numbers(column)
+        name, bracket, index = column.removesuffix("]").rpartition("[")
+        if not bracket or not index.isdecimal() or self.table.fault_of(name):
+            return None
+        cells = self.table.columns[name]
+        if cells.dtype.kind != "U":
+            return None
+        return np.array([_element(cell, int(index)) for cell in cells.tolist()])
+
+
+def read_plans(path: Path, log: SignalLog, settings: SectionSettings) -> Plans:
+    """Reads the plans of a log.
+
+    Raises:
+        RecordError: The file cannot be read, has no times, or its rows are not found in the log.
+    """
+    tables = read_log_tables(path, settings.format)
+    if len(tables) != 1:
+        raise RecordError(f"{path}: {len(tables)} tables; plans must be one table")
+    topic, table = next(iter(tables.items()))
+    table = with_topic(topic, table)
+    if not settings.plan_match:
+        wanted = [settings.plan_time] if settings.plan_time else [settings.time] if settings.time else list(TIMES)
+        column = next((name for name in wanted if not table.fault_of(name)), None)
+        if column is None:
+            missing = unknown_column(wanted[0], list(table.columns))
+            raise RecordError(f"{path}: {missing}; name the time of the plan by --plan-time, or use --plan-match")
+        return Plans(table, table.numbers(column) * settings.factors.get(column, 1.0), settings.factors)
+    own, _, other = settings.plan_match.partition("=")
+    time = _matching_times(log.signal(other), table.numbers(own) * settings.factors.get(own, 1.0))
+    if not np.isfinite(time).any():
+        raise RecordError(f"{path}: no number of {own!r} occurs once in {other!r} of {log.source}")
+    return Plans(table, time, settings.factors)
+
+
+def _matching_times(signal: Signal, numbers: Array) -> Array:
+    """Times at which a signal has the given numbers; NaN for a number that it never has, or in separate rows."""
+    found = np.full(len(numbers), np.nan)
+    for row, number in enumerate(numbers.tolist()):
+        equal = np.flatnonzero(signal.values == number)
+        if len(equal) and equal[-1] - equal[0] == len(equal) - 1:
+            found[row] = signal.time[equal[0]]
+    return found
+
+
+def _element(cell: str, index: int) -> float:
+    """A number of a list such as `[2.4 2.1]` or `[2.4, 2.1]`; NaN if it has no such element."""
+    parts = cell.strip("[]() ").replace(",", " ").split()
+    number = number_in(parts[index]) if index < len(parts) else None
+    return float("nan") if number is None else number
+
+
+def joined_doubts(parts: Sequence[StepValues]) -> list[str]:
+    """For each step the first doubt about one of its values."""
+    return [
+        next((doubt for doubt in doubts if doubt), "") for doubts in zip(*(part.doubts for part in parts), strict=True)
+    ]

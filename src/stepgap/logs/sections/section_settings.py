@@ -1,0 +1,207 @@
+"""Where the steps of a log begin and end, and what its columns mean."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, final
+
+from stepgap.base.errors import InputError
+from stepgap.base.settings_file import merge, read_toml
+from stepgap.logs.columns import LARGEST_VALUE
+from stepgap.logs.tables.text_format import AS_FOUND, TextFormat
+from stepgap.records.steps_csv import MOST_COORDINATES, RecordError
+
+RULES = ("phase", "contact", "force", "crossing")
+"""Keys of which at most one is given: how sections are found. Without them they are the tops of `height`."""
+
+COORDINATES = ("state", "command", "target", "predicted")
+"""Keys that name coordinates, as COLUMN, NAME=COLUMN or NAME=rate(COLUMN)."""
+
+LISTS = (*COORDINATES, "aerial", "contact", "force")
+"""Keys whose value is a list of names; on the command line they are separated by commas."""
+
+BOOM_COLUMNS = ("height", "forward")
+"""Columns that are computed from the angles of a boom."""
+
+
+@final
+@dataclass(frozen=True)
+class SectionSettings:
+    """The sections of a log of ticks, and the meaning of its columns.
+
+    A coordinate is given by its column; as NAME=COLUMN to call it NAME; or as NAME=rate(COLUMN) for the rate of a
+    column.
+
+    Attributes:
+        time: Column of the time [s]; by default time, log_time, t or timestamp.
+        height: Column of the height, which is greatest at an apex. Without another rule, each of its tops is a section.
+        phase: Column of the phase of gait, as text or numbers.
+        aerial: Phases in which the robot is in the air; by default those whose names contain flight, aerial or swing.
+        contact: Columns that are 1 where a foot is in contact; flight is where all feet are in the air.
+        force: Columns of the force between ground and foot, positive in contact; flight as for contact.
+        threshold: Force above which a foot is in contact; it is in the air below a third of it. By default, 0, these
+            are 0.3 and 0.1 of the 95th percentile.
+        crossing: Column that passes a level at the section, such as the position of the hip over the foot.
+        level: This level.
+        falling: Whether it passes the level downwards.
+        at: Section of a flight: its apex; its begin, lift-off; or its end, touch-down.
+        rise: Smallest prominence of a top of the height [its unit]; by default, 0, it is found.
+        window: Time before and after a section from which the state there is estimated [s]; by default, 0, it is found.
+        boom: Length of the boom [m], if the robot hops around one; the log then has the columns height =
+            boom · sin(pitch) and forward = boom · yaw [m]. By default, 0, there is none.
+        pitch: Column of the boom's angle above the horizon [rad].
+        yaw: Column of the boom's angle about the vertical [rad].
+        state: Coordinates of the state at a section.
+        command: Coordinates of the command of a step, in the plan or in the log.
+        target: Coordinates of the target of a step, likewise.
+        predicted: Coordinates of the state that the nominal map predicts, likewise.
+        plan_time: Column of the time in the plan [s]; by default as `time`.
+        plan_match: For a plan without times, PLAN_COLUMN=COLUMN: the time of a row is that at which the log has the
+            same number.
+        units: Units of columns, after multiplication by their factors.
+        factors: Factors by which columns are multiplied.
+        format: How the numbers of text files are written.
+    """
+
+    time: str = ""
+    height: str = ""
+    phase: str = ""
+    aerial: tuple[str, ...] = ()
+    contact: tuple[str, ...] = ()
+    force: tuple[str, ...] = ()
+    threshold: float = 0.0
+    crossing: str = ""
+    level: float = 0.0
+    falling: bool = False
+    at: str = "apex"
+    rise: float = 0.0
+    window: float = 0.0
+    boom: float = 0.0
+    pitch: str = ""
+    yaw: str = ""
+    state: tuple[str, ...] = ()
+    command: tuple[str, ...] = ()
+    target: tuple[str, ...] = ()
+    predicted: tuple[str, ...] = ()
+    plan_time: str = ""
+    plan_match: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+    factors: Mapping[str, float] = field(default_factory=dict)
+    format: TextFormat = AS_FOUND
+
+    def __post_init__(self) -> None:
+        rules = [name for name in RULES if getattr(self, name)]
+        if len(rules) > 1:
+            given = _joined(getattr(self, rules[1]))
+            raise ValueError(f"{rules[1]} = {given!r:.60}, but it must not be given beside {rules[0]}")
+        if self.at not in ("apex", "begin", "end"):
+            raise ValueError(f"at = {self.at!r:.40}, but it must be apex, begin or end")
+        for name in ("threshold", "rise", "window", "boom"):
+            if not 0 <= getattr(self, name) < LARGEST_VALUE:
+                raise ValueError(f"{name} = {getattr(self, name)!r}, but it must be a positive number, or 0")
+        if self.boom and not (self.pitch and self.yaw):
+            raise ValueError(f"boom = {self.boom!r}, but it must be given together with pitch and yaw")
+        if not self.crossing and self.at == "apex" and not self.height_column:
+            raise ValueError("height = '', but it must be the column of the height, or a boom's pitch, for an apex")
+        if not self.state:
+            raise ValueError("state = '', but it must name the state, such as speed=rate(x),height=y")
+        if self.plan_match and "=" not in self.plan_match:
+            raise ValueError(f"plan_match = {self.plan_match!r:.60}, but it must be PLAN_COLUMN=COLUMN")
+        self._check_coordinates()
+
+    def _check_coordinates(self) -> None:
+        for role in COORDINATES:
+            found = self.coordinates(role)
+            if len({each.name for each in found}) < len(found) or len(found) > MOST_COORDINATES:
+                raise ValueError(
+                    f"{role} = {_joined(getattr(self, role))!r:.80}, but it must be at most {MOST_COORDINATES} "
+                    "coordinates with different names"
+                )
+            if role in ("target", "predicted") and len(found) not in (0, len(self.state)):
+                given = _joined(getattr(self, role))
+                raise ValueError(f"{role} = {given!r:.80}, but it must be {len(self.state)} coordinates, as the state")
+
+    @property
+    def height_column(self) -> str:
+        """Column of the height; that of the boom if no other is given."""
+        return self.height or (BOOM_COLUMNS[0] if self.boom else "")
+
+    def coordinates(self, role: str) -> list["SignalCoordinate"]:
+        """The coordinates of one of `COORDINATES`."""
+        return [SignalCoordinate.of(entry) for entry in getattr(self, role)]
+
+    @property
+    def rule(self) -> str:
+        """How sections are found: one of `RULES`, or "height"."""
+        return next((name for name in RULES if getattr(self, name)), "height")
+
+
+@final
+@dataclass(frozen=True)
+class SignalCoordinate:
+    """A coordinate of a state or command.
+
+    Attributes:
+        name: Its name.
+        column: The column that it is computed from.
+        rate: Whether it is the rate of this column.
+    """
+
+    name: str
+    column: str
+    rate: bool
+
+    @staticmethod
+    def of(entry: str) -> "SignalCoordinate":
+        """Reads COLUMN, NAME=COLUMN or NAME=rate(COLUMN)."""
+        name, _, given = entry.rpartition("=")
+        rate = re.fullmatch(r"rate\((.+)\)", given.strip())
+        column = rate[1] if rate else given.strip()
+        return SignalCoordinate(name.strip() or column, column, rate is not None)
+
+
+def read_section_settings(file: Path | None, options: Mapping[str, str | float | bool]) -> SectionSettings:
+    """Reads the settings from a TOML file and from options, which override the file.
+
+    Raises:
+        InputError: An entry is wrong; the message names file and key, or option, and the rule.
+    """
+    table: dict[str, Any] = {}
+    if file:
+        table |= read_toml(file, "a file of sections and columns")
+    given = {key: _listed(value) if key in LISTS else value for key, value in options.items()}
+    tables = {key: _numbers_or_texts(file, key, table.pop(key, {})) for key in ("units", "factors")}
+    rules = [key for key in given if key in RULES]
+    table = {key: value for key, value in table.items() if not (rules and key in RULES)} | given
+
+    def locate(key: str) -> str:
+        return f"--{key.replace('_', '-')}" if key in options or not file else f"{file}: {key}"
+
+    # Keys are checked together, since some depend on others; the start has what is required.
+    start = SectionSettings(height="height", state=("height",))
+    complete = {"height": "", "state": []} | table
+    return replace(merge(start, complete, locate), **tables)
+
+
+def _joined(value: str | tuple[str, ...]) -> str:
+    return value if isinstance(value, str) else ",".join(value)
+
+
+def _listed(value: Any) -> list[str]:
+    return [part.strip() for part in str(value).split(",")]
+
+
+def _numbers_or_texts(file: Path | None, key: str, table: Any) -> Mapping[str, Any]:
+    """Checks a table of units or factors."""
+    wanted: Any = str if key == "units" else (int, float)
+    fits = isinstance(table, dict) and all(
+        isinstance(each, wanted) and not isinstance(each, bool) for each in table.values()
+    )
+    if not fits:
+        what = "strings" if key == "units" else "numbers"
+        raise InputError(f"{file}: {key}: it must be a table of {what}, by column")
+    for column, factor in table.items() if key == "factors" else ():
+        if not 1 / LARGEST_VALUE <= abs(factor) <= LARGEST_VALUE:
+            raise RecordError(f"{file}: factors: {column} = {factor}; its magnitude must lie between 1e-12 and 1e12")
+    return table

@@ -1,0 +1,173 @@
+"""Steps from a log of ticks: sections, states, plans, and the reasons for which steps are left out."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+
+from stepgap.logs.columns import unknown_column
+from stepgap.logs.sections.plans import Plans, StepValues, joined_doubts, read_plans, step_values
+from stepgap.logs.sections.section_finding import SectionFunction, find_sections, with_boom
+from stepgap.logs.sections.section_settings import COORDINATES, SectionSettings, SignalCoordinate
+from stepgap.logs.sections.section_states import SectionStates, section_states
+from stepgap.logs.sections.signals import Signal, SignalLog, read_signal_log
+from stepgap.logs.sections.tops import hop_faults
+from stepgap.records.steps_csv import RecordError
+from stepgap.step import Array
+
+LONGEST_GAP: Final = 0.2
+"""A step is left out if a signal has no samples for this part of a typical step: a section could be hidden."""
+
+MOST_DOUBTFUL: Final = 0.25
+"""Nothing is extracted from a log if a larger part of its sections is doubtful."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class ExtractedSteps:
+    """The steps of a log between its K sections.
+
+    Attributes:
+        source: The log.
+        names: Names of state, command, target and predicted coordinates, by role.
+        sections: Times and states of the K sections.
+        values: Commands, targets and predictions of the K − 1 steps by role; shape (K − 1, number of coordinates).
+        yaw: Yaw at the beginning of each step [rad], NaN where it is unknown; None if the settings name none.
+        faults: Why a step is left out; empty texts for steps that are not.
+        signals: The signals by column, first the one in which the sections are seen, such as the height.
+    """
+
+    source: str
+    names: dict[str, tuple[str, ...]]
+    sections: SectionStates
+    values: dict[str, Array]
+    yaw: Array | None
+    faults: tuple[str, ...]
+    signals: Mapping[str, Signal]
+
+    @property
+    def kept(self) -> list[int]:
+        """Numbers of the steps that are not left out, counted from 0."""
+        return [number for number, fault in enumerate(self.faults) if not fault]
+
+    @property
+    def refusal(self) -> str:
+        """Why the log is refused as a whole; empty if it is not."""
+        doubtful = [doubt for doubt in self.sections.doubts if doubt]
+        count = len(self.sections.time)
+        if len(doubtful) > MOST_DOUBTFUL * count:
+            reason = Counter(doubtful).most_common(1)[0][0]
+            return f"{self.source}: {len(doubtful)} of {count} sections are doubtful, most often: {reason}"
+        if not self.kept:
+            reason = Counter(self.faults).most_common(1)[0][0]
+            return f"{self.source}: no step can be used, most often: {reason}"
+        return ""
+
+
+def extract_steps(
+    text: str, plan: Path | None, settings: SectionSettings, find: SectionFunction | None = None
+) -> ExtractedSteps:
+    """Extracts the steps of a log.
+
+    Args:
+        text: The log, as of `read_signal_log`.
+        plan: File of its plans; None if commands and targets are columns of the log.
+        settings: Sections and columns.
+        find: Finds the sections, in place of the rule of the settings.
+
+    Raises:
+        RecordError: A file cannot be read, a column is missing, or no sections are found.
+    """
+    log = with_boom(read_signal_log(text, settings.time, settings.factors, settings.format), settings)
+    found = sorted(find(log) if find else find_sections(log, settings), key=lambda section: section.time)
+    if len(found) < 2:
+        raise RecordError(f"{log.source}: {len(found)} sections; at least two are needed")
+    sections = section_states(log, found, settings)
+    plans = read_plans(plan, log, settings) if plan else None
+    _check_factors(settings, log, plans)
+    parts = {
+        role: [step_values(_source(entry, log, plans), sections.time) for entry in getattr(settings, role)]
+        for role in COORDINATES[1:]
+        if getattr(settings, role)
+    }
+    values = {role: np.stack([each.values for each in found_values], -1) for role, found_values in parts.items()}
+    signals = {column: log.signal(column) for column in _columns(settings)}
+    hops = log.signal(settings.height_column) if settings.at == "apex" and settings.rule != "crossing" else None
+    return ExtractedSteps(
+        source=text,
+        names={role: tuple(each.name for each in settings.coordinates(role)) for role in COORDINATES},
+        sections=sections,
+        values=values,
+        yaw=_yaw(log, settings, sections.time[:-1]),
+        faults=_faults(sections, list(signals.values()), hops, [each for part in parts.values() for each in part]),
+        signals=signals,
+    )
+
+
+def _source(entry: str, log: SignalLog, plans: Plans | None) -> Signal:
+    """The signal of a coordinate of the command, in the plans or else in the log."""
+    coordinate = SignalCoordinate.of(entry)
+    if coordinate.rate:
+        raise RecordError(f"{entry}: only coordinates of the state may be rates")
+    if plans is None:
+        return log.signal(coordinate.column)
+    planned = plans.signal(coordinate.column)
+    if planned is None and coordinate.column not in log.columns:
+        raise RecordError(f"{plans.table.source}: {plans.table.fault_of(coordinate.column)}; nor has {log.source} one")
+    return log.signal(coordinate.column) if planned is None else planned
+
+
+def _check_factors(settings: SectionSettings, log: SignalLog, plans: Plans | None) -> None:
+    """Raises RecordError if a column that has a factor does not exist, because its name may be misspelt."""
+    for column in settings.factors:
+        if column not in log.columns and (plans is None or plans.signal(column) is None):
+            raise RecordError(f"{log.source}: factors: {unknown_column(column, log.columns)}")
+
+
+def _columns(settings: SectionSettings) -> list[str]:
+    """Columns of numbers that must not have gaps, first the one in which sections are seen."""
+    seen = [column for column in (settings.crossing, settings.height_column) if column]
+    state = [each.column for each in settings.coordinates("state")]
+    return list(dict.fromkeys([*seen, *state, *settings.contact, *settings.force]))
+
+
+def _faults(
+    sections: SectionStates, used: Sequence[Signal], height: Signal | None, parts: Sequence[StepValues]
+) -> tuple[str, ...]:
+    """Why each step is left out."""
+    times = sections.time
+    hops = hop_faults(height, times) if height else [""] * (len(times) - 1)
+    planned = joined_doubts(parts) if parts else [""] * (len(times) - 1)
+    longest = LONGEST_GAP * float(np.median(np.diff(times)))
+    faults: list[str] = []
+    for number, (begin, end) in enumerate(pairwise(times.tolist())):
+        doubtful = any(sections.doubts[number : number + 2])
+        unknown = not np.isfinite(sections.state[number : number + 2]).all()
+        if end <= begin:
+            faults.append("it ends before it begins")
+        elif doubtful:
+            faults.append("a section is doubtful")
+        elif unknown:
+            faults.append("a state is unknown")
+        elif any(_largest_gap(signal, begin, end) > longest for signal in used):
+            faults.append(f"no samples for {longest:.2g} s")
+        else:
+            faults.append(hops[number] or planned[number])
+    return tuple(faults)
+
+
+def _largest_gap(signal: Signal, begin: float, end: float) -> float:
+    """Longest time without a sample [s]."""
+    part = signal.between(begin, end)
+    return float(np.diff([begin, *part.time.tolist(), end]).max())
+
+
+def _yaw(log: SignalLog, settings: SectionSettings, times: Array) -> Array | None:
+    if not settings.yaw:
+        return None
+    yaw = log.signal(settings.yaw)
+    return np.interp(times, yaw.time, np.asarray(yaw.values, float))

@@ -1,0 +1,127 @@
+"""Extracted steps as a CSV file, and the file of columns with which `stepgap fit` reads it."""
+
+import csv
+import json
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+
+from stepgap.logs.sections.section_settings import SectionSettings
+from stepgap.logs.sections.step_extraction import ExtractedSteps
+
+
+def steps_table(logs: Sequence[ExtractedSteps]) -> str:
+    """CSV text with a row for each step that is not left out.
+
+    Columns: `log`; `step`, its number in the log, which also counts steps that are left out; `time` of the section
+    where it begins; the state there, its standard errors NAME_std; the command; target_NAME; predicted_NAME; the state
+    at the next section as next_NAME, with next_NAME_std; `yaw` at the beginning.
+    """
+    file = StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow([name for _, names in _columns(logs[0]) for name in names])
+    for label, log in zip(_labels(logs), logs, strict=True):
+        for number in log.kept:
+            writer.writerow([label, number + 1, *(f"{value:.9g}" for value in _row(log, number))])
+    return file.getvalue()
+
+
+def columns_toml(log: ExtractedSteps, settings: SectionSettings) -> str:
+    """TOML text of the meaning of these columns, for `stepgap fit --columns`; empty without commands and targets."""
+    columns = dict(_columns(log))
+    if not (columns.get("command") or columns.get("target")):
+        return ""
+    lines = [
+        f"{role} = {json.dumps(names, ensure_ascii=False)}"
+        for role, names in columns.items()
+        if names and role in _ROLES
+    ]
+    lines += ['deployment = "log"', *(['yaw = "yaw"'] if log.yaw is not None else [])]
+    units = {name: unit for name, unit in _units(columns, settings) if unit}
+    if units:
+        lines += ["", "[units]"]
+        lines += [
+            f"{json.dumps(name, ensure_ascii=False)} = {json.dumps(unit, ensure_ascii=False)}"
+            for name, unit in units.items()
+        ]
+    return "\n".join([*lines, ""])
+
+
+_ROLES = ("state", "next", "command", "target", "predicted")
+
+
+def _columns(log: ExtractedSteps) -> list[tuple[str, list[str]]]:
+    """Names of the columns by their meaning, in their order."""
+    state, command = log.names["state"], log.names["command"]
+    taken = {"log", "step", "time", "yaw", *state, *(f"{name}_std" for name in state)}
+    return [
+        ("head", ["log", "step", "time"]),
+        ("state", [*state]),
+        ("std", [f"{name}_std" for name in state]),
+        ("command", [f"command_{name}" if name in taken else name for name in command]),
+        ("target", [f"target_{name}" for name in state] if "target" in log.values else []),
+        ("predicted", [f"predicted_{name}" for name in state] if "predicted" in log.values else []),
+        ("next", [f"next_{name}" for name in state]),
+        ("next_std", [f"next_{name}_std" for name in state]),
+        ("yaw", ["yaw"] if log.yaw is not None else []),
+    ]
+
+
+def _row(log: ExtractedSteps, number: int) -> Iterator[float]:
+    sections = log.sections
+    yield sections.time[number]
+    yield from sections.state[number]
+    yield from sections.std[number]
+    for role in ("command", "target", "predicted"):
+        yield from log.values[role][number] if role in log.values else ()
+    yield from sections.state[number + 1]
+    yield from sections.std[number + 1]
+    if log.yaw is not None:
+        yield log.yaw[number]
+
+
+def label_of(log: ExtractedSteps) -> str:
+    """A short name for a log: that of its first file."""
+    return Path(log.source.split("+")[0].strip()).name
+
+
+def _labels(logs: Sequence[ExtractedSteps]) -> list[str]:
+    """The name of each log, with a number if several have the same."""
+    names = [label_of(log) for log in logs]
+    counts, seen = Counter(names), Counter[str]()
+    labels: list[str] = []
+    for name in names:
+        seen[name] += 1
+        labels.append(f"{name} ({seen[name]})" if counts[name] > 1 else name)
+    return labels
+
+
+def _units(columns: dict[str, list[str]], settings: SectionSettings) -> Iterator[tuple[str, str]]:
+    """Units of the columns of states and commands."""
+    known = {"height": "m", "forward": "m"} | dict(settings.units) if settings.boom else dict(settings.units)
+    for role in ("state", "command"):
+        for name, coordinate in zip(columns[role], settings.coordinates(role), strict=True):
+            unit = known.get(coordinate.column, "")
+            rate = f"{unit}/s" if unit and coordinate.rate else unit
+            yield name, known.get(coordinate.name, rate) if coordinate.name != coordinate.column else rate
+
+
+def describe_steps(log: ExtractedSteps) -> str:
+    """Lines for the user: what was found in a log, what is left out and why."""
+    sections, kept = log.sections, log.kept
+    errors = ", ".join(
+        f"{name} {np.nanmedian(std):.2g}" for name, std in zip(log.names["state"], sections.std.T, strict=True)
+    )
+    lines = [
+        f"{log.source}: {len(sections.time)} sections, {len(kept)} of {len(log.faults)} steps; state estimated within "
+        f"±{1e3 * sections.window:.3g} ms, median standard errors: {errors}"
+    ]
+    for fault, count in Counter(fault for fault in log.faults if fault).most_common():
+        lines.append(f"  left out: {count} × {fault}")
+    for time, doubt in zip(sections.time, sections.doubts, strict=True):
+        if doubt:
+            lines.append(f"  doubtful section at {time:.3f} s: {doubt}")
+    return "\n".join(lines)

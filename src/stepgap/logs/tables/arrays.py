@@ -1,0 +1,70 @@
+"""Tables from the arrays of a binary file."""
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from stepgap.logs.tables.log_table import MOST_NUMBERS, LogColumn, LogTable, check_size
+
+MOST_COLUMNS = 10_000
+"""Largest number of columns of one array; wider arrays, such as pictures, are left out."""
+
+
+def tables_of_arrays(source: str, arrays: Iterable[tuple[str, str, Any]]) -> dict[str, LogTable]:
+    """Tables from arrays, each given by group, name and values; the first axis is that of the rows.
+
+    Arrays of one group that have the same length form a table. Where lengths differ, the number of rows is appended to
+    the name of the group. A single number is no column.
+
+    Raises:
+        RecordError: The arrays hold too many values.
+    """
+    groups: dict[tuple[str, int], dict[str, LogColumn]] = defaultdict(dict)
+    size = 0
+    for group, name, values in arrays:
+        for column, numbers in columns_of_array(name, values):
+            size += len(numbers)
+            check_size(source, size)
+            groups[group, len(numbers)][column] = numbers
+    lengths = defaultdict[str, set[int]](set)
+    for group, length in groups:
+        lengths[group].add(length)
+    named = {
+        (group if len(lengths[group]) == 1 else f"{group} ({length} rows)".strip()): columns
+        for (group, length), columns in groups.items()
+    }
+    return {name: LogTable(f"{source}, {name}" if name else source, columns) for name, columns in named.items()}
+
+
+def columns_of_array(name: str, values: Any) -> Iterator[tuple[str, LogColumn]]:
+    """Yields the columns of an array with their names: NAME, NAME[0], NAME[0][1], or NAME.FIELD."""
+    if values.dtype.names:
+        for field in values.dtype.names:
+            yield from columns_of_array(f"{name}.{field}" if name else field, values[field])
+        return
+    if values.ndim == 2 and 1 in values.shape:
+        values = values.reshape(-1)
+    width = int(np.prod(values.shape[1:], dtype=float))
+    if values.ndim == 0 or values.shape == (1,) or width > MOST_COLUMNS:
+        return
+    for at in np.ndindex(*values.shape[1:]):
+        column = numbers_or_labels(values[(slice(None), *at)])
+        if column is not None:
+            yield name + "".join(f"[{index}]" for index in at), column
+
+
+def numbers_or_labels(values: Any) -> LogColumn | None:
+    """LogColumn as numbers, NaN where one is not finite, or as labels; times in seconds; None for any other type."""
+    kind = values.dtype.kind
+    if kind in "mM":
+        seconds = values.astype(f"{kind}8[ns]").astype(np.int64) / 1e9
+        return np.where(np.isnat(values), np.nan, seconds)
+    if kind in "biuf":
+        numbers = np.asarray(values, np.float64)
+        return np.where(np.isfinite(numbers), numbers, np.nan)
+    if kind == "S":
+        values = np.char.decode(values, "latin-1")
+        kind = "U"
+    return np.asarray(values, np.str_) if kind == "U" and values.nbytes <= 4 * MOST_NUMBERS else None

@@ -1,0 +1,78 @@
+"""HDF5 files, among them MATLAB's MAT files of version 7.3; nothing outside the file is read."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from stepgap.logs.tables.arrays import tables_of_arrays
+from stepgap.logs.tables.files import check_file_size
+from stepgap.logs.tables.libraries import library, reading
+from stepgap.logs.tables.log_table import LogTable, check_size
+from stepgap.records.steps_csv import RecordError
+
+HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+
+_MOST_OBJECTS = 10_000
+_DEEPEST = 20
+
+_Found = tuple[tuple[str, ...], Any]
+"""Names from the root to a dataset, and the dataset."""
+
+
+def read_hdf5(path: Path, matlab: bool) -> dict[str, LogTable]:
+    """The datasets of a file, one table for each group.
+
+    Args:
+        path: The file.
+        matlab: Whether the conventions are those of MATLAB 7.3: dimensions reversed, structs as groups.
+    """
+    h5py = library("h5py", path)
+    check_file_size(path)
+    with reading(path, "HDF5"), h5py.File(path, "r") as file:
+        found = list(_datasets(h5py, file, (), path))
+        check_size(str(path), sum(float(dataset.size) for _, dataset in found))
+        found = [(names, dataset) for names, dataset in found if not matlab or _is_matlab_number(dataset)]
+        arrays = (_matlab_array(*entry) if matlab else _array(h5py, *entry) for entry in found)
+        return tables_of_arrays(str(path), arrays)
+
+
+def _datasets(
+    h5py: Any, group: Any, parents: tuple[str, ...], path: Path, seen: list[str] | None = None
+) -> Iterator[_Found]:
+    """Yields the datasets of numbers and text below a group; links to elsewhere are refused, cycles end by depth."""
+    seen = [] if seen is None else seen
+    for name in group:
+        seen.append(name)
+        link = group.get(name, getlink=True)
+        where = f"{path}, {'/'.join((*parents, name))}"
+        if isinstance(link, h5py.ExternalLink):
+            raise RecordError(f"{where}: a link to another file, which is not followed")
+        if isinstance(link, h5py.SoftLink) or name.startswith("#"):
+            continue
+        if len(seen) > _MOST_OBJECTS or len(parents) >= _DEEPEST:
+            raise RecordError(f"{where}: more than {_MOST_OBJECTS} objects or {_DEEPEST} nested groups")
+        entry = group[name]
+        if isinstance(entry, h5py.Group):
+            yield from _datasets(h5py, entry, (*parents, name), path, seen)
+        elif isinstance(entry, h5py.Dataset) and entry.shape is not None:
+            if entry.external or entry.is_virtual:
+                raise RecordError(f"{where}: its values lie in another file, which is not read")
+            yield (*parents, name), entry
+
+
+def _array(h5py: Any, names: tuple[str, ...], dataset: Any) -> tuple[str, str, Any]:
+    text = h5py.check_string_dtype(dataset.dtype) is not None and dataset.dtype.kind == "O"
+    values = dataset.asstr()[...].astype(str) if text else dataset[...]
+    return "/".join(names[:-1]), names[-1], values
+
+
+def _is_matlab_number(dataset: Any) -> bool:
+    """Whether a dataset is an array of numbers for MATLAB, not text and not empty."""
+    is_text = dataset.attrs.get("MATLAB_class", b"double") == b"char"
+    return dataset.dtype.kind in "biuf" and not is_text and "MATLAB_empty" not in dataset.attrs
+
+
+def _matlab_array(names: tuple[str, ...], dataset: Any) -> tuple[str, str, Any]:
+    """MATLAB stores the transposed array."""
+    group, name = (names[0], names[1:]) if len(names) > 1 else ("", names)
+    return group, ".".join(name), dataset[...].T

@@ -1,0 +1,69 @@
+"""MATLAB's MAT files up to version 7; files of version 7.3 are HDF5 files."""
+
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from stepgap.logs.tables.arrays import tables_of_arrays
+from stepgap.logs.tables.files import content_of
+from stepgap.logs.tables.libraries import reading
+from stepgap.logs.tables.log_table import MOST_NUMBERS, LogTable, check_size
+from stepgap.records.steps_csv import RecordError
+
+_LARGEST_MAT = 16 * MOST_NUMBERS
+"""Largest content of a MAT file, decompressed [bytes]."""
+
+_COMPRESSED = 15
+
+
+def read_mat(path: Path) -> dict[str, LogTable]:
+    """The variables of a MAT file; those of a struct form a table of their own, such as `log` with column `v`."""
+    from scipy.io import loadmat, whosmat
+
+    content = content_of(path, _LARGEST_MAT)
+    with reading(path, "MAT"):
+        content = _decompressed(content, path)
+        for name, shape, _ in whosmat(BytesIO(content)):
+            size = 1.0
+            for length in shape:
+                size *= length
+            check_size(f"{path}, {name}", size)
+        variables = loadmat(BytesIO(content), struct_as_record=True, squeeze_me=False)
+        arrays = [
+            entry
+            for name, value in variables.items()
+            if not name.startswith("__")
+            for entry in _arrays("", name, value)
+        ]
+        return tables_of_arrays(str(path), arrays)
+
+
+def _decompressed(content: bytes, path: Path) -> bytes:
+    """The same file with its variables decompressed, so that their sizes are known before they are read."""
+    order = "big" if content[126:128] == b"MI" else "little"
+    parts, at, size = [content[:128]], 128, 128
+    while at < len(content):
+        kind, length = (int.from_bytes(content[i : i + 4], order) for i in (at, at + 4))
+        if at + 8 + length > len(content):
+            raise RecordError(f"{path}: truncated MAT file")
+        element = content[at : at + 8 + length]
+        at += 8 + length
+        if kind == _COMPRESSED:
+            element = zlib.decompressobj().decompress(element[8:], _LARGEST_MAT + 1 - size)
+        size += len(element)
+        if size > _LARGEST_MAT:
+            raise RecordError(f"{path}: larger than {_LARGEST_MAT} bytes when decompressed, so it is not read")
+        parts.append(element)
+    return b"".join(parts)
+
+
+def _arrays(group: str, name: str, value: Any) -> Iterator[tuple[str, str, Any]]:
+    """Yields the arrays of a variable; a struct of one element has a table, its inner structs have NAME.FIELD."""
+    if value.dtype.names and value.size == 1:
+        for field in value.dtype.names:
+            inner = value.reshape(-1)[0][field]
+            yield from _arrays(group or name, f"{name}.{field}" if group else field, inner)
+    elif value.dtype.kind in "biufU":
+        yield group, name, value

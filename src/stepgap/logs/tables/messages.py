@@ -1,0 +1,87 @@
+"""Tables from messages, each a tree of named values."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, final
+
+import numpy as np
+
+from stepgap.logs.tables.log_table import MISSING, MOST_NUMBERS, LogColumn, LogTable, check_size
+
+MOST_ELEMENTS = 100
+"""Longest array in a message whose elements become columns; longer ones, such as pictures, are left out."""
+
+_STAMPS = ({"sec", "nanosec"}, {"sec", "nsec"}, {"secs", "nsecs"}, {"seconds", "nanos"})
+"""Names of the parts of a time, in seconds and nanoseconds."""
+
+Cell = float | str
+
+
+def flattened(value: Any, name: str = "") -> Iterator[tuple[str, Cell]]:
+    """Yields the numbers and labels in a message with their names, as in pose.position[0]; a time in seconds."""
+    if isinstance(value, Mapping):
+        if set(value) in _STAMPS and all(isinstance(part, int) for part in value.values()):
+            seconds, nanoseconds = (value[key] for key in sorted(value, reverse=True))
+            yield name or "stamp", seconds + nanoseconds * 1e-9
+            return
+        for key, part in value.items():
+            yield from flattened(part, f"{name}.{key}" if name else str(key))
+    elif isinstance(value, str):
+        yield name, value
+    elif isinstance(value, bool | int | float | np.number | np.bool_):
+        yield name, _as_float(value)
+    elif isinstance(value, Sequence) and not isinstance(value, bytes | bytearray) and len(value) <= MOST_ELEMENTS:
+        for index, part in enumerate(value):
+            yield from flattened(part, f"{name}[{index}]")
+
+
+def row_of_message(time: int, tree: Any) -> Iterator[tuple[str, Cell]]:
+    """Yields the time at which a message was logged [ns] as `log_time` [s], and the values in the message."""
+    yield "log_time", time * 1e-9
+    yield from ((name, value) for name, value in flattened(tree) if name != "log_time")
+
+
+@final
+class MessageRows:
+    """Columns that grow by a row at a time; a name that comes later has missing values before."""
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+        self._columns: dict[str, list[Cell | None]] = {}
+        self._lines: list[int] = []
+
+    def append(self, cells: Iterator[tuple[str, Cell]], line: int = 0) -> None:
+        """Adds a row.
+
+        Raises:
+            RecordError: There are too many values.
+        """
+        row = len(self._lines)
+        for name, value in cells:
+            column = self._columns.setdefault(name, [])
+            column.extend([None] * (row - len(column)))
+            column.append(value)
+        self._lines.append(line)
+        check_size(self._source, len(self._columns) * len(self._lines))
+
+    def table(self, has_lines: bool) -> LogTable:
+        """The table of all rows."""
+        columns = {
+            name: _values(cells + [None] * (len(self._lines) - len(cells))) for name, cells in self._columns.items()
+        }
+        kept = {name: values for name, values in columns.items() if values is not None}
+        return LogTable(self._source, kept, np.array(self._lines, np.intp) if has_lines else None)
+
+
+def _values(cells: list[Cell | None]) -> LogColumn | None:
+    """Numbers, NaN where one is missing; labels if a cell is text that does not mean a missing number."""
+    if any(isinstance(cell, str) and cell.lower() not in MISSING for cell in cells):
+        labels = ["" if cell is None else str(cell) for cell in cells]
+        return np.array(labels, np.str_) if max(map(len, labels)) * len(labels) <= MOST_NUMBERS else None
+    return np.array([cell if isinstance(cell, float) else np.nan for cell in cells], float)
+
+
+def _as_float(value: Any) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return float("inf")

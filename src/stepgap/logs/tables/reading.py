@@ -1,0 +1,118 @@
+"""A log of any format as tables: the format is found from the content, not from the name."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+
+from stepgap.logs.tables.files import LARGEST_LOG, begin_of, content_of
+from stepgap.logs.tables.hdf5 import HDF5_MAGIC, read_hdf5
+from stepgap.logs.tables.json_lines import read_json_lines
+from stepgap.logs.tables.log_table import LogTable
+from stepgap.logs.tables.matlab import read_mat
+from stepgap.logs.tables.mcap_logs import MCAP_MAGIC, read_mcap
+from stepgap.logs.tables.numpy_files import NPY_MAGIC, read_npy, read_npz
+from stepgap.logs.tables.parquet_logs import PARQUET_MAGIC, read_parquet
+from stepgap.logs.tables.ros_bags import (
+    ROS1_MAGIC,
+    SQLITE_MAGIC,
+    read_ros1_bag,
+    read_ros2_database,
+    read_ros2_folder,
+)
+from stepgap.logs.tables.text import read_delimited_text
+from stepgap.logs.tables.text_format import AS_FOUND, TextFormat, decoded
+from stepgap.records.steps_csv import RecordError
+
+NO_ROLES: Mapping[str, str] = MappingProxyType({})
+"""Columns whose meaning is not known."""
+
+
+def read_log_tables(path: Path, written: TextFormat = AS_FOUND, largest: int = LARGEST_LOG) -> Mapping[str, LogTable]:
+    """Reads all tables of a log.
+
+    Args:
+        path: The file.
+        written: How the numbers of a text file are written.
+        largest: Largest text that is read [bytes].
+
+    Returns:
+        The tables by topic or group; by "" for the only table of a file without topics.
+
+    Raises:
+        RecordError: The file cannot be read; the message is one line that names it.
+    """
+    if path.is_dir() and (path / "metadata.yaml").is_file():
+        return read_ros2_folder(path)
+    tables = _binary_tables(path, begin_of(path))
+    if tables is not None:
+        return tables
+    text = decoded(content_of(path, largest), written.encoding, str(path))
+    if text.lstrip().startswith("{"):
+        return {"": read_json_lines(text, str(path))}
+    return {"": read_delimited_text(text, written, str(path))}
+
+
+def _binary_tables(path: Path, begin: bytes) -> Mapping[str, LogTable] | None:
+    """The tables of a file in a binary format, found from its first bytes; None for text."""
+    if begin.startswith(MCAP_MAGIC):
+        return read_mcap([path])
+    if begin.startswith(ROS1_MAGIC):
+        return read_ros1_bag(path)
+    if begin.startswith(SQLITE_MAGIC):
+        return read_ros2_database(path)
+    if begin.startswith(PARQUET_MAGIC):
+        return read_parquet(path)
+    if begin.startswith(NPY_MAGIC):
+        return read_npy(path)
+    if begin.startswith(b"PK\x03\x04"):
+        return read_npz(path)
+    matlab = begin.startswith(b"MATLAB 7.3 MAT-file")
+    if matlab or HDF5_MAGIC in (begin[:8], begin[512:520]):
+        return read_hdf5(path, matlab)
+    return read_mat(path) if begin[126:128] in (b"MI", b"IM") and b"\0" in begin else None
+
+
+def read_log_table(path: Path, wanted: Sequence[str], written: TextFormat = AS_FOUND) -> LogTable:
+    """Reads the one table of a log that has the wanted columns.
+
+    A column may be given as TOPIC:COLUMN; the table then has it by this name, too.
+
+    Raises:
+        RecordError: The file cannot be read, or not exactly one of its tables has these columns.
+    """
+    return chosen_table(path, read_log_tables(path, written), wanted)
+
+
+def chosen_table(
+    path: Path, tables: Mapping[str, LogTable], wanted: Sequence[str], roles: Mapping[str, str] = NO_ROLES
+) -> LogTable:
+    """The one table that has the wanted columns; with their roles the message about one that is missing is clearer.
+
+    Raises:
+        RecordError: None or several have them.
+    """
+    if not tables:
+        raise RecordError(f"{path}: no table of numbers in this file")
+    named = {topic: with_topic(topic, table) for topic, table in tables.items()}
+    missing = {topic: [name for name in wanted if table.fault_of(name)] for topic, table in named.items()}
+    found = [topic for topic, names in missing.items() if not names]
+    if len(found) == 1:
+        return named[found[0]]
+    if found:
+        example = f"{found[0]}:{wanted[0]}" if wanted else found[0]
+        raise RecordError(f"{path}: {', '.join(found):.200} have these columns; say which, as in {example!r}")
+    closest = min(named, key=lambda topic: len(missing[topic]))
+    table, name = named[closest], missing[closest][0]
+    role = f"{roles[name]} {name!r}: " if name in roles else ""
+    others = [topic for topic in tables if topic != closest]
+    more = f"; other tables are {', '.join(others):.200}" if others else ""
+    raise RecordError(f"{table.heading or table.source}: {role}{tables[closest].fault_of(name)}{more}")
+
+
+def with_topic(topic: str, table: LogTable) -> LogTable:
+    """The table with its columns also as TOPIC:COLUMN."""
+    if not topic:
+        return table
+    columns = dict(table.columns) | {f"{topic}:{name}": values for name, values in table.columns.items()}
+    repeated = table.repeated | {f"{topic}:{name}" for name in table.repeated}
+    return LogTable(table.source, columns, table.lines, table.heading, repeated)

@@ -1,0 +1,104 @@
+"""Columns of text files: CSV of all kinds."""
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from io import StringIO
+from itertools import chain, islice
+
+import numpy as np
+
+from stepgap.logs.tables.log_table import LogTable, check_size, column_of_cells, number_in
+from stepgap.logs.tables.text_format import TextFormat, decimal_of, delimiter_of
+from stepgap.records.steps_csv import RecordError
+
+SAMPLED_ROWS = 50
+"""Rows from which the separator is found."""
+
+_Row = tuple[int, list[str]]
+"""Number of a line, and its cells."""
+
+
+def read_delimited_text(text: str, written: TextFormat, source: str) -> LogTable:
+    """The columns of a text with a line of column names, comments before it, and rows below it.
+
+    Raises:
+        RecordError: A row does not fit the header, or how the numbers are written is ambiguous.
+    """
+    names, rows = _names_and_rows(text, written, source)
+    if names is None:
+        raise RecordError(f"{source}: empty; it must have a line of column names and rows below it")
+    line, header = names
+    for number, cells in rows:
+        if len(cells) != len(header):
+            hint = "; a decimal comma needs another separator" if len(cells) > len(header) else ""
+            raise RecordError(
+                f"{source}, line {number}: {len(cells)} values; it must have {len(header)}, as the header{hint}"
+            )
+    check_size(source, len(rows) * len(header))
+    lines = np.array([number for number, _ in rows], np.intp)
+    columns = {name: column_of_cells([cells[at] for _, cells in rows]) for at, name in enumerate(header)}
+    repeated = frozenset(name for name, count in Counter(header).items() if count > 1)
+    kept = {name: values for name, values in columns.items() if values is not None and name not in repeated}
+    return LogTable(source, kept, lines, f"{source}, line {line}", repeated)
+
+
+def _names_and_rows(text: str, written: TextFormat, source: str) -> tuple[_Row | None, list[_Row]]:
+    """The header and the rows below it, with decimal points."""
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    begin, comment = _beginning(lines, written)
+    if begin == len(lines):
+        return None, []
+    header_at, header = begin, lines[begin]
+    if _looks_like_data(header):
+        if comment is None:
+            raise RecordError(f"{source}, line {begin + 1}: {header.strip()!r:.40}; it must be a line of column names")
+        header_at, header = comment, lines[comment].lstrip().removeprefix(written.comment or lines[comment].lstrip()[0])
+    body = header_at + 1 if header_at == begin else begin
+    samples = [line for line in islice(lines, body, body + SAMPLED_ROWS) if line.strip()]
+    delimiter = written.delimiter or delimiter_of(header, samples, f"{source}, line {header_at + 1}")
+    names = next(_cells(header, delimiter, header_at, source), (header_at + 1, []))
+    rows = list(_cells("\n".join(lines[body:]), delimiter, body, source))
+    cells = chain.from_iterable(cells for _, cells in rows)
+    if (written.decimal or decimal_of(cells, delimiter, source)) == ",":
+        rows = [(number, list(map(_with_point, row))) for number, row in rows]
+    return names, rows
+
+
+def _beginning(lines: Sequence[str], written: TextFormat) -> tuple[int, int | None]:
+    """Index of the first line that is neither empty nor a comment, and of the last comment before it."""
+    marks, comment = (written.comment or "#", written.comment or "%"), None
+    for index, line in enumerate(lines):
+        if line.lstrip().startswith(marks):
+            comment = index
+        elif line.strip():
+            return index, comment
+    return len(lines), comment
+
+
+def _looks_like_data(line: str) -> bool:
+    """Whether a cell of a line is a number, whatever the separator is."""
+    cells = re.split(r"[,;\t]", line)
+    numbers = (number_in(cell.strip().strip('"')) for cell in (cells if len(cells) > 1 else line.split()))
+    return any(number is not None and number == number for number in numbers)
+
+
+def _cells(text: str, delimiter: str, first: int, source: str) -> Iterator[_Row]:
+    """Yields the rows that are not empty; `first` is the index of the first line."""
+    if delimiter == " ":
+        lines = enumerate(text.split("\n"), first + 1)
+        yield from ((number, line.split()) for number, line in lines if line.strip())
+        return
+    rows = csv.reader(StringIO(text, newline=""), delimiter=delimiter or "\x1f", strict=True)
+    try:
+        for row in rows:
+            if len(row) > 1 or any(cell.strip() for cell in row):
+                yield first + rows.line_num, [cell.strip() for cell in row]
+    except csv.Error as error:
+        raise RecordError(f"{source}, line {first + rows.line_num}: {error}; it must be a CSV file") from None
+
+
+def _with_point(cell: str) -> str:
+    """A cell with a decimal point for its decimal comma."""
+    return cell.replace(",", ".") if number_in(cell.replace(",", ".", 1)) is not None else cell

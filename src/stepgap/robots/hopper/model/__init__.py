@@ -1,0 +1,1 @@
+"""The hopper's equations of motion, from the leg to the apex map."""

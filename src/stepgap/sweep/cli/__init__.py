@@ -1,0 +1,1 @@
+"""The verb of sweeps: `stepgap sweep`, with the options for many cases."""

@@ -1,0 +1,58 @@
+"""The report of a sweep, with its number of planned cases, its state coordinates, and the default settings."""
+
+from pathlib import Path
+
+from stepgap.base.errors import InputError, message_of
+from stepgap.experiment.settings import Experiment, experiment_table, read_experiment
+from stepgap.records.missing import Missing
+from stepgap.report import FolderReport, WrittenReport
+from stepgap.step import Quantity
+from stepgap.sweep.report.page import SweepContext, write_sweep_report
+from stepgap.sweep.results_table import RESULTS
+from stepgap.sweep.sweep import SWEEP_FILE
+from stepgap.sweep.sweep_file import read_sweep
+
+
+def is_sweep(folder: Path) -> bool:
+    """Whether a folder holds a sweep, not a run."""
+    return not (folder / "steps.csv").exists() and any((folder / name).exists() for name in (RESULTS, SWEEP_FILE))
+
+
+def report_sweep(folder: Path) -> WrittenReport:
+    """Writes the report of a sweep with all available information.
+
+    Args:
+        folder: Folder of the sweep.
+
+    Raises:
+        InputError: The content of a file is wrong, or the report cannot be written.
+    """
+    if not (folder / RESULTS).is_file():
+        raise InputError(f"{folder / RESULTS}: no such file; this makes it: stepgap sweep --out {folder} --resume")
+    try:
+        return write_sweep_report(
+            folder, SweepContext(_planned(folder), experiment_table(Experiment()), _state(folder))
+        )
+    except (ValueError, OSError) as error:
+        raise InputError(message_of(error)) from None
+
+
+def _planned(folder: Path) -> int | Missing:
+    """Number of cases of the whole sweep."""
+    try:
+        return len(read_sweep(folder / SWEEP_FILE))
+    except InputError:
+        return Missing(f"without a valid {SWEEP_FILE} the number of planned cases is not known")
+
+
+def _state(folder: Path) -> tuple[Quantity, ...]:
+    """State coordinates of the base experiment; none if its settings are not valid in this version."""
+    path = folder / "experiment.toml"
+    try:
+        return (read_experiment(path) if path.is_file() else Experiment()).robot.space.state
+    except InputError:
+        return ()
+
+
+SWEEP_REPORT = FolderReport(is_sweep, report_sweep)
+"""Reports of sweeps, for `stepgap report`."""

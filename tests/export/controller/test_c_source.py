@@ -1,0 +1,237 @@
+"""The exported C code, compiled here, computes what Python computes: map, derivatives, filter and plans."""
+
+import ctypes
+import shutil
+import subprocess
+from collections.abc import Callable
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stepgap.base.errors import InputError
+from stepgap.export.controller.c_source import Real, c_source
+from stepgap.export.controller.model_document import filter_after
+from stepgap.export.controller.portable_controller import PortableController
+from stepgap.learning.step_log import LoggedStep
+from stepgap.step import Array, StepFailed, StepRecord, StepStatus
+from tests.export.controller.learned import KINDS, SPACE, learned, steps
+
+COMPILER = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler")
+
+STRICT = ("-std=c99", "-ffreestanding", "-Wall", "-Wextra", "-Werror", "-Wpedantic")
+SCALE = np.concatenate([SPACE.state_scale, SPACE.command_scale])
+TOLERANCE: dict[Real, float] = {"double": 1e-9, "float": 1e-4}
+OPTIMISED_MAPS = (("quadratic", "double"), ("gp", "float"))
+"""Maps whose code is optimised, for which the compiler takes five times as long; that of plans is optimised, too."""
+
+
+class Compiled:
+    """The functions of a controller in C; equal controllers are compiled once in a folder."""
+
+    def __init__(self, controller: PortableController, parent: Path, real: Real, optimisation: str):
+        source = c_source(controller, "controller", real)
+        folder = parent / (sha256(source.code.encode()).hexdigest() + optimisation)
+        library = folder / "controller.so"
+        if not library.exists():
+            folder.mkdir()
+            (folder / "controller.c").write_text(source.code)
+            (folder / "controller.h").write_text(source.header)
+            output = ["-fPIC", "-shared", "-nostdlib", folder / "controller.c", "-o", library, "-lgcc", "-lc"]
+            command = [str(each) for each in (COMPILER, *STRICT, optimisation, *output)]
+            subprocess.run(command, check=True, capture_output=True)
+        self._library, self._real = ctypes.CDLL(str(library)), np.float64 if real == "double" else np.float32
+        self._number = ctypes.c_double if real == "double" else ctypes.c_float
+        self.filter = ctypes.create_string_buffer(8192)
+        self._library.controller_filter_init(self.filter)
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        """Calls a function with arrays, numbers and None; arrays are written in place."""
+        passed = [
+            each.ctypes.data_as(ctypes.c_void_p)
+            if isinstance(each, np.ndarray)
+            else self._number(each)
+            if isinstance(each, float)
+            else each
+            for each in arguments
+        ]
+        return getattr(self._library, f"controller_{name}")(*passed)
+
+    def array(self, *shape_or_values: Any) -> Any:
+        """An array of the type of the code, from values or of a size."""
+        (given,) = shape_or_values
+        return np.full(given, np.nan, self._real) if isinstance(given, int) else np.ascontiguousarray(given, self._real)
+
+    def map(self, state: Array, command: Array) -> tuple[int, Array, Array]:
+        """Status, next state and standard deviation."""
+        mean, std = self.array(2), self.array(2)
+        return self.call("map", self.array(state), self.array(command), mean, std), mean, std
+
+    def plan(self, state: Array, target: Array, guess: Array | None, yaw: float) -> tuple[int, Array, Array, Array]:
+        """Status, command, prediction and standard deviation."""
+        found = self.array(2), self.array(2), self.array(2)
+        start = None if guess is None else self.array(guess)
+        return self.call("plan", self.filter, self.array(state), self.array(target), start, yaw, *found), *found
+
+
+@pytest.fixture(scope="module")
+def compile_in(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Compiled]:
+    folder = tmp_path_factory.mktemp("compiled")
+
+    def compiled(controller: PortableController, real: Real = "double", *, optimised: bool = False) -> Compiled:
+        return Compiled(controller, folder, real, "-O2" if optimised else "-O0")
+
+    return compiled
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_map_is_that_of_python(kind: str, real: Real, compile_in: Callable[..., Compiled]) -> None:
+    controller = learned(kind, failing=True)
+    code = compile_in(controller, real, optimised=(kind, real) in OPTIMISED_MAPS)
+    states, commands = steps(300)
+    expected, status = controller.map.evaluate(states, commands)
+    std = controller.map.std(states, commands)
+    jacobians, std_gradients = controller.map.jacobian(states, commands), controller.map.std_gradient(states, commands)
+    known = 0
+    for row in range(300):
+        found, mean, spread = code.map(states[row], commands[row])
+        assert found == status[row]
+        if found:
+            continue
+        known += 1
+        assert np.abs((mean - expected[row]) / SPACE.state_scale).max() < TOLERANCE[real]
+        assert np.abs((spread - std[row]) / SPACE.state_scale).max() < TOLERANCE[real]
+        jacobian, std_gradient = code.array(8), code.array(8)
+        assert not code.call("jacobian", code.array(states[row]), code.array(commands[row]), jacobian, std_gradient)
+        for rows, wanted in ((jacobian, jacobians[row]), (std_gradient, std_gradients[row])):
+            error = (rows.reshape(2, 4) - wanted) * SCALE / SPACE.state_scale[:, None]
+            assert np.abs(error).max() < 10 * TOLERANCE[real]
+    assert known > 100
+
+
+@pytest.mark.parametrize("kind", ["none", "gp_on_linear"])
+def test_plans_are_those_of_python(kind: str, compile_in: Callable[..., Compiled]) -> None:
+    """Also where the search takes another way because of rounding, the expected squared distance is the same."""
+    controller = learned(kind)
+    code, rng, same = compile_in(controller, optimised=True), np.random.default_rng(5), 0
+    for _ in range(40):
+        state, target = SPACE.state_centre + SPACE.state_scale * rng.uniform(-1, 1, (2, 2))
+        guess = SPACE.command_centre + SPACE.command_scale * rng.uniform(-1, 1, 2)
+        status, command, predicted, std = code.plan(state, target, guess, 0.0)
+        plan = controller.controller(state, target, guess)
+        assert status == 0
+        assert (SPACE.command_lower <= command).all()
+        assert (command <= SPACE.command_upper).all()
+        same += bool(np.abs((command - plan.command) / SPACE.command_scale).max() < 1e-9)
+        costs = [
+            np.sum(((mean - target) ** 2 + spread**2) / SPACE.state_scale**2)
+            for mean, spread in ((predicted, std), (plan.predicted, plan.std))
+        ]
+        assert costs[0] == pytest.approx(costs[1], rel=1e-4, abs=1e-9)
+    assert same >= 38
+
+
+def test_the_filter_is_that_of_python_also_after_a_push(compile_in: Callable[..., Compiled]) -> None:
+    controller = replace(learned("gp"), reject_outliers=True, monitor=False)
+    code, rng, logged = compile_in(controller), np.random.default_rng(6), []
+    states, commands = steps(50, spread=0.8)
+    yaw = np.append(np.nan, np.cumsum(rng.uniform(0, 0.7, 50)))  # a log does not contain that of the first step
+    for row, (state, command) in enumerate(zip(states, commands, strict=True)):
+        shift = SPACE.state_scale * [0.3 + 0.1 * np.sin(np.nan_to_num(yaw[row])), 0.1]
+        push = np.array([0.7, 0.0]) if row in (17, 30) else np.zeros(2)
+        after = controller.map(state, command) + shift + push + rng.normal(0, 0.01, 2) * SPACE.state_scale
+        given = map(code.array, (state, command, after))
+        assert code.call("filter_update", code.filter, *given, float(yaw[row])) == 0
+        record = StepRecord(state, command, command, after, StepStatus.OK, float(yaw[row + 1]))
+        logged.append(LoggedStep(0, row + 1, after, after, np.zeros(2), record))
+    python = filter_after(controller, logged)
+    without = filter_after(replace(controller, reject_outliers=False), logged)
+    for angle in (0.3, 2.0, float("nan")):
+        offset, spread = code.array(2), code.array(2)
+        code.call("filter_offset", code.filter, angle, offset, spread)
+        np.testing.assert_allclose(offset, python.offset(angle), atol=1e-12)
+        np.testing.assert_allclose(spread, python.std(angle) * controller.map.noise_std, atol=1e-12)
+        assert np.abs(python.offset(angle) - without.offset(angle)).max() > 1e-4
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
+def test_what_is_not_a_number_never_becomes_a_command(bad: float, compile_in: Callable[..., Compiled]) -> None:
+    controller = learned("gp_on_linear")
+    code = compile_in(controller, optimised=True)
+    good = SPACE.state_centre, SPACE.state_centre, SPACE.command_centre
+    for index in range(6):
+        state, target, guess = given = [each.copy() for each in good]
+        given[index // 2][index % 2] = bad
+        status, command, _, _ = code.plan(state, target, guess, 0.0)
+        assert (SPACE.command_lower <= command).all()
+        assert (command <= SPACE.command_upper).all()
+        if not np.isfinite(bad):
+            assert status == StepStatus.INVALID
+            with pytest.raises((ValueError, StepFailed)):
+                controller.controller(state, target, guess)
+
+
+def test_it_is_clean_for_the_sanitizers(tmp_path: Path) -> None:
+    source = c_source(learned("gp_on_linear", failing=True), "controller")
+    (tmp_path / "controller.c").write_text(source.code)
+    (tmp_path / "controller.h").write_text(source.header)
+    (tmp_path / "main.c").write_text(MAIN)
+    flags = ["-std=c99", "-g", "-fsanitize=undefined,address", "-fno-sanitize-recover=all"]
+    files = [str(tmp_path / name) for name in ("controller.c", "main.c")]
+    built = subprocess.run(
+        [str(COMPILER), *flags, *files, "-o", str(tmp_path / "main")], capture_output=True, text=True
+    )
+    if "sanitize" in built.stderr or "libasan" in built.stderr or "libubsan" in built.stderr:
+        pytest.skip("the compiler has no sanitizers")
+    assert built.returncode == 0, built.stderr
+    result = subprocess.run([str(tmp_path / "main")], capture_output=True, text=True)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert int(result.stdout) > 100
+
+
+MAIN = """
+#include "controller.h"
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+static double number(double lower, double upper)
+{
+    switch (rand() % 40) {
+    case 0: return NAN;
+    case 1: return INFINITY;
+    case 2: return 1e308;
+    case 3: return -1e-308;
+    default: return lower + (upper - lower) * rand() / RAND_MAX;
+    }
+}
+
+int main(void)
+{
+    controller_filter filter;
+    int planned = 0;
+    controller_filter_init(&filter);
+    for (int i = 0; i < 400; i++) {
+        double state[2] = {number(-0.2, 0.6), number(0.45, 0.7)}, target[2] = {number(0, 0.4), number(0.52, 0.64)};
+        double next[2] = {number(0, 0.4), number(0.52, 0.64)}, yaw = number(-10, 10), command[2], predicted[2], std[2];
+        double jacobian[8], std_gradient[8];
+        planned += controller_plan(&filter, state, target, NULL, yaw, command, predicted, std) == 0;
+        if (!(command[0] >= -30 && command[0] <= 30 && command[1] >= -20 && command[1] <= 20)) return 1;
+        controller_filter_update(&filter, state, command, next, yaw);
+        controller_jacobian(state, command, jacobian, std_gradient);
+    }
+    printf("%d", planned);
+    return 0;
+}
+"""
+
+
+@pytest.mark.parametrize("prefix", ["", "2nd", "a b", "while", "ünder", "x" * 40])
+def test_a_prefix_must_be_an_identifier(prefix: str) -> None:
+    with pytest.raises(InputError, match="C identifier"):
+        c_source(learned("none"), prefix)

@@ -1,0 +1,44 @@
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stepgap.hardware.ethercat.emulator.drive import DriveState, next_drive_state
+
+STATES = st.sampled_from(DriveState)
+WORDS = st.integers(0, 0xFFFF)
+UP = [
+    DriveState.SWITCH_ON_DISABLED,
+    DriveState.READY_TO_SWITCH_ON,
+    DriveState.SWITCHED_ON,
+    DriveState.OPERATION_ENABLED,
+]
+
+
+@given(STATES, WORDS, WORDS)
+def test_states_go_up_one_at_a_time_and_only_on_request(state, controlword, before):
+    after = next_drive_state(state, controlword, before)
+    if state in UP and after in UP:
+        assert UP.index(after) <= UP.index(state) + 1
+    if after is DriveState.OPERATION_ENABLED:
+        assert controlword & 0x0F == 0x0F
+        assert state in (DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED)
+
+
+@given(WORDS, WORDS)
+def test_a_fault_is_left_by_a_rising_edge_of_bit_7_only(controlword, before):
+    rises = controlword & 0x80 and not before & 0x80
+    expected = DriveState.SWITCH_ON_DISABLED if rises else DriveState.FAULT
+    assert next_drive_state(DriveState.FAULT, controlword, before) is expected
+
+
+@given(STATES, WORDS, WORDS)
+def test_without_voltage_or_quick_stop_bit_nothing_is_enabled(state, controlword, before):
+    for bit in (0x02, 0x04):
+        assert next_drive_state(state, controlword & ~bit, before) is not DriveState.OPERATION_ENABLED
+
+
+def test_enabling_and_a_quick_stop():
+    state, seen = DriveState.SWITCH_ON_DISABLED, []
+    for controlword in (0x06, 0x07, 0x0F, 0x0B, 0x0F):
+        state = next_drive_state(state, controlword, 0)
+        seen.append(state)
+    assert seen == [0x21, 0x23, 0x27, 0x07, 0x40]

@@ -1,0 +1,119 @@
+"""The ring with a master that is independent of this project and of SOEM: KickCAT."""
+
+from struct import pack, unpack
+
+import numpy as np
+import pytest
+
+from stepgap.hardware.ethercat.emulator.faults import LostFrames, PowerLost, Silence, WrongMapping
+from tests.hardware.ethercat.emulator.bench import DRIVE_INPUT, DRIVES, ENCODER_INPUT, ENCODERS, LENGTHS
+from tests.hardware.ethercat.emulator.kickcat_master import WATCHDOG, KickcatMaster
+from tests.hardware.ethercat.ring_process import INTERFACE, live_ring
+
+BEFORE = 2
+"""Frames with outputs until OP."""
+
+A_WHILE, FOR_A_FRAME = 0.05, 0.25
+"""Time that KickCAT waits for an answer that it does not recognise, and for a frame that does not come [s]."""
+
+
+def test_kickcat_finds_the_slaves_and_brings_them_to_op():
+    with live_ring() as ring:
+        master = KickcatMaster(INTERFACE)
+        states = master.kickcat.State
+        assert [slave.address for slave in master.slaves] == [1001, 1002, 1003, 1004, 1005, 1006]
+        assert [master.bus.get_state(slave) for slave in master.slaves] == [states.PREOP] * 6
+        master.assign_pdos()
+        master.operational()
+        assert [(slave.output_size, slave.input_size) for slave in master.slaves] == list(LENGTHS)
+        assert [master.bus.get_state(slave) for slave in master.slaves] == [states.OPERATIONAL] * 6
+        assert ring.look().cycles == BEFORE
+        master.change(states.PREOP)
+        assert [master.bus.get_state(slave) for slave in master.slaves] == [states.PREOP] * 6
+
+
+def test_torques_and_sensors_are_what_kickcat_sent_and_received():
+    torques = np.random.default_rng(0).integers(-2000, 2000, size=(200, 2)).tolist()
+    with live_ring() as ring:
+        master = KickcatMaster(INTERFACE)
+        master.assign_pdos()
+        master.operational()
+        master.enable()
+        before = (0, 0)
+        for ticks, (torque_1, torque_2) in enumerate(torques, 1):
+            master.cycle(torque_1, torque_2)  # reads, then writes: the inputs are those of the tick before
+            drives = [DRIVE_INPUT.unpack(master.slaves[drive].input_data) for drive in DRIVES]
+            encoders = [ENCODER_INPUT.unpack(master.slaves[encoder].input_data) for encoder in ENCODERS]
+            assert [drive[:2] for drive in drives] == [(ticks, before[0]), (10 * ticks, before[1])]
+            assert [drive[2] & 0x6F for drive in drives] == [0x27, 0x27]
+            assert encoders == [(0, -ticks, 0), (0, 2 * ticks, 0)]
+            assert unpack("<Hh", master.slaves[5].input_data) == (0, 5 * ticks)
+            before = torque_1, torque_2
+        counts = [[round(torque / 0.016) for torque in tick] for tick in ring.look().torques]
+        assert counts == [[0, 0], *torques]
+
+
+def test_kickcat_reads_and_writes_objects():
+    with live_ring():
+        master = KickcatMaster(INTERFACE)
+        complete = master.kickcat.Access.EMULATE_COMPLETE  # reads one entry after the other
+        assert master.bus.read_sdo(master.slaves[0], 0x1018, 1, complete, 64, 1.0) == pack(
+            "<IIII", 0x9A, 0x30924, 0x10420, 1
+        )
+        assert master.bus.read_sdo(master.slaves[4], 0x1C00, 1, complete, 64, 1.0) == b"\1\2\3\4"
+        assert master.upload(0, 0x1008, 0) == (0, b"Gold drive")  # more than four bytes: not expedited
+        for index, value in ((0x6060, b"\x0a"), (0x6072, pack("<H", 1234)), (0x6071, pack("<h", -5))):
+            assert master.write(0, index, 0, value) == 0
+            assert master.upload(0, index, 0) == (0, value)
+
+
+def test_what_kickcat_may_not_do_is_refused():
+    # KickCAT 2.5 takes an abort only as SDO response; as the standard, IgH's master and SOES have it, it is a request
+    with live_ring():
+        master = KickcatMaster(INTERFACE)
+        unanswered = master.kickcat.mailbox.request.MessageStatus.TIMEDOUT
+        assert master.upload(0, 0x2000, 0, wait=A_WHILE)[0] in (unanswered, 0x06020000)
+        assert master.write(0, 0x6041, 0, b"\0\0", wait=A_WHILE) in (unanswered, 0x06010002)
+        assert master.upload(0, 0x1018, 1, complete=True, wait=A_WHILE)[0] in (unanswered, 0x06010000)
+        assert master.write(0, 0x1C12, 0, b"\1\0\x0b\x16", complete=True, wait=A_WHILE) in (unanswered, 0x06010000)
+        assert master.upload(0, 0x1C12, 1) == (0, b"\x02\x16")  # not changed, and the mailbox still works
+        with pytest.raises(master.kickcat.ErrorCoE, match="Object Description"):
+            master.bus.read_object_description(master.slaves[0], 0x1018)
+        with pytest.raises(master.kickcat.ErrorCoE, match="Entry Description"):
+            master.bus.read_entry_description(master.slaves[0], 0x1018, 1)
+
+
+def test_kickcat_detects_lost_frames_and_lost_slaves():
+    with live_ring(LostFrames(BEFORE + 1), PowerLost(BEFORE + 3, "contact_force", 2)):
+        master = KickcatMaster(INTERFACE)
+        master.assign_pdos()
+        master.operational()
+        master.cycle()
+        with pytest.raises(RuntimeError, match="write error: datagram state is LOST"):
+            master.cycle(wait=FOR_A_FRAME)
+        master.cycle()
+        master.cycle()  # the terminal has no outputs
+        with pytest.raises(RuntimeError, match="read error: datagram state is INVALID_WKC"):
+            master.cycle()
+
+
+def test_the_watchdog_is_as_long_as_kickcat_sets_it():
+    ticks = round(WATCHDOG * 1000)
+    with live_ring(Silence(BEFORE + 1, ticks - 1), Silence(BEFORE + 2, ticks + 1)):
+        master = KickcatMaster(INTERFACE)
+        master.assign_pdos()
+        master.operational()
+        master.cycle()
+        master.cycle()
+        assert master.bus.get_state(master.slaves[0]) == master.kickcat.State.OPERATIONAL
+        master.cycle()
+        with pytest.raises(master.kickcat.ErrorAL):
+            master.bus.get_state(master.slaves[0])
+
+
+def test_a_wrong_mapping_is_an_error_of_the_state():
+    with live_ring(WrongMapping(0, "drive_2")):
+        master = KickcatMaster(INTERFACE)
+        master.assign_pdos()
+        with pytest.raises(master.kickcat.ErrorAL):
+            master.operational()

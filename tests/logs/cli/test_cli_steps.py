@@ -1,0 +1,118 @@
+"""`stepgap steps`: its files, which `stepgap fit` reads; what it leaves out and refuses; and wrong input."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.logs.columns import read_columns
+from tests.cli.command_line import Command, refused
+from tests.logs.sections.hopping_logs import HoppingLog, hopping, lost_rows, write
+
+STATE = ("--state", "speed=rate(forward),height")
+APEXES = ("--height", "height", *STATE, "--command", "number")
+
+
+@pytest.fixture
+def log(tmp_path: Path, stepgap: Command) -> HoppingLog:
+    """log.csv and plan.csv in the current folder, with two gaps."""
+    assert stepgap
+    rng = np.random.default_rng(0)
+    made = lost_rows(2, 0.2)(hopping(30, rng, 500.0), rng)
+    write(made, tmp_path, rng)
+    return made
+
+
+def rows_of(file: str) -> list[dict[str, str]]:
+    with Path(file).open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_it_writes_steps_their_meaning_and_a_figure(log: HoppingLog, stepgap: Command) -> None:
+    Path("units.toml").write_text('[units]\nforward = "m"\nheight = "m"\n')
+    result = stepgap("steps", "log.csv", "--plan", "plan.csv", *APEXES, "--columns", "units.toml", "--out", "steps.csv")
+    assert result.code == 0, result
+    lines = result.out.splitlines()
+    assert lines[0].startswith("log.csv: 30 sections, ")
+    assert any(line.startswith("  left out: ") for line in lines)
+    assert lines[-3:] == ["steps.png", "steps.csv", "steps.toml"]
+    assert "stepgap fit steps.csv --columns steps.toml" in result.err
+    assert Path("steps.png").read_bytes().startswith(b"\x89PNG")
+    rows = rows_of("steps.csv")
+    found = np.array([[float(row[name]) for name in ("speed", "height", "next_speed", "next_height")] for row in rows])
+    numbers = [int(row["number"]) for row in rows]
+    np.testing.assert_allclose(found, np.hstack([log.apexes[numbers, 1:], log.apexes[1:][numbers, 1:]]), atol=1e-4)
+    assert [int(row["step"]) for row in rows] == [number + 1 for number in numbers]
+    columns = read_columns(Path("steps.toml"), {})
+    assert columns is not None
+    assert (columns.state, columns.next, columns.command, columns.deployment) == (
+        ("speed", "height"), ("next_speed", "next_height"), ("number",), "log",
+    )  # fmt: skip
+    assert columns.units == {"speed": "m/s", "height": "m"}
+
+
+def test_fit_reads_the_steps(log: HoppingLog, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stepgap.learning.residual_fit.names_without_lagged_inputs", lambda: ("none", "constant"))
+    monkeypatch.setattr(
+        "stepgap.logs.sections.section_figures.sections_picture", lambda *_: b""
+    )  # other tests look at it
+    assert stepgap("steps", "log.csv", "--plan", "plan.csv", *APEXES, "--out", "steps.csv").code == 0
+    result = stepgap("fit", "steps.csv", "--columns", "steps.toml", "--nominal", "state")
+    assert result.code == 0, result
+    assert f"steps       {len(rows_of('steps.csv'))} of 1 deployment" in result.out
+    assert len(log.apexes) == 30
+
+
+def test_several_logs_are_told_apart(log: HoppingLog, stepgap: Command) -> None:
+    Path("second").mkdir()
+    write(log, Path("second"), np.random.default_rng(1))
+    logs = ("log.csv", "second/log.csv", "--plan", "plan.csv", "--plan", "second/plan.csv")
+    assert stepgap("steps", *logs, *APEXES, "--out", "steps.csv", "--plot", "figure.svg").code == 0
+    labels = [row["log"] for row in rows_of("steps.csv")]
+    assert sorted(set(labels)) == ["log.csv (1)", "log.csv (2)"]
+    assert labels.count("log.csv (1)") == labels.count("log.csv (2)") > 20
+    assert b"second/log.csv" not in Path("figure.svg").read_bytes()
+
+
+def test_a_doubtful_log_is_refused_after_its_figure(log: HoppingLog, stepgap: Command) -> None:
+    Path("plan.csv").write_text("time,number\n99,1\n")
+    result = stepgap("steps", "log.csv", "--plan", "plan.csv", *APEXES, "--out", "steps.csv")
+    assert result.code == 2
+    assert result.err == (
+        "stepgap: log.csv: no step can be used, most often: no plan. steps.png shows them; nothing else was written\n"
+    )
+    assert sorted(path.name for path in Path().iterdir()) == ["log.csv", "plan.csv", "steps.png"]
+    assert len(log.apexes) == 30
+
+
+@pytest.mark.usefixtures("log")
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        ((*APEXES,), ("LOG: none given; give logs of the robot's motion",)),
+        (("log.csv", *STATE), ("--height = ''", "it must be the column of the height")),
+        (("log.csv", "--height", "height"), ("--state = ''",)),
+        (("log.csv", "--height", "hieght", *STATE), ("log.csv: no column 'hieght'; did you mean 'height'?",)),
+        (("gone.csv", *APEXES), ("gone.csv: No such file or directory",)),
+        (("log.csv", "--plan", "log.csv", "--plan", "plan.csv", *APEXES), ("--plan: 2 files for 1 logs",)),
+        (("log.csv", *APEXES), ("log.csv: no column 'number'",)),
+        (("log.csv", "--columns", "gone.toml"), ("gone.toml: No such file or directory",)),
+        (("log.csv", "--force", "height", *APEXES), ("log.csv, column 'height': from 0.", "subtract the offset")),
+        (("log.csv", "--phase", "phase", "--aerial", "AIR", *APEXES), ("no phase 'AIR'; there is FLIGHT, STANCE",)),
+        (("log.csv", "--contact", "force", *APEXES), ("a contact must be 0 or 1; use it as a --force",)),
+        (("log.csv", *APEXES, "--plot", "figure.gif"), ("figure.gif: the name must end with one of .pdf, .png, .svg",)),
+    ],
+)
+def test_wrong_input_is_refused(arguments: tuple[str, ...], parts: tuple[str, ...], stepgap: Command) -> None:
+    refused(stepgap("steps", *arguments, "--out", "steps.csv"), *parts)
+    assert not Path("steps.csv").exists()
+
+
+@pytest.mark.usefixtures("log")
+@pytest.mark.parametrize("taken", ["steps.csv", "steps.toml", "steps.png"])
+def test_nothing_is_overwritten(taken: str, stepgap: Command) -> None:
+    Path(taken).write_text("mine")
+    refused(stepgap("steps", "log.csv", *APEXES, "--out", "steps.csv"), f"{taken}: exists already")
+    assert Path(taken).read_text() == "mine"
+    assert len(list(Path().glob("steps.*"))) == 1

@@ -1,0 +1,69 @@
+"""Signals of logs: several files, several rates, missing values; wrong times and names are refused by one line."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.logs.sections.signals import SignalLog, read_signal_log
+from stepgap.records.steps_csv import RecordError
+
+
+@pytest.fixture(autouse=True)
+def _in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def read(text: str, time: str = "", **factors: float) -> SignalLog:
+    return read_signal_log(text, time, factors)
+
+
+def test_files_have_their_own_times_or_those_of_the_first() -> None:
+    Path("body.csv").write_text("t,y\n0,1\n0.1,2\n0.2,\n0.3,4\n")
+    Path("slow.csv").write_text("t,x\n0.05,10\n0.25,20\n")
+    Path("same.csv").write_text("z,phase\n5,A\n6,A\n7,B\n8,\n")
+    log = read("body.csv+slow.csv+same.csv", x=0.001)
+    for column, time, values in (
+        ("y", [0, 0.1, 0.3], [1, 2, 4]), ("x", [0.05, 0.25], [0.01, 0.02]), ("z", [0, 0.1, 0.2, 0.3], [5, 6, 7, 8]),
+    ):  # fmt: skip
+        np.testing.assert_allclose(log.signal(column).time, time)
+        assert log.signal(column).values.tolist() == values
+    assert log.labels("phase").values.tolist() == ["A", "A", "B"]
+    assert log.columns == ["t", "y", "x", "z", "phase"]
+    assert log.signal("y").between(0.1, 0.3).values.tolist() == [2, 4]
+
+
+def test_numbers_may_be_labels() -> None:
+    Path("log.csv").write_text("time,phase\n0,1\n1,2\n2,2.5\n")
+    assert read("log.csv").labels("phase").values.tolist() == ["1", "2", "2.5"]
+
+
+def test_a_file_with_a_plus_in_its_name_is_one_file() -> None:
+    Path("a+b.csv").write_text("time,y\n0,1\n1,2\n")
+    assert len(read("a+b.csv").signal("y")) == 2
+
+
+@pytest.mark.parametrize(
+    ("content", "text", "column", "message"),
+    [
+        ("a,y\n0,1\n", "log.csv", "y", "log.csv: no column of the time, named time, log_time, t, timestamp"),
+        ("t,y\n0,1\n2,1\n1,1\n", "log.csv", "y", "log.csv, line 4, column 't': the time goes back from 2 to 1 s"),
+        ("t,y\n0,1\n1,1\n", "log.csv", "z", "log.csv: no column 'z'; there is t, y"),
+        ("t,y\n0,1\n1,\n", "log.csv", "y", "log.csv, column 'y': 1 numbers; at least 2 are needed"),
+        ("t,y\n0,1\n1,1\n", "log.csv+gone.csv", "y", "gone.csv: No such file or directory"),
+        ("t,y\n0,1\n1,high\n", "log.csv", "y", "log.csv, line 3, column 'y': 'high'; it must be a number"),
+    ],
+)
+def test_what_is_wrong_is_said(content: str, text: str, column: str, message: str) -> None:
+    Path("log.csv").write_text(content)
+    with pytest.raises(RecordError) as refusal:
+        read(text).signal(column)
+    assert message in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_file_without_times_has_as_many_rows_as_the_first() -> None:
+    Path("first.csv").write_text("t,y\n0,1\n1,2\n")
+    Path("second.csv").write_text("z\n1\n2\n3\n")
+    with pytest.raises(RecordError, match=r"second.csv: no column of the time.*, and not the 2 rows of the first file"):
+        read("first.csv+second.csv")

@@ -1,0 +1,179 @@
+"""Text logs: every way to write the same numbers is read as the same numbers, or refused; none is read as others."""
+
+import gzip
+import re
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stepgap.logs.columns import read_columns
+from stepgap.logs.tables.log_table import LogTable
+from stepgap.logs.tables.reading import read_log_table, read_log_tables
+from stepgap.logs.tables.text_format import AS_FOUND, TextFormat
+from stepgap.records.steps_csv import RecordError
+
+NUMBERS = st.floats(-1e12, 1e12)
+TABLES = st.integers(2, 5).flatmap(lambda width: st.lists(st.tuples(*[NUMBERS] * width), min_size=1, max_size=12))
+
+
+def read(content: bytes, written: TextFormat = AS_FOUND) -> LogTable:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "log.csv"
+        path.write_bytes(content)
+        return read_log_table(path, [], written)
+
+
+def read_or_refused(content: bytes) -> LogTable | None:
+    """The table, or None if the content was refused by one line; any other error fails the test."""
+    message = ""
+    try:
+        return read(content)
+    except RecordError as error:
+        message = str(error)
+    assert "log.csv" in message
+    assert "\n" not in message
+    return None
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    TABLES,
+    st.sampled_from([",", ";", "\t", "  "]),
+    st.sampled_from([".", ","]),
+    st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "latin-1"]),
+    st.sampled_from(["\n", "\r\n"]),
+    st.sampled_from(["", "# a comment, with numbers 1;2\n\n", "% matlab\n"]),
+    st.booleans(),
+    st.booleans(),
+)
+def test_every_way_to_write_numbers(
+    rows: list[tuple[float, ...]],
+    delimiter: str,
+    decimal: str,
+    encoding: str,
+    end: str,
+    comment: str,
+    in_comment: bool,
+    compressed: bool,
+) -> None:
+    if delimiter == decimal == ",":
+        decimal = "."
+    names = [f"µ{column}" for column in range(len(rows[0]))]
+    cells = [[repr(number).replace(".", decimal) for number in row] for row in rows]
+    header = ("# " if in_comment else "") + delimiter.join(names)
+    text = comment + "\n".join([header, *(delimiter.join(row) for row in cells)]) + "\n"
+    content = text.replace("\n", end).encode(encoding)
+    content = gzip.compress(content) if compressed else content
+    with_comma = [cell for row in cells for cell in row if "," in cell]
+    if with_comma and all(re.fullmatch(r"-?[1-9]\d{0,2},\d{3}", cell) for cell in with_comma):
+        with pytest.raises(RecordError, match="separate thousands"):
+            read(content)
+        return
+    table = read(content)
+    assert list(table.columns) == names
+    for name, values in zip(names, np.array(rows).T, strict=True):
+        np.testing.assert_array_equal(table.numbers(name), values)
+    assert table.lines is not None
+    assert np.all(np.diff(table.lines) == 1)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.text('0123456789,.;\t t-e#"\n', max_size=40).map(lambda text: f"t;v\n{text}") | st.text(max_size=40))
+def test_any_text_gives_a_table_or_one_line(text: str) -> None:
+    table = read_or_refused(text.encode("utf-8", "surrogatepass"))
+    if table is None:
+        return
+    assert len({len(values) for values in table.columns.values()}) <= 1
+    if table.columns:
+        assert table.lines is not None
+        assert len(table.lines) == len(table)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.binary(max_size=80), st.sampled_from([b"", b"\x93NUMPY\x01\x00", b"PK\x03\x04", b"\x89MCAP0\r\n", b"PAR1"]))
+def test_any_bytes_give_a_table_or_one_line(content: bytes, magic: bytes) -> None:
+    read_or_refused(magic + content)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.integers(1, 999), min_size=1, max_size=5), st.integers(0, 999))
+def test_a_comma_that_may_separate_thousands_is_refused_or_named(wholes: list[int], rest: int) -> None:
+    content = ("t;v\n" + "".join(f"0;{whole},{rest:03}\n" for whole in wholes)).encode()
+    with pytest.raises(RecordError, match="may be a decimal comma or separate thousands"):
+        read(content)
+    expected = [float(f"{whole}.{rest:03}") for whole in wholes]
+    assert read(content, TextFormat(decimal=",")).numbers("v").tolist() == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "columns"),
+    [
+        ("# t v\n0 1\n", {"t": [0], "v": [1]}),
+        ("#t,v\n0,1\n", {"t": [0], "v": [1]}),
+        ("# t v\n0,5 1,5\n", {"t": [0.5], "v": [1.5]}),
+        ("  t   v\n  0   1\n", {"t": [0], "v": [1]}),
+        ('"t, s";v\n"0,5";1,25\n', {"t, s": [0.5], "v": [1.25]}),
+        ("t,v\n0,\n1,NaN\n2,-inf\n", {"t": [0, 1, 2], "v": [np.nan] * 3}),
+        ("t;v\n,5;-1,5e3\n", {"t": [0.5], "v": [-1500]}),
+        ("v\n0.5\n", {"v": [0.5]}),
+    ],
+)
+def test_special_cases(text: str, columns: dict[str, list[float]]) -> None:
+    table = read(text.encode())
+    assert list(table.columns) == list(columns)
+    for name, values in columns.items():
+        np.testing.assert_array_equal(table.numbers(name), values)
+
+
+def test_labels_are_kept() -> None:
+    table = read(b"t,phase\n0,flight\n1,\n")
+    assert table.columns["phase"].tolist() == ["flight", ""]
+    with pytest.raises(RecordError, match=r"line 2, column 'phase': 'flight'; it must be a number"):
+        table.numbers("phase")
+
+
+def test_the_format_of_a_file_of_columns(tmp_path: Path) -> None:
+    file = tmp_path / "columns.toml"
+    file.write_text(
+        'state = ["v"]\ncommand = ["f"]\n'
+        '[format]\ndecimal = ","\ndelimiter = "tab"\nencoding = "cp1252"\ncomment = "//"\n'
+    )
+    columns = read_columns(file, {})
+    assert columns is not None
+    assert columns.format == TextFormat(",", "\t", "cp1252", "//")
+    table = read("// a robot\nv\t€\n1,5\t2,25\n".encode("cp1252"), columns.format)
+    assert table.numbers("€").tolist() == [2.25]
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ("decimal = ';'", "format.decimal = ';', but it must be '.' or ','"),
+        ("delimiter = '|'", "format.delimiter = '|', but it must be one of comma, semicolon, tab, space"),
+        ("decimal = ','\ndelimiter = 'comma'", "format.delimiter = ',', but it must differ from the decimal sign"),
+        ("encoding = 'klingon'", "format.encoding = 'klingon', but it must be an encoding"),
+        ("decimals = ','", "but it must be a table of strings, decimal, delimiter, encoding, comment"),
+    ],
+)
+def test_faults_of_a_format_are_named(entry: str, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "columns.toml"
+    file.write_text(f"state = ['v']\ncommand = ['f']\n[format]\n{entry}\n")
+    with pytest.raises(RecordError, match=re.escape(message)):
+        read_columns(file, {})
+
+
+def test_a_file_that_must_not_be_read(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="No such file"):
+        read_log_tables(tmp_path / "none")
+
+
+def test_a_package_that_is_not_installed_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "log.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(RecordError, match=r"log\.h5: this format needs h5py: .*pip install 'stepgap\[logs\]'"):
+        read_log_tables(tmp_path / "log.h5")

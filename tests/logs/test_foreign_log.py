@@ -1,0 +1,269 @@
+"""Reading any CSV log: all numbers are read, rows are chained correctly, and messages name each fault."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stepgap.learning.step_table import StepTable
+from stepgap.logs import foreign_log
+from stepgap.logs.columns import Columns, read_columns
+from stepgap.logs.foreign_log import read_foreign_logs, step_log_of
+from stepgap.records.steps_csv import RecordError
+
+NUMBERS = st.floats(-1e12, 1e12) | st.just(float("nan"))
+WHOLE = Columns(state=("v", "y"), next=("v2", "y2"), command=("f",))
+
+
+def read(text: str | bytes, columns: Columns) -> StepTable:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "log.csv"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return read_foreign_logs([path], columns)
+
+
+def written(names: Sequence[str], rows: Sequence[Sequence[object]], delimiter: str = ",") -> str:
+    return "\n".join(delimiter.join(map(str, row)) for row in (names, *rows)) + "\n"
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.tuples(*[NUMBERS] * 6), min_size=1, max_size=20),
+    st.permutations(["v", "y", "v2", "y2", "f", "other"]),
+    st.sampled_from(",;\t"),
+)
+def test_every_number_is_read(rows: list[tuple[float, ...]], names: list[str], delimiter: str) -> None:
+    table = np.array(rows)
+    used = [names.index(name) for name in ("v", "y", "v2", "y2", "f")]
+    whole = np.isfinite(table[:, used]).all(axis=1)
+    text = written(names, [["" if np.isnan(cell) else repr(cell) for cell in row] for row in rows], delimiter)
+    if not whole.any():
+        with pytest.raises(RecordError, match="no row holds a complete step"):
+            read(text, WHOLE)
+        return
+    steps = read(text, WHOLE)
+    found = np.hstack([steps.state, steps.next_state, steps.command])
+    np.testing.assert_array_equal(found, table[whole][:, used])
+    assert sum(steps.left_out.values()) == len(rows) - whole.sum()
+    for quantity, values in zip((*steps.space.state, *steps.space.command), found[:, [0, 1, 4]].T, strict=True):
+        assert quantity.lower <= values.min()
+        assert values.max() <= quantity.upper
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 3), st.booleans(), NUMBERS, NUMBERS), min_size=2, max_size=30))
+def test_rows_chain_as_if_the_next_state_were_written(rows: list[tuple[int, bool, float, float]]) -> None:
+    """Each row: trial, whether a step was skipped before it, state, command."""
+    count = np.cumsum([1 + skipped for _, skipped, _, _ in rows])
+    follows = [
+        earlier[0] == later[0] and step == 1
+        for earlier, later, step in zip(rows, rows[1:], np.diff(count), strict=False)
+    ]
+    pairs = [(a, b) for a, b, chained in zip(rows, rows[1:], follows, strict=False) if chained]
+    pairs = [(a, b) for a, b in pairs if np.isfinite([a[2], b[2]]).all()]
+    text = written(["trial", "n", "v", "f"], [(row[0], n, *row[2:]) for row, n in zip(rows, count, strict=True)])
+    forward = [(a[2], a[3], b[2]) for a, b in pairs if np.isfinite(a[3])]
+    backward = [(a[2], b[3], b[2]) for a, b in pairs if np.isfinite(b[3])]
+    common: dict[str, Any] = {"command": ("f",), "deployment": "trial", "step": "n"}
+    for columns, expected in (
+        (Columns(state=("v",), **common), forward),
+        (Columns(next=("v",), **common), backward),
+    ):
+        if not expected:
+            with pytest.raises(RecordError, match="no row holds a complete step"):
+                read(text, columns)
+            continue
+        steps = read(text, columns)
+        np.testing.assert_array_equal(np.hstack([steps.state, steps.command, steps.next_state]), expected)
+        assert steps.left_out.get("at the end of a chain", 0) == len(rows) - sum(follows)
+
+
+@settings(max_examples=80, deadline=None)
+@given(st.binary(max_size=60) | st.text(max_size=60).map(lambda text: b"v,y,v2,y2,f\n" + text.encode()))
+def test_any_content_of_a_file_gives_one_kind_of_error(content: bytes) -> None:
+    steps, message = None, ""
+    try:
+        steps = read(content, WHOLE)
+    except RecordError as error:
+        message = str(error)
+    if steps is None:
+        assert "log.csv" in message
+        assert len(message) < 600
+    else:
+        assert np.isfinite(np.hstack([steps.state, steps.next_state, steps.command])).all()
+
+
+def test_units_factors_names_and_targets() -> None:
+    columns = Columns(
+        state=("speed=v_mm", "height=y"),
+        target=("v_ref", "y_ref"),
+        units={"v_mm": "m/s", "y": "m"},
+        factors={"v_mm": 1e-3, "v_ref": 1e-3},
+    )
+    text = "\ufeff" + written(["v_mm", "y", "v_ref", "y_ref"], [(100, 0.5, 200, 0.6), (150, 0.55, 200, 0.6)])
+    steps = read(text, columns)
+    assert [(q.name, q.unit) for q in steps.space.state] == [("speed", "m/s"), ("height", "m")]
+    assert steps.space.command_names == ("v_ref", "y_ref")
+    np.testing.assert_allclose(steps.state, [[0.1, 0.5]])
+    np.testing.assert_allclose(steps.next_state, [[0.15, 0.55]])
+    np.testing.assert_allclose(steps.command, [[0.2, 0.6]])
+    assert steps.target is not None
+    np.testing.assert_array_equal(steps.target, steps.command)
+    assert steps.predicted is None
+    for quantity in steps.space.command:
+        assert quantity.lower < quantity.upper, "although its values are all equal"
+
+
+def test_each_file_is_a_deployment(tmp_path: Path) -> None:
+    for name in "ab":
+        (tmp_path / name).write_text(written(["v", "f", "trial"], [(1, 0, 1), (2, 0, 1), (3, 0, 2), (4, 0, 2)]))
+    columns = Columns(state=("v",), command=("f",), deployment="trial")
+    steps = read_foreign_logs([tmp_path / "a", tmp_path / "b"], columns)
+    np.testing.assert_array_equal(steps.deployment, [0, 1, 2, 3])
+    assert steps.left_out == {"at the end of a chain": 4}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "log.csv: empty"),
+        ("v,y,v2,y2\n", "log.csv, line 1: command 'f': no column 'f'; there is v, y, v2, y2"),
+        ("v,y,next_v2,y2,f\n", "log.csv, line 1: next 'v2': no column 'v2'; did you mean"),
+        ("v,y,v2,y2,f,f\n", "log.csv, line 1: command 'f': more than one such column"),
+        ("v,y,v2,y2,f\n", "log.csv: no row holds a complete step; rows left out: none"),
+        ("v,y,v2,y2,f\n1,2,3,4\n", "log.csv, line 2: 4 values; it must have 5"),
+        ("v,y,v2,y2,f\n\n1,2,3,4,strong\n", "log.csv, line 3, column 'f': 'strong'; it must be a number"),
+        ("v,y,v2,y2,f\n1,2,3,4,1e13\n", "log.csv, line 2, column 'f': '1e13'; it must be a number within"),
+        ("v,y,v2,y2,f\n1,2,3,4,\n1,2,3,nan,5\n", "log.csv: no row holds a complete step; rows left out: 2"),
+        ('v,y,v2,y2,f\n1,2,3,4,"5\n', "log.csv, line 2: "),
+        (b"\xff\xfe\x00", "log.csv: not a text file"),
+    ],
+)
+def test_faults_of_a_file_are_named(text: str | bytes, message: str) -> None:
+    with pytest.raises(RecordError, match=re.escape(message)):
+        read(text, WHOLE)
+
+
+def test_a_file_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(foreign_log, "LARGEST_LOG", 20)
+    (tmp_path / "log.csv").write_text("v,y,v2,y2,f\n1,2,3,4,5\n")
+    with pytest.raises(RecordError, match="larger than 20 bytes"):
+        read_foreign_logs([tmp_path / "log.csv"], WHOLE)
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match=r"none\.csv: No such file"):
+        read_foreign_logs([tmp_path / "none.csv"], WHOLE)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"command": ("f",)}, "state: no column"),
+        ({"state": ("v",)}, "command: no column"),
+        ({"state": ("v", "y"), "next": ("v2",), "command": ("f",)}, "next: 1 columns; it must have as many"),
+        ({"state": ("v",) * 13, "command": ("f",)}, "state: 13 columns; it must have at most 12"),
+        ({"state": ("v",), "command": ("x=f", "v=g")}, "give each a different name"),
+        ({"state": ("v",), "command": ("f",), "units": {"w": "m"}}, "units: no column 'w'; "),
+        ({"state": ("v",), "command": ("f",), "factors": {"f": 0.0}}, "factors: f = 0.0, but its magnitude must"),
+        (
+            {"state": ("v",), "command": ("f",), "factors": {"f": float("nan")}},
+            "factors: f = nan, but its magnitude must",
+        ),
+    ],
+)
+def test_columns_must_fit_each_other(arguments: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        Columns(**arguments)
+
+
+def test_columns_from_a_file_and_options(tmp_path: Path) -> None:
+    file = tmp_path / "columns.toml"
+    file.write_text('state = ["v"]\ncommand = ["f"]\nstep = "n"\n[units]\nv = "m/s"\n[factors]\nv = 2\n')
+    assert read_columns(None, {}) is None
+    expected = Columns(("v",), ("a",), ("f", "g"), step="n", units={"v": "m/s"}, factors={"v": 2})
+    assert read_columns(file, {"next": "a", "command": "f, g"}) == expected
+
+
+def test_a_byte_order_mark_in_a_file_of_columns_does_no_harm(tmp_path: Path) -> None:
+    file = tmp_path / "columns.toml"
+    file.write_text('state = ["v"]\ncommand = ["f"]\n', encoding="utf-8-sig")
+    assert read_columns(file, {}) == Columns(("v",), command=("f",))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (b"sate = ['v']", "sate: unknown key; did you mean state?"),
+        (b"state = 'v'", "state = 'v', but it must be a list of names of columns"),
+        (b"state = ['']", "state = [''], but it must be a list"),
+        (b"step = 3", "step = 3, but it must be the name of a column"),
+        (b"[units]\nv = 3", "units = {'v': 3}, but it must be a table of strings"),
+        (b"[factors]\nv = true", "factors = {'v': True}, but it must be a table of numbers"),
+        (b"state = ['v']", "command: no column"),
+        (b"state = ", "not TOML"),
+        (b"\xff", "this is not text; a file of columns is a TOML file in UTF-8"),
+        (b"#" * 2**21, "larger than"),
+    ],
+)
+def test_faults_of_a_file_of_columns_are_named(tmp_path: Path, text: bytes, message: str) -> None:
+    file = tmp_path / "columns.toml"
+    file.write_bytes(text)
+    with pytest.raises(RecordError, match=re.escape(message)) as caught:
+        read_columns(file, {})
+    assert str(caught.value).startswith(f"{file}: ")
+
+
+def test_names_on_the_command_line_must_not_be_empty() -> None:
+    with pytest.raises(RecordError, match="--state 'v,': a name is empty"):
+        read_columns(None, {"state": "v,", "command": "f"})
+    with pytest.raises(RecordError, match="--command: no column"):
+        read_columns(None, {"state": "v"})
+    with pytest.raises(RecordError, match="No such file"):
+        read_columns(Path("none.toml"), {})
+
+
+@pytest.mark.parametrize("columns", [Columns(state=("v",), command=("f",)), Columns(next=("v",), command=("f",))])
+def test_a_yaw_belongs_to_the_start_of_a_step_and_may_be_missing(columns: Columns) -> None:
+    rows = [(0.1 * row, 1, "" if row == 2 else 10 * row) for row in range(5)]
+    text = written(("v", "f", "psi"), rows)
+    steps = read(text, replace(columns, yaw="psi", factors={"psi": 0.1}))
+    np.testing.assert_allclose(steps.state[:, 0], [0, 0.1, 0.2, 0.3])
+    assert steps.yaw is not None
+    np.testing.assert_allclose(steps.yaw, [0, 1, np.nan, 3])
+    assert read(text, columns).yaw is None
+
+
+def test_a_yaw_is_left_out_with_its_row() -> None:
+    columns = Columns(state=("a",), next=("b",), command=("f",), yaw="psi")
+    steps = read(written(("a", "b", "f", "psi"), [(0, 1, 2, 3), (1, "", 2, 4), (1, 1, 1, 5)]), columns)
+    assert steps.yaw is not None
+    assert steps.yaw.tolist() == [3, 5]
+
+
+def test_the_yaw_after_a_step_is_that_at_the_start_of_the_next_one() -> None:
+    """Rows 0, 1 and 2, 3 are chained; row 4 is chained, but its yaw is missing; row 5 belongs to another trial."""
+    columns = Columns(state=("a",), next=("b",), command=("f",), yaw="psi", deployment="trial")
+    rows = [
+        (0, 1, 2, 0.1, 1),
+        (1, 2, 2, 0.2, 1),
+        (5, 6, 2, 0.3, 1),
+        (6, 7, 2, 0.4, 1),
+        (7, 8, 2, "", 1),
+        (8, 9, 2, 0.6, 2),
+    ]
+    text = written(("a", "b", "f", "psi", "trial"), rows)
+    log = step_log_of(read(text, columns))
+    assert [(logged.iteration, logged.step) for logged in log] == [(0, 1), (0, 2), (1, 1), (1, 2), (1, 3), (2, 1)]
+    nan = np.nan
+    np.testing.assert_array_equal([logged.record.yaw_after for logged in log], [0.2, nan, 0.4, nan, nan, nan])
+    np.testing.assert_array_equal(log.yaw, [nan, 0.2, nan, 0.4, nan, nan], "but for the first step of a deployment")
+    without = step_log_of(read(text, replace(columns, yaw="")))
+    assert np.isnan([logged.record.yaw_after for logged in without]).all()

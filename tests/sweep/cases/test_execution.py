@@ -1,0 +1,122 @@
+"""Execution of cases: failures are results, processes may end, and what another process has is left alone."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from time import sleep
+
+import pytest
+
+from stepgap.base import start_method
+from stepgap.sweep.cases.case_folder import CaseFolder
+from stepgap.sweep.cases.execution import execute
+from stepgap.sweep.cases.plan import LONGEST_REASON, CaseResult, Compute, computed
+from stepgap.sweep.cases.processes import ATTEMPTS, ProcessEnded, Processes
+from tests.sweep.cases.quick_cases import (
+    Squares,
+    end_at_one,
+    end_once,
+    fail_at_one,
+    full_disk,
+    sleep_after,
+    square,
+    square_of_caller,
+)
+
+PLAN = Squares(5, bad=3)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Iterator[CaseFolder]:
+    with CaseFolder(tmp_path / "out", PLAN, join=False) as opened:
+        yield opened
+
+
+def outcomes(folder: CaseFolder) -> list[object]:
+    return [found.failed or found.result for _, found in folder.results()]
+
+
+@pytest.mark.parametrize("make", [Processes, ThreadPoolExecutor])
+def test_a_case_that_fails_does_not_stop_the_others(folder: CaseFolder, make: Callable[[int], Executor]) -> None:
+    stored: list[int] = []
+    with make(2) as executor:
+        execute(PLAN, folder, range(5), fail_at_one, executor, 2, lambda number, _: stored.append(number))
+    assert outcomes(folder) == [0, "ZeroDivisionError: one is bad", 4, "case 3: bad", 16]
+    assert sorted(stored) == [0, 1, 2, 3, 4]
+
+
+def test_a_case_that_ends_its_process_fails_and_the_others_go_on(folder: CaseFolder) -> None:
+    with Processes(2) as executor:
+        execute(PLAN, folder, range(5), end_at_one, executor, 2)
+    reason = f"its process ended {ATTEMPTS} times, the last time with exit code -9"
+    assert outcomes(folder) == [0, reason, 4, "case 3: bad", 16]
+
+
+def test_finished_cases_are_not_computed_again(folder: CaseFolder) -> None:
+    assert folder.claim(2)
+    folder.store(2, CaseResult("mine"))
+    with ThreadPoolExecutor(1) as executor:
+        execute(PLAN, folder, [4, 2, 0], square, executor, 1)
+    assert outcomes(folder) == [0, "mine", 16]
+
+
+def test_an_error_of_the_system_stops_the_execution(folder: CaseFolder) -> None:
+    with ThreadPoolExecutor(1) as executor, pytest.raises(OSError, match="No space left"):
+        execute(PLAN, folder, range(5), full_disk, executor, 1)
+    assert outcomes(folder) == []
+
+
+def test_calls_run_in_other_processes_and_an_ended_one_is_replaced(tmp_path: Path) -> None:
+    with Processes(2) as executor:
+        calls = [executor.submit(square_of_caller, number) for number in range(8)]
+        assert [call.result()[0] for call in calls] == [number**2 for number in range(8)]
+        assert os.getpid() not in {call.result()[1] for call in calls}
+        assert executor.submit(end_once, 7, tmp_path / "mark").result() == 7
+        with pytest.raises(ZeroDivisionError):
+            executor.submit(divmod, 1, 0).result()
+
+
+def test_shutdown_without_waiting_ends_calls_at_once(tmp_path: Path) -> None:
+    executor = Processes(1)
+    call = executor.submit(sleep_after, tmp_path / "mark")
+    waiting = executor.submit(square_of_caller, 1)
+    mark = tmp_path / "mark"
+    while not (mark.exists() and mark.read_text()):
+        sleep(0.01)
+    executor.shutdown(wait=False)
+    assert isinstance(call.exception(), ProcessEnded)
+    assert waiting.cancelled() or isinstance(waiting.exception(), ProcessEnded)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(mark.read_text()), 0)
+
+
+def test_no_process_outlives_the_one_that_started_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(start_method, "CONTEXT", get_context("spawn"))
+    pid = os.fork()
+    if pid == 0:  # as a client that is killed during a case
+        try:
+            Processes(1).submit(sleep_after, tmp_path / "mark")
+            signal.pause()
+        finally:
+            os._exit(1)
+    mark = tmp_path / "mark"
+    while not (mark.exists() and mark.read_text()):
+        sleep(0.01)
+    worker = int(mark.read_text())
+    os.kill(pid, signal.SIGKILL)
+    os.waitpid(pid, 0)
+    while Path(f"/proc/{worker}").exists() and "Z" not in Path(f"/proc/{worker}/stat").read_text().split(")")[1]:
+        sleep(0.01)
+
+
+def test_a_reason_is_one_short_line() -> None:
+    def long(case: object) -> object:
+        raise ValueError("a\nb " * 1000)
+
+    compute: Compute = long  # pyright: ignore[reportAssignmentType]
+    found = computed(compute, "number = 1")
+    assert found.failed.startswith("ValueError: a b a b")
+    assert len(found.failed) == LONGEST_REASON

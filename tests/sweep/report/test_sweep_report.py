@@ -1,0 +1,326 @@
+"""The page of a sweep: its numbers are those of the table, text stays text, and the same table gives the same bytes."""
+
+import builtins
+import re
+import shutil
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.container import ErrorbarContainer
+from scipy import stats
+
+from stepgap.step import Array, Quantity
+from stepgap.sweep.report.figures import (
+    aborted_figure,
+    hops_figure,
+    main_effects_figure,
+    sensitivity_figure,
+    short_names,
+)
+from stepgap.sweep.report.page import SweepContext, write_sweep_report
+from stepgap.sweep.report.variance_shares import VarianceShares, variance_shares
+from stepgap.sweep.results_table import RESULTS
+from tests.browser import Watched
+from tests.browser import chromium as chromium  # fixtures
+from tests.browser import watched_page as watched_page
+from tests.report.pages import Page, check_alone, check_same_files
+from tests.sweep.report.tables import cases_in, combinations_of, write_results_table
+
+AXES = {
+    "twin": range(14),
+    "gap.torque_scale": [0.6, 0.8, 1.0],
+    "gap.ground_stiffness": [5000.0, 20000.0, 80000.0],
+    "learning.residual": ["gp_on_linear", "linear"],
+    "seed": [1, 2],
+}
+CONTEXT = SweepContext(504, {}, (Quantity("speed", "m/s", -1, 1), Quantity("height", "m", -1, 1)))
+FAILED = {7: "no command leads to the target at step 3", 400: "case 400: a <b>"}
+ABORTED = {10: 2, 11: 2, 12: 1}
+HOSTILE = "<img src=http://evil/?x='1' onerror=alert(1)>&\"--></svg></pre><script>alert(2)</script>$\\frac{"
+
+
+def errors_of(settings: Mapping[str, list[str]], rng: np.random.Generator) -> Array:
+    """Errors of three deployments, which depend on torque scale and residual; shape (N, 3, 2)."""
+    scale = np.array(settings["gap.torque_scale"], float)
+    linear = np.array([name == "linear" for name in settings["learning.residual"]])
+    logs = np.stack([-scale, -2 - scale + 0.3 * linear, -2 - scale + 0.3 * linear], axis=1)[:, :, np.newaxis]
+    return np.exp(np.log([0.06, 0.02]) + logs + rng.normal(0, 0.1, (len(scale), 3, 2)))
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sweep with failed and aborted cases, and its report."""
+    folder = tmp_path_factory.mktemp("report") / "a sweep & <more>"
+    settings, rng = combinations_of(AXES), np.random.default_rng(0)
+    hops = {case: 40 + case % 50 for case in range(504) if settings["learning.residual"][case] == "gp_on_linear"}
+    write_results_table(folder, settings, errors_of(settings, rng), aborted=ABORTED, hops=hops, failed=FAILED)
+    (folder / "experiment.toml").write_text("seed = 3\n[gap]\nbody_mass_scale = 1.1\n")
+    for case, name in ((int(worst_case(folder)), "report.html"), (10, "steps.csv")):
+        (folder / f"runs/{case:08d}").mkdir(parents=True)
+        (folder / f"runs/{case:08d}" / name).touch()
+    write_sweep_report(folder, replace(CONTEXT, defaults={"seed": 0, "gap": {"body_mass_scale": 1.1}}))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(sweep: Path) -> Page:
+    return Page(sweep / "report.html")
+
+
+def worst_case(folder: Path) -> np.int64:
+    """Number of the case with the largest last errors."""
+    cases = cases_in(folder)
+    return cases.numbers[np.nanargmax(cases.last_errors.prod(axis=1))]
+
+
+def check_page(page: Page, pictures: int) -> None:
+    """Asserts that the page stands alone, except for links to the runs below its folder."""
+    for _, given in page.tags:
+        if "href" in given and not given["href"].startswith("#"):
+            assert re.fullmatch(r"runs/\d{8}/(report\.html)?", given.pop("href"))
+    check_alone(page, pictures)
+
+
+def curves_of(panel: Axes) -> list[Array]:
+    """Ordinates of the curves with intervals."""
+    return [
+        np.asarray(curve[0].get_ydata(), float) for curve in panel.containers if isinstance(curve, ErrorbarContainer)
+    ]
+
+
+def test_the_page_stands_alone(page: Page) -> None:
+    check_page(page, 5)
+    assert len(page.source) < 1_000_000
+
+
+def test_the_sentences_agree_with_the_table(sweep: Path, page: Page) -> None:
+    cases = cases_in(sweep)
+    known = cases.comparable & np.isfinite(cases.first_errors).all(axis=1)
+    before, after = (stats.gmean(errors[known]) for errors in (cases.first_errors, cases.last_errors))
+    assert (
+        f"502 cases: from deployment 0 to the last one, the mean RMSE changed from {before[0]:.4f} m/s in speed and "
+        f"{before[1]:.5f} m in height to {after[0]:.5f} m/s in speed and {after[1]:.5f} m in height."
+    ) in page.text
+    assert "All 504 cases of the sweep are finished, in 1508 rows of the table." in page.text
+    assert "2 cases failed and have no result" in page.text
+    assert "In 3 cases (0.6 %) a deployment was aborted by a failed step, in 2 of them the last one." in page.text
+    assert f"deployment is {before[0] / after[0]:.1f} times smaller than that of deployment 0" in page.text
+    assert "it is larger in none of them" in page.text
+    assert re.search(r"variance of the speed error: gap\.torque_scale \(\d\d\.\d %\), learning\.residual", page.text)
+
+
+def test_the_tables_show_levels_and_pairs(page: Page) -> None:
+    rows = re.findall(r'<tr><th scope="row">linear</th>(.*?)</tr>', page.source)
+    assert len(rows) == 1
+    count, *_, pairs, ratio, _ = re.findall(r"<td>(.*?)</td>", rows[0])
+    assert count == "251"
+    assert int(pairs) == 252 - len(FAILED) - 2  # cases 10 and 11 differ in the seed only
+    value, lower, upper = map(float, re.findall(r"[\d.]+", ratio))
+    assert lower < np.exp(0.3) < upper
+    assert value == pytest.approx(np.exp(0.3), rel=0.03)
+    assert '<th scope="row">5000</th>' in page.source
+
+
+def test_cases_are_linked_to_what_was_kept(sweep: Path) -> None:
+    source = (sweep / "report.html").read_text()
+    worst = worst_case(sweep)
+    assert f'<a href="runs/{worst:08d}/report.html">{worst}</a>' in source
+    assert '<a href="runs/00000010/">10</a>' in source
+    assert '<th scope="row">11</th>' in source
+    assert f"stepgap report runs/{worst:08d}" in source
+    assert source.count('href="runs/') == 2
+
+
+def test_failed_cases_and_settings_are_listed(page: Page) -> None:
+    assert "case 400: a <b>" in page.text
+    assert '<tr><th scope="row">seed</th><td>3</td><td>0</td></tr>' in page.source
+    assert "base of the sweep" in page.text
+    assert '<th scope="row">gap.body_mass_scale' not in page.source
+    assert "StepGap report of a sweep: a sweep & <more>" in page.text
+
+
+def test_figures_are_saved(sweep: Path) -> None:
+    kinds = ["aborted", "effects_height", "effects_speed", "hops", "sensitivity"]
+    names = [f"{kind}.{form}" for kind in kinds for form in ("pdf", "png")]
+    assert sorted(path.name for path in (sweep / "figures").iterdir()) == names
+    assert all(path.stat().st_size > 5_000 for path in (sweep / "figures").iterdir())
+
+
+@pytest.mark.usefixtures("files_of_few_figures")
+def test_the_same_table_gives_the_same_bytes(sweep: Path, tmp_path: Path) -> None:
+    again = shutil.copytree(sweep, tmp_path / sweep.name, ignore=shutil.ignore_patterns("figures"))
+    write_sweep_report(again, replace(CONTEXT, defaults={"seed": 0, "gap": {"body_mass_scale": 1.1}}))
+    check_same_files(again, sweep, 2)
+
+
+def test_curves_are_geometric_means(sweep: Path) -> None:
+    cases = cases_in(sweep)
+    figure = main_effects_figure(cases, cases.axes, 1, Quantity("height", "m", -1, 1), np.random.default_rng(0))
+    panel = figure.axes[1]
+    assert panel.get_xlabel() == "gap.torque_scale"
+    for curve, errors in zip(curves_of(panel), (cases.first_errors, cases.last_errors), strict=True):
+        wanted = [np.exp(np.nanmean(np.log(errors[cases.axes[1].codes == level, 1]))) for level in range(3)]
+        np.testing.assert_allclose(curve, wanted)
+    assert figure.axes[0].get_xlabel() == "twin: 14 levels, sorted"
+    assert figure.axes[2].get_xscale() == "log"
+    assert [text.get_text() for text in figure.axes[3].get_xticklabels()] == ["gp_on_linear", "linear"]
+
+
+def test_aborted_deployments_and_hops_are_drawn(sweep: Path) -> None:
+    cases = cases_in(sweep)
+    (heights,) = curves_of(aborted_figure(cases, cases.axes[1:]).axes[0])
+    np.testing.assert_allclose(heights, [2 / 166, 1 / 168, 0])
+    panel = hops_figure(cases, cases.axes[3:]).axes[0]
+    never = panel.get_yticks()[-1]
+    assert panel.yaxis.get_major_formatter()(never, 0) == "never"
+    middle = np.sort(cases.hops[cases.axes[3].codes == 0])[(250 - 1) // 2]
+    np.testing.assert_array_equal(curves_of(panel), [[middle, never]])
+
+
+def test_bars_are_shares(sweep: Path) -> None:
+    found = variance_shares(cases_in(sweep), np.random.default_rng(0))
+    assert isinstance(found, VarianceShares)
+    figure = sensitivity_figure(found, CONTEXT.state)
+    widths = [patch.get_width() for patch in figure.axes[0].patches]  # pyright: ignore[reportAttributeAccessIssue]
+    np.testing.assert_allclose(widths[:4], [100 * share.values[0] for share in found.axes])
+    assert widths[-1] == pytest.approx(100 * found.remainder[0])
+    labels = [text.get_text() for text in figure.axes[0].get_yticklabels()]
+    assert labels[:2] == ["torque_scale", "residual"]
+    assert labels[-1] == "everything else"
+
+
+def test_names_are_short_where_they_stay_different() -> None:
+    names = ["gap.torque_limit", "robot.torque_limit", "gap.delay", "twin"]
+    assert list(short_names(names).values()) == ["gap.torque_limit", "robot.torque_limit", "delay", "twin"]
+
+
+@pytest.mark.usefixtures("drawn_page", "unplaced")
+def test_an_unfinished_sweep_says_so(tmp_path: Path) -> None:
+    settings = {name: texts[:100] for name, texts in combinations_of(AXES).items()}
+    folder = write_results_table(tmp_path, settings, errors_of(settings, np.random.default_rng(0)))
+    page = Page(write_sweep_report(folder, CONTEXT).path)
+    check_page(page, 3)
+    assert "not finished: the table has 300 rows of 100 of its 504 cases (19.8 %)" in page.text
+    assert "No deployment of any case was aborted." in page.text
+    assert "No case is known to have reached the paper's band." in page.text
+    written = write_sweep_report(folder)
+    assert "the number of planned cases is not known" in Page(written.path).text
+    assert written.missing == ("settings (the folder contains no experiment.toml)",)
+
+
+@pytest.mark.usefixtures("drawn_page", "unplaced")
+@pytest.mark.parametrize("count", [1, 2, 9])
+def test_few_cases_have_a_page(tmp_path: Path, count: int) -> None:
+    settings = {"a": [str(row % 2) for row in range(count)], "seed": list(map(str, range(count)))}
+    folder = write_results_table(tmp_path, settings, np.random.default_rng(0).uniform(1, 2, (count, 2, 2)))
+    page = Page(write_sweep_report(folder, CONTEXT).path)
+    check_page(page, 0 if count == 1 else 2)
+    assert f"{count} case" in page.text
+    assert "There is no sensitivity: cases with comparable errors are fewer than 16." in page.text
+
+
+def test_all_cases_failed(tmp_path: Path) -> None:
+    settings = combinations_of({"a": range(30), "seed": [0]})
+    failed = {case: f"reason {case}" for case in range(30)}
+    page = Page(write_sweep_report(write_results_table(tmp_path, settings, np.ones((30, 1, 2)), failed=failed)).path)
+    check_page(page, 0)
+    assert "None of the 30 cases in the table has a result: all failed." in page.text
+    assert "The first 20 failed cases; 10 more failed" in page.text
+    assert "reason 19" in page.text
+    assert "reason 20" not in page.text
+
+
+@pytest.mark.usefixtures("drawn_page", "unplaced")
+def test_all_cases_are_aborted(tmp_path: Path) -> None:
+    settings = combinations_of({"a": range(3), "seed": range(10)})
+    folder = write_results_table(tmp_path, settings, np.ones((30, 2, 2)), aborted=dict.fromkeys(range(30), 1))
+    page = Page(write_sweep_report(folder).path)
+    check_page(page, 1)
+    assert "30 cases, but no error of a last deployment is known." in page.text
+    assert "In 30 cases (100.0 %) a deployment was aborted by a failed step, in all of them the last one." in page.text
+    assert "Cases whose last deployment was aborted (the first 10 of 30)" in page.text
+
+
+@pytest.mark.usefixtures("drawn_page", "unplaced")
+def test_deployment_0_alone(tmp_path: Path) -> None:
+    settings = combinations_of({"a": range(3), "seed": range(10)})
+    errors = np.random.default_rng(0).uniform(1, 2, (30, 1, 1))
+    page = Page(write_sweep_report(write_results_table(tmp_path, settings, errors, names=("x",))).path)
+    check_page(page, 2)
+    assert f"30 cases: the mean RMSE of the last deployment is {stats.gmean(errors.ravel()):.2f} in x." in page.text
+    assert "before learning" not in page.source
+
+
+def test_only_the_most_important_settings_are_drawn(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    settings = {f"s{row:02d}": list(map(str, rng.integers(0, 2, 200))) for row in range(15)}
+    important = np.array(settings["s14"], float)[:, np.newaxis, np.newaxis]
+    errors = np.exp(important + rng.normal(0, 0.3, (200, 2, 2)))
+    page = Page(write_sweep_report(write_results_table(tmp_path, {**settings, "seed": ["0"] * 200}, errors)).path)
+    hidden = re.search(r"the 12 settings with the largest effects, not: (s\d\d), (s\d\d), (s\d\d)\.", page.text)
+    assert hidden
+    assert "s14" not in hidden.groups()
+    assert "speed error: s14 (" in page.text
+
+
+@pytest.mark.usefixtures("drawn_page")
+def test_hostile_text_stays_text(tmp_path: Path) -> None:
+    text = HOSTILE.replace("\n", "")
+    axes = {text: [f"{text}{row}" for row in range(3)], "名\u202e": ["\x1b[31m", "$x"], "seed": range(6)}
+    settings = combinations_of(axes)
+    folder = write_results_table(
+        tmp_path / "<b>",
+        settings,
+        np.random.default_rng(0).uniform(1, 2, (36, 2, 2)),
+        failed={3: text * 3},
+        aborted={4: 1},
+        names=(text, "../../x"),
+    )
+    (folder / "experiment.toml").write_text(f"robot = '''{text}'''\n")
+    (tmp_path / "precious").write_text("precious")
+    (folder / "report.html.partial").symlink_to(tmp_path / "precious")
+    page = Page(write_sweep_report(folder, SweepContext(defaults={})).path)
+    check_page(page, 4)
+    assert page.text.count(text) > 20
+    assert (tmp_path / "precious").read_text() == "precious"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["<b>", "precious"]
+    for path in (folder / "figures").iterdir():
+        assert re.fullmatch(r"[a-z0-9_-]+\.(pdf|png)", path.name)
+
+
+def test_no_matplotlib_is_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    imported = builtins.__import__
+
+    def without(name: str, *rest: object) -> object:
+        if name.startswith("matplotlib"):
+            raise ImportError("libfreetype.so.6: cannot open shared object file")
+        return imported(name, *rest)  # pyright: ignore[reportArgumentType]
+
+    settings = combinations_of({"a": range(3), "seed": range(10)})
+    folder = write_results_table(tmp_path, settings, np.random.default_rng(0).uniform(1, 2, (30, 2, 2)))
+    monkeypatch.setattr(builtins, "__import__", without)
+    page = Page(write_sweep_report(folder).path)
+    check_page(page, 0)
+    assert page.text.count("could be drawn (ImportError: libfreetype.so.6") == 3
+    assert not (folder / "figures").exists()
+
+
+def test_nothing_is_written_for_a_bad_table(sweep: Path, tmp_path: Path) -> None:
+    whole = (sweep / RESULTS).read_text()
+    for damaged in (whole[: len(whole) // 2], "", "a,b\n1,2\n", whole.replace("\n1,", "\n-1,")):
+        (tmp_path / RESULTS).write_text(damaged)
+        with pytest.raises(ValueError, match=rf"^{re.escape(str(tmp_path / RESULTS))}[^\n]+$"):
+            write_sweep_report(tmp_path)
+        assert [path.name for path in tmp_path.iterdir()] == [RESULTS]
+
+
+def test_the_browser_shows_the_page(sweep: Path, watched_page: Watched) -> None:
+    watched_page.page.goto((sweep / "report.html").resolve().as_uri())
+    watched_page.keep_screenshot("sweep_report")
+    assert watched_page.page.locator("figure svg").count() == 5
+    width = watched_page.page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+    assert width == 0, "the page must not scroll sideways"
