@@ -18,7 +18,6 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.records.steps_csv import read_step_log
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.robot import Hopper
-from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 
 
@@ -48,7 +47,7 @@ def main() -> None:
     options = parser.parse_args()
     print(f"default  {measure(RealityGap(), options.seed)}", flush=True)
     for twin in range(options.twins):
-        print(f"twin {twin:3d} {measure(random_gap(random_stream(twin)), options.seed)}", flush=True)
+        print(f"twin {twin:3d} {measure(RealityGap.random(random_stream(twin)), options.seed)}", flush=True)
 
 
 if __name__ == "__main__":

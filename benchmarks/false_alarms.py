@@ -40,7 +40,7 @@ from stepgap.robots.hopper.tick.safety import DOUBTS, Limited
 from stepgap.robots.hopper.tick.sensors import HopperReading
 from stepgap.robots.hopper.tick.tick_row import TICK_UNITS
 from stepgap.robots.hopper.twin import twin as twin_module
-from stepgap.robots.hopper.twin.family import random_gap
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 
 ROBOT, GAINS, TICK = RobotParameters(), Gains(), 1e-3
@@ -183,7 +183,7 @@ def measure(trouble: Trouble, limits: SafetyLimits, hops: int, physics_step: flo
     """The row of a twin."""
     twin_module.LONGEST_STEP = physics_step
     rng = np.random.default_rng(seed)
-    twin, row = Twin(ROBOT, random_gap(rng), rng), Row()
+    twin, row = Twin(ROBOT, RealityGap.random(rng), rng), Row()
     while row.hops < hops and row.deployments < DEPLOYMENTS:
         try:
             deploy(row, twin, limits, rng, trouble, hops)

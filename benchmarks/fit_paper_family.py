@@ -50,10 +50,10 @@ from stepgap.experiment.settings import METHODS, Experiment
 from stepgap.learning.step_log import StepLog
 from stepgap.records import paper
 from stepgap.records.steps_csv import read_step_log
+from stepgap.robots.gap import differences
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.robots.hopper.robot import Hopper
-from stepgap.robots.hopper.twin.family import DRAWN, NOT_IN_PRESET, gap_of_shares, random_shares
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.step import Array
 
@@ -75,12 +75,13 @@ DIVERGED = 10.0
 EVALUATIONS = 25
 """Number of twins that are tried for one member."""
 
+DRAWN = {name: known.drawn for name, known in differences(RealityGap).items() if known.drawn}
 LOWEST = np.array([-shares.highest if shares.signed else shares.lowest for shares in DRAWN.values()])
 HIGHEST = np.array([shares.highest for shares in DRAWN.values()])
 PRIOR_STD = (HIGHEST - LOWEST) / np.sqrt(12)
 """Range and standard deviation of each difference in the family of random twins, as shares of the preset's."""
 
-PRESET = np.array([float(name not in NOT_IN_PRESET) for name in DRAWN])
+PRESET = np.array([float(getattr(RealityGap(), name) == differences(RealityGap)[name].whole) for name in DRAWN])
 
 
 def first_steps(log: StepLog) -> Array:
@@ -107,7 +108,7 @@ def differences(shares: Array, stairs: Array) -> Array:
 
 def gap_of(shares: Array) -> RealityGap:
     """The twin with these shares of the preset's differences, in the order of `DRAWN`."""
-    return gap_of_shares(dict(zip(DRAWN, shares.tolist(), strict=True)))
+    return RealityGap.of_shares(dict(zip(DRAWN, shares.tolist(), strict=True)))
 
 
 def preset_jacobian(stairs: Array, evaluate: Callable[..., Iterable[Array]]) -> tuple[Array, Array]:
@@ -126,7 +127,7 @@ def fit_member(member: int, stairs: Array, jacobian: Array) -> tuple[Array, floa
         stairs: Mean errors of the hardware on each stair; shape (18, 2).
         jacobian: Derivatives of the scaled differences at the preset.
     """
-    drawn = np.array([*random_shares(random_stream(7000 + member)).values()])
+    drawn = np.array([*RealityGap.draw(random_stream(7000 + member)).values()])
     start, largest = PRESET + SHARE * (drawn - PRESET), 0.5
     while (found := differences(start, stairs))[0] == DIVERGED:
         start = (PRESET + start) / 2

@@ -17,7 +17,6 @@ from stepgap.robots.hopper import Gains, RobotParameters
 from stepgap.robots.hopper.model.dynamics import leg_inertia, masses_of
 from stepgap.robots.hopper.model.joint_control import joint_law
 from stepgap.robots.hopper.model.leg import four_bar
-from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 
 TICK, PARTS, TICKS = 1e-3, 40, 400
@@ -65,7 +64,7 @@ def main() -> None:
     first, last = map(int, parser.parse_args().seeds.split("-"))
     print("twin   delay + lag [ms]   growth per tick   with half the damping gain")
     for seed in range(first, last + 1):
-        gap, gains = random_gap(np.random.default_rng(seed)), Gains()
+        gap, gains = RealityGap.random(np.random.default_rng(seed)), Gains()
         half = growth(gap, replace(gains, damping_gain=gains.damping_gain / 2))
         print(
             f"{seed:4d} {1e3 * (gap.delay + gap.torque_lag):18.2f} {growth(gap, gains):17.4f} {half:28.4f}", flush=True

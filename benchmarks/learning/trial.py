@@ -25,7 +25,6 @@ from stepgap.plants.ticks.stream import OnTicks
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.tick.hop_control import HopperControl
-from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
@@ -148,7 +147,7 @@ def hopping_gap(nominal: ApexMap, task: Task, twin: int) -> tuple[RealityGap, in
     """Draws the gap of a twin, again if one of the first steps fails; returns gap and number of redraws."""
     rng, drawn_again = random_stream(twin), 0
     while True:
-        trial = Trial(nominal, task.gap_of(random_gap(rng)), task, twin, seed=0)
+        trial = Trial(nominal, task.gap_of(RealityGap.random(rng)), task, twin, seed=0)
         log = trial.deploy(trial.uncorrected(nominal), 0, most_steps=FIRST_STEPS)
         if len(log) and not log.failed_steps:
             return trial.gap, drawn_again

@@ -53,7 +53,7 @@ def test_the_verb_prints_a_file_of_settings(stepgap: Command) -> None:
     result = stepgap("settings", "--robot", "quadruped", "--gap.payload", "2.5")
     assert (result.code, result.err) == (0, "")
     assert tomllib.loads(result.out)["gap"]["payload"] == 2.5
-    assert "# Mass added to the first body [kg].\npayload = 2.5\n" in result.out
+    assert "# Mass added to the first body [kg]. No gap: 0.0.\npayload = 2.5\n" in result.out
     Path("e.toml").write_text(result.out)
     assert stepgap("settings", "e.toml").out == result.out
 

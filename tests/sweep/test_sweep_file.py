@@ -14,7 +14,6 @@ from stepgap.base.random_streams import random_stream
 from stepgap.base.settings_file import parse_toml
 from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.robots.hopper.robot import as_hopper
-from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.sweep.sweep import Sweep
 from stepgap.sweep.sweep_file import MOST_CASES, read_sweep
@@ -92,7 +91,7 @@ def test_a_sobol_sequence_covers_its_ranges_evenly(tmp_path: Path) -> None:
 
 def test_a_random_twin_has_the_gap_of_its_number_before_other_settings_change(tmp_path: Path) -> None:
     sweep = sweep_of(tmp_path, 'twins = 3\n[axes]\n"gap.delay" = [0.0, 0.002]')
-    gap = random_gap(random_stream(1))
+    gap = RealityGap.random(random_stream(1))
     assert gap_of(sweep.experiment(3)).delay == 0.002
     assert gap_of(sweep.experiment(3)).body_mass_scale == gap.body_mass_scale
     assert gap_of(sweep_of(tmp_path, "twins = [1]").experiment(0)) == gap

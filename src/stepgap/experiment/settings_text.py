@@ -8,11 +8,13 @@ from textwrap import wrap
 from typing import Any, get_type_hints
 
 import tomli_w
-from docstring_parser import DocstringStyle, parse
+from docstring_parser import DocstringStyle, parse, parse_from_object
 
+from stepgap.base.ranges import format_value
 from stepgap.base.settings_file import IS_KEY
 from stepgap.experiment.settings import METHODS, Experiment, experiment_table
 from stepgap.robots.entry_points import load_robot
+from stepgap.robots.gap import Gap, differences
 
 COMMENT_WIDTH = 100
 """Longest line of a comment."""
@@ -23,11 +25,18 @@ _HEADER = re.compile(r"\[+([\w.]+)\]+")
 
 @cache
 def meanings(settings: type) -> Mapping[str, str]:
-    """Text on each attribute in the docstring of a class and of those that it extends, in one line each."""
+    """Text on each attribute in the docstring of a class and of those that it extends, in one line each.
+
+    Of a `Gap`, it is the docstring below the field, with the value without gap.
+    """
     found: dict[str, str] = {}
     for kind in reversed(settings.__mro__):
-        described = parse(kind.__doc__ or "", DocstringStyle.GOOGLE).params
-        found |= {entry.arg_name: " ".join((entry.description or "").split()) for entry in described}
+        style = DocstringStyle.GOOGLE
+        text = parse_from_object(kind, style) if issubclass(kind, Gap) else parse(kind.__doc__ or "", style)
+        found |= {entry.arg_name: " ".join((entry.description or "").split()) for entry in text.params}
+    for name, known in differences(settings).items() if issubclass(settings, Gap) else ():
+        if name in found and known.none is not None:
+            found[name] += f" No gap: {format_value(known.none)}."
     return found
 
 

@@ -12,7 +12,6 @@ import pytest
 import tomli_w
 
 from benchmarks.learning import learning_plan, tasks
-from benchmarks.learning import trial as trial_module
 from benchmarks.learning.__main__ import learning_line
 from benchmarks.learning.learning_plan import LearningPlan, learning_results, read_learning_plan
 from benchmarks.learning.learning_summary import summarise_learning
@@ -25,8 +24,8 @@ from stepgap.base.settings_file import to_table
 from stepgap.control.reference import Reference, parse_reference, reference_text
 from stepgap.experiment.bands import interval_coverage
 from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.robots.gap import differences
 from stepgap.robots.hopper.model.apex_map import ApexMap
-from stepgap.robots.hopper.twin.family import DRAWN, random_gap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.step import StepRecord, StepStatus
 from stepgap.sweep.cases.case_folder import CaseFolder
@@ -47,9 +46,13 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_every_twin_of_the_family_is_drawn_independently() -> None:
     rng = np.random.default_rng(0)
-    gaps = [random_gap(rng) for _ in range(20)]
-    assert all(len({getattr(gap, name) for gap in gaps}) == 20 for name in DRAWN)
-    assert random_gap(np.random.default_rng(3)) == random_gap(np.random.default_rng(3))
+    gaps = [RealityGap.random(rng) for _ in range(20)]
+    assert all(
+        len({getattr(gap, name) for gap in gaps}) == 20
+        for name, known in differences(RealityGap).items()
+        if known.drawn
+    )
+    assert RealityGap.random(np.random.default_rng(3)) == RealityGap.random(np.random.default_rng(3))
 
 
 def test_every_method_has_the_same_twin_and_the_same_seed_gives_the_same_numbers() -> None:
@@ -80,7 +83,7 @@ def test_a_deployment_is_recorded_as_it_was_made() -> None:
 def test_draws_that_fall_at_once_are_drawn_again(monkeypatch: pytest.MonkeyPatch) -> None:
     lame = RealityGap(torque_scale=0.1)
     draws = iter([lame, RealityGap()])
-    monkeypatch.setattr(trial_module, "random_gap", lambda rng: next(draws))
+    monkeypatch.setattr(RealityGap, "random", lambda rng: next(draws))
     assert hopping_gap(NOMINAL, TASK, 0) == (RealityGap(), 1)
     fallen = Trial(NOMINAL, lame, TASK, twin=0, seed=0)
     assert fallen.first.failed_steps == 1 or not len(fallen.first)
@@ -125,7 +128,7 @@ def test_the_square_wave_never_rests_and_its_steady_error_is_unknown() -> None:
 def test_every_task_has_twins_that_differ_as_it_says() -> None:
     found = tasks.tasks()
     assert {name: task.name for name, task in found.items()} == {name: name for name in found}
-    drawn = random_gap(np.random.default_rng(0))
+    drawn = RealityGap.random(np.random.default_rng(0))
     assert found["reference"].gap_of(drawn) == drawn
     assert found["rough"].gap_of(drawn).ground_roughness == 0.01
     assert found["torque_limit"].gap_of(drawn).torque_limit == 13

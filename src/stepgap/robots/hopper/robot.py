@@ -16,7 +16,6 @@ from stepgap.robots.hopper.paper import paper_reference, paper_result
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.tick.hop_control import HopperControl
 from stepgap.robots.hopper.tick.sensors import hopper_sensors
-from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.robots.hopper.twin.paper_family import PAPER_FAMILY
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.simulation import HopperSimulation, TwinSimulation
@@ -103,7 +102,7 @@ class Hopper(Robot):
 
     def randomised(self, rng: np.random.Generator) -> Self:
         """A twin of the family of random twins."""
-        return replace(self, gap=random_gap(rng))
+        return replace(self, gap=RealityGap.random(rng))
 
 
 def as_hopper(robot: Robot, what: str) -> Hopper:

@@ -16,7 +16,6 @@ from stepgap.robots.hopper.tick.encoder_track import NO_JUMP, EncoderTrack, may_
 from stepgap.robots.hopper.tick.hop_control import HopControl
 from stepgap.robots.hopper.tick.limits import SafetyLimits
 from stepgap.robots.hopper.tick.plausibility import MOST_SHARED, jump_ratio
-from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import StepStatus
@@ -61,7 +60,7 @@ def hops_until_stop(gap, rng, hops, loss, limits=LIMITS):
 @pytest.mark.parametrize("seed", [0, 15, 104, 106, 108])
 def test_there_is_no_false_alarm_on_twins_with_lost_frames_and_late_ticks(seed):
     rng = np.random.default_rng(seed)
-    gap = random_gap(rng) if seed else RealityGap()
+    gap = RealityGap.random(rng) if seed else RealityGap()
     assert hops_until_stop(gap, rng, 12, loss=0.05) == (12, "")
 
 
@@ -69,7 +68,7 @@ def test_there_is_no_false_alarm_on_twins_with_lost_frames_and_late_ticks(seed):
 def test_a_robot_whose_links_vibrate_is_stopped_for_its_joint_speed_alone(seed):
     """Their control loop is unstable with the delay and the lag of their drives; no sensor is wrong."""
     rng = np.random.default_rng(seed)
-    _, reason = hops_until_stop(random_gap(rng), rng, 12, loss=0.05, limits=replace(LIMITS, joint_speed=80.0))
+    _, reason = hops_until_stop(RealityGap.random(rng), rng, 12, loss=0.05, limits=replace(LIMITS, joint_speed=80.0))
     assert reason.startswith("joint speed (")
 
 

@@ -1,0 +1,65 @@
+"""`difference`: one declaration of a difference is its checks, its draws, its absence and its text."""
+
+from dataclasses import dataclass
+from math import inf, nan
+
+import numpy as np
+import pytest
+
+from stepgap.experiment.settings_text import meanings
+from stepgap.robots.gap import POSITIVE, Drawn, difference, differences
+from stepgap.robots.hopper.twin.reality_gap import SHARE, RealityGap
+from stepgap.robots.mjcf.mjcf_gap import MjcfGap
+
+
+@dataclass(frozen=True)
+class Windy(RealityGap):
+    """A twin in the wind."""
+
+    wind: float = difference(0.0, none=0.0, drawn=SHARE, whole=2.0)
+    """Speed of the wind against the robot [m/s]."""
+
+
+@dataclass(frozen=True)
+class Deflated(MjcfGap):
+    """A robot with soft tyres."""
+
+    tyre_stiffness: float = difference(3e5, POSITIVE, none=inf, drawn=Drawn(2e5, 4e5))
+    """Stiffness of a tyre
+    [N/m]."""
+
+
+def test_a_new_difference_is_declared_in_one_place() -> None:
+    assert (Windy().wind, Windy.none().wind, Deflated.none().tyre_stiffness) == (0.0, 0.0, inf)
+    assert meanings(Windy)["wind"] == "Speed of the wind against the robot [m/s]. No gap: 0.0."
+    assert meanings(Windy)["boom_drag"] == meanings(RealityGap)["boom_drag"]
+    assert meanings(Deflated)["tyre_stiffness"] == "Stiffness of a tyre [N/m]. No gap: inf."
+    for value, rule in ((nan, "be a number"), (-inf, "be finite"), (0.0, "be positive")):
+        with pytest.raises(ValueError, match=f"tyre_stiffness = {value}, but it must {rule}"):
+            Deflated(tyre_stiffness=value)
+    with pytest.raises(ValueError, match="wind = inf, but it must be finite"):
+        Windy(wind=inf)
+    twins = [Windy.random(np.random.default_rng(seed)) for seed in range(50)]
+    assert len({twin.wind for twin in twins}) == 50
+    assert all(0 <= twin.wind <= 1.5 * 2.0 for twin in twins)
+    assert 2e5 < Deflated.random(np.random.default_rng(0)).tyre_stiffness < 4e5
+
+
+def test_a_new_difference_is_drawn_after_the_others() -> None:
+    twin, windy = (kind.random(np.random.default_rng(4)) for kind in (RealityGap, Windy))
+    assert all(getattr(twin, name) == getattr(windy, name) for name in differences(RealityGap))
+
+
+@pytest.mark.parametrize("kind", [RealityGap, MjcfGap])
+def test_what_is_drawn_has_a_value_without_gap_and_every_difference_a_meaning(
+    kind: type[RealityGap | MjcfGap],
+) -> None:
+    for name, known in differences(kind).items():
+        assert known.none is not None or not known.drawn, name
+        assert meanings(kind)[name], name
+
+
+def test_random_twins_are_those_of_earlier_versions() -> None:
+    twin, robot = RealityGap.random(np.random.default_rng(0)), MjcfGap.random(np.random.default_rng(0))
+    assert (twin.body_mass_scale, twin.motor_offset_2) == (0.9713367240705345, 0.00303358710703701)
+    assert (robot.mass_scale, robot.delay) == (1.0592404218303635, 0.003651022309110887)
