@@ -16,7 +16,7 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
-from stepgap.robots.mjcf.mjcf_step import MjcfPlant, MjcfStepper
+from stepgap.robots.mjcf.mjcf_robot import MjcfPlant, MjcfStepper
 from stepgap.robots.nominal_maps.surrogate_map import fit_surrogate
 from stepgap.robots.robot import stairs
 from stepgap.step import StepStatus

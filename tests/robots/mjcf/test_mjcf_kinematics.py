@@ -11,8 +11,7 @@ import pytest
 
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.robots.mjcf.mjcf_kinematics import tick_row, tick_units
-from stepgap.robots.mjcf.mjcf_robot import MjcfRobot
-from stepgap.robots.mjcf.mjcf_step import ControlLaw, MjcfPlant
+from stepgap.robots.mjcf.mjcf_robot import ControlLaw, MjcfPlant, MjcfRobot
 from stepgap.robots.mjcf.section import Section, touchdown
 from stepgap.step import Array, Quantity, StepSpace
 

@@ -17,8 +17,7 @@ from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import read_experiment
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
-from stepgap.robots.mjcf.mjcf_robot import MjcfRobot
-from stepgap.robots.mjcf.mjcf_step import MjcfPlant, MjcfSimulator
+from stepgap.robots.mjcf.mjcf_robot import MjcfPlant, MjcfRobot, MjcfSimulator
 from stepgap.robots.mjcf.section import Section, apex, touchdown
 from stepgap.step import Array, Quantity, StepSpace, StepStatus
 from tests.cli.command_line import Command, CommandResult

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
-from stepgap.robots.mjcf.mjcf_step import MjcfPlant
+from stepgap.robots.mjcf.mjcf_robot import MjcfPlant
 from stepgap.robots.quadruped.landing import landing_velocity
 from stepgap.robots.quadruped.model import LEGS, TOE_RADIUS, TOTAL_MASS, quadruped_xml
 from stepgap.robots.quadruped.pronk import COMPRESSION, FLIGHT, THRUST, PronkGains, foot_placement, pronk

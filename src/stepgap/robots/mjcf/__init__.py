@@ -1,5 +1,5 @@
 """Robots from MuJoCo models: a controller for a tick, a section, and the state there, make a `Robot`.
 
-Read in this order: `section` (when a step ends), `mjcf_gap` (how the simulated robot differs), `mjcf_step` (a step,
-tick by tick), `mjcf_kinematics` (how it is drawn), `mjcf_robot` (the robot of a user).
+Read in this order: `section` (when a step ends), `mjcf_gap` (how the simulated robot differs), `mjcf_robot` (the robot
+of a user, and its steps, tick by tick), `mjcf_kinematics` (how it is drawn).
 """

@@ -3,18 +3,15 @@
 # pyright: reportAttributeAccessIssue=false
 # (MuJoCo ships no types for its compiled part.)
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.robots.scene import Kinematics, Link, Motion, Scene, Shade
-from stepgap.step import Array
-
-if TYPE_CHECKING:
-    from stepgap.robots.mjcf.mjcf_robot import MjcfRobot
+from stepgap.step import Array, StepSpace
 
 TOUCHING_DISTANCE = 0.002
 """Clearance of a foot below which it is drawn as touching the ground [m]."""
@@ -51,11 +48,14 @@ class MjcfKinematics(Kinematics):
     feet. The state coordinate `height`, if there is one, is taken to be the height of the body.
 
     Args:
-        robot: The robot.
+        model: The model.
+        space: State and command of the robot.
+        place: Puts the model, with its data, into a state at the section; it was reset before.
+        tick: Time between two calls of the controller [s].
     """
 
-    def __init__(self, robot: "MjcfRobot"):
-        self._robot, self._model = robot, robot.mjcf_model()
+    def __init__(self, model: Any, space: StepSpace, place: Callable[[Any, Any, Array], None], tick: float):
+        self._model, self._space, self._place, self._tick = model, space, place, tick
         self._data = mujoco.MjData(self._model)
         mujoco.mj_kinematics(self._model, self._data)
         drawn = [geom for geom in range(self._model.ngeom) if _is_drawn(self._model, geom)]
@@ -69,7 +69,7 @@ class MjcfKinematics(Kinematics):
         """The geoms, and the frame of the first body."""
         linked = {link.start for link in self._links} | {link.end for link in self._links}
         points = {"body": 0.0} | {name: 0.0 if name in linked else end.radius for name, end in self._ends.items()}
-        height = "height" if "height" in self._robot.space.state_names else ""
+        height = "height" if "height" in self._space.state_names else ""
         signals = dict(self._signals.values())
         return Scene(points, self._links, "body", self._feet, height, signals=signals)
 
@@ -81,7 +81,7 @@ class MjcfKinematics(Kinematics):
     @property
     def tick(self) -> float:
         """Time between two calls of the controller [s]."""
-        return self._robot.tick
+        return self._tick
 
     def motion(self, ticks: TickTable) -> Motion:
         """Motion in ticks."""
@@ -100,9 +100,9 @@ class MjcfKinematics(Kinematics):
         return Motion(ticks["time"], ticks["step"], positions, touching.astype(float), ground, signals)
 
     def at_section(self, state: Array) -> Array:
-        """Positions after `MjcfRobot.place`."""
+        """Positions after `place`."""
         mujoco.mj_resetData(self._model, self._data)
-        self._robot.place(self._model, self._data, state)
+        self._place(self._model, self._data, state)
         mujoco.mj_kinematics(self._model, self._data)
         return self._points()
 

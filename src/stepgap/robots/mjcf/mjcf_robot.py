@@ -1,23 +1,34 @@
-"""A robot that is a MuJoCo model with a controller: what its user writes, and what follows from it."""
+"""A robot that is a MuJoCo model with a controller: what its user writes, and its steps, tick by tick.
+
+They are those of its nominal map, and those of a plant with a reality gap.
+"""
 
 # pyright: reportAttributeAccessIssue=false
 # (MuJoCo ships no types for its compiled part.)
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy, deepcopy
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
+import mujoco
 import numpy as np
 
+from stepgap.plants.plant import RepeatablePlant
+from stepgap.plants.ticks.stream import OnTicks
 from stepgap.rigs.rig import SensorModel
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
-from stepgap.robots.mjcf.mjcf_kinematics import MjcfKinematics
-from stepgap.robots.mjcf.mjcf_step import ControlLaw, MjcfSimulation, MjcfSimulator
+from stepgap.robots.mjcf.mjcf_kinematics import MjcfKinematics, tick_row
 from stepgap.robots.mjcf.section import Section
+from stepgap.robots.mujoco_callbacks import set_mujoco_callbacks
 from stepgap.robots.nominal_maps.simulator import SimulatorMap
 from stepgap.robots.robot import Robot, Simulation
-from stepgap.step import Array, StepMap
+from stepgap.step import Array, StepMap, StepRecord, StepSpace, StepStatus
+
+ControlLaw = Callable[[Any, Any, Array], None]
+"""Called at every tick with model, data and the command of the step, shape (m,); writes `data.ctrl`."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +85,186 @@ class MjcfRobot(Robot):
 
     def kinematics(self, sensors: SensorModel | None = None) -> MjcfKinematics:  # noqa: ARG002
         """The geoms of the model."""
-        return MjcfKinematics(self)
+        return MjcfKinematics(self.mjcf_model(), self.space, self.place, self.tick)
 
     def randomised(self, rng: np.random.Generator) -> Self:
         """This robot with a random gap."""
-        return replace(self, gap=MjcfGap.random(rng))
+        return replace(self, gap=type(self.gap).random(rng))
+
+
+class MjcfStepper:
+    """A MuJoCo model that is stepped from section to section.
+
+    Args:
+        robot: The robot.
+        gap: Differences of the model that is stepped.
+        rng: Draws the noise of the control signals.
+    """
+
+    def __init__(self, robot: MjcfRobot, gap: MjcfGap, rng: np.random.Generator):
+        self._robot, self._gap, self._rng = robot, gap, rng
+        set_mujoco_callbacks()
+        self._model = gap.of(robot.mjcf_model())
+        self._data = mujoco.MjData(self._model)
+        self._section, self._substeps = robot.section(), max(1, round(robot.tick / self._model.opt.timestep))
+        self._most_ticks = round(robot.longest_step / robot.tick)
+        self.place(robot.space.state_centre)
+
+    def place(self, state: Array) -> None:
+        """Puts the robot into a state at the section, with a controller without memory."""
+        mujoco.mj_resetData(self._model, self._data)
+        self._robot.place(self._model, self._data, state)
+        mujoco.mj_forward(self._model, self._data)
+        self._control = self._robot.controller()
+        self._late = deque([self._data.ctrl.copy()] * round(self._gap.delay / self._robot.tick))
+        self._lagged = self._data.ctrl.copy()
+        self._armed, self._guard = False, 0.0
+
+    @property
+    def state(self) -> Array:
+        """True state; shape (n,)."""
+        return np.asarray(self._robot.state(self._model, self._data), float)
+
+    @property
+    def tick_row(self) -> Sequence[float]:
+        """Row of the last tick; the columns are those of `tick_units`."""
+        return tick_row(self._data)
+
+    def step(self, command: Array, on_tick: Callable[[], None] = lambda: None) -> StepStatus:
+        """Moves to the next section; returns how the step ended.
+
+        Args:
+            command: Command of the step; shape (m,).
+            on_tick: Called at the end of every tick.
+        """
+        for _ in range(self._most_ticks):
+            self._tick(command)
+            on_tick()
+            if not np.isfinite(self._data.qacc).all() or self._robot.failed(self._model, self._data):
+                return StepStatus.FELL
+            if self._crosses():
+                return StepStatus.OK if np.isfinite(self.state).all() else StepStatus.FELL
+        return StepStatus.NO_APEX
+
+    def copy(self, rng: np.random.Generator) -> "MjcfStepper":
+        """A stepper in the same state that draws other noise."""
+        copied = deepcopy(self, {id(self._robot): self._robot, id(self._model): self._model})
+        copied._rng = rng
+        return copied
+
+    def _tick(self, command: Array) -> None:
+        data = self._data
+        self._control(self._model, data, command)
+        if self._gap.force_noise:
+            data.ctrl *= 1 + self._gap.force_noise * self._rng.standard_normal(len(data.ctrl))
+        if self._late:
+            self._late.append(data.ctrl.copy())
+            data.ctrl[:] = self._late.popleft()
+        if self._gap.motor_lag:
+            self._lagged += (data.ctrl - self._lagged) * self._robot.tick / (self._gap.motor_lag + self._robot.tick)
+            data.ctrl[:] = self._lagged
+        mujoco.mj_step(self._model, data, self._substeps)
+
+    def _crosses(self) -> bool:
+        """Whether the guard of the section has just fallen through zero."""
+        before, self._guard = self._guard, self._section.guard(self._model, self._data)
+        self._armed = self._armed or self._guard > self._section.threshold
+        crossed = self._armed and before > 0 >= self._guard
+        self._armed = self._armed and not crossed
+        return crossed
+
+
+class MjcfSimulator:
+    """A step of the model without a gap, for a `SimulatorMap`.
+
+    Args:
+        robot: The robot.
+    """
+
+    def __init__(self, robot: MjcfRobot):
+        self._stepper = MjcfStepper(robot, MjcfGap.none(), np.random.default_rng(0))
+
+    def __call__(self, state: Array, command: Array) -> Array | StepStatus:
+        """Next state after a step from a state, or how it failed."""
+        self._stepper.place(state)
+        status = self._stepper.step(command)
+        return self._stepper.state if status == StepStatus.OK else status
+
+
+class MjcfPlant(RepeatablePlant):
+    """The model with its reality gap, sensor noise included.
+
+    Args:
+        robot: The robot.
+        rng: Draws the noise.
+        on_ticks: Called with the ticks of every step at its end, and with the first posture as step 0.
+    """
+
+    def __init__(self, robot: MjcfRobot, rng: np.random.Generator, on_ticks: OnTicks | None = None):
+        self._robot, self._rng, self._on_ticks, self._number = robot, rng, on_ticks, 0
+        self._stepper = MjcfStepper(robot, robot.gap, rng)
+        self._state = np.full(len(robot.space.state), np.nan)
+
+    @property
+    def space(self) -> StepSpace:
+        """Names, units and ranges of the robot."""
+        return self._robot.space
+
+    def start(self) -> Array:
+        """Puts the robot into the middle of its range of use, and measures."""
+        self._stepper.place(self.space.state_centre)
+        self._state, self._number = self._measured(self._rng), 0
+        if self._on_ticks:
+            self._on_ticks([self._stepper.tick_row], 0)
+        return self._state
+
+    def take_step(self, command: Array) -> StepRecord:
+        """Steps to the next section."""
+        command = np.asarray(command, float)
+        applied = np.clip(command, self.space.command_lower, self.space.command_upper)
+        before, unknown = self._state, np.full(len(self._state), np.nan)
+        status = self._step(applied) if np.isfinite(applied).all() else StepStatus.INVALID
+        true_state = self._stepper.state if status == StepStatus.OK else unknown
+        self._state = self._measured(self._rng) if status == StepStatus.OK else unknown
+        return StepRecord(before, command, applied, self._state, status, requested=applied, true_next_state=true_state)
+
+    def repeated(self, command: Array, rng: np.random.Generator, turned: float = 0.0) -> Array:  # noqa: ARG002
+        """Next state of a copy with new noise; there is no yaw."""
+        copied = copy(self)
+        copied._rng, copied._stepper, copied._on_ticks = rng, self._stepper.copy(rng), None
+        return copied.take_step(command).next_state
+
+    def stop(self) -> None:
+        """Does nothing: a simulation stands still."""
+
+    def _step(self, command: Array) -> StepStatus:
+        self._number += 1
+        if self._on_ticks is None:
+            return self._stepper.step(command)
+        rows = list[Sequence[float]]()
+        status = self._stepper.step(command, lambda: rows.append(self._stepper.tick_row))
+        self._on_ticks(rows, self._number)
+        return status
+
+    def _measured(self, rng: np.random.Generator) -> Array:
+        noise = self._robot.gap.state_noise * self.space.state_scale
+        return self._stepper.state + noise * rng.standard_normal(len(noise))
+
+
+class MjcfSimulation(Simulation):
+    """The model with its reality gap; the same in all deployments.
+
+    Args:
+        robot: The robot.
+    """
+
+    def __init__(self, robot: MjcfRobot):
+        self._robot = robot
+
+    def plant(self, rng: np.random.Generator, on_ticks: OnTicks | None = None) -> MjcfPlant:
+        """Plant of one deployment."""
+        return MjcfPlant(self._robot, rng, on_ticks)
+
+    def repeatable_plant(self, rng: np.random.Generator) -> MjcfPlant:
+        """The same."""
+        return self.plant(rng)

@@ -12,8 +12,7 @@ import mujoco
 import numpy as np
 
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
-from stepgap.robots.mjcf.mjcf_robot import MjcfRobot
-from stepgap.robots.mjcf.mjcf_step import ControlLaw
+from stepgap.robots.mjcf.mjcf_robot import ControlLaw, MjcfRobot
 from stepgap.robots.mjcf.section import Section, apex
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.quadruped.landing import landing_velocity
