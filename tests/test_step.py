@@ -1,9 +1,13 @@
 """The scaled points of a step space: −1 and 1 are the bounds."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from stepgap.step import Quantity, StepSpace, StepStatus, ending_of
+from stepgap.robots.hopper.parameters import CommandBounds
+from stepgap.step import ADVICE, Quantity, StepFailed, StepSpace, StepStatus, ending_of
 
 SPACE = StepSpace(
     state=(Quantity("speed", "m/s", 0.0, 0.4),),
@@ -54,6 +58,18 @@ def test_spaces_have_the_same_names_only_if_state_and_command_are_divided_alike(
     assert SPACE.has_names_of(wider)
     assert wider.names == divided.names == ("speed", "fx", "push")
     assert not SPACE.has_names_of(divided)
+
+
+def test_a_robot_words_its_own_advice_and_others_have_that_for_any_robot() -> None:
+    worded = replace(SPACE, advice={StepStatus.FELL: "it rolled over; try it more slowly"})
+    assert str(StepFailed(StepStatus.FELL, worded)) == "fell: it rolled over; try it more slowly"
+    assert worded.advice_on(StepStatus.STOPPED) == SPACE.advice_on(StepStatus.STOPPED)
+    assert worded == SPACE
+    assert "rest length" in CommandBounds().space().advice_on(StepStatus.FULL_STRETCH)
+    assert ADVICE.keys() == set(StepStatus) - {StepStatus.OK}
+    for status, text in ADVICE.items():
+        assert SPACE.advice_on(status) == text
+        assert not re.search(r"\b(apex|hop|stiffness|spring|vertical|encoders?|the leg)\b", text), text
 
 
 def test_only_a_fall_is_called_a_fall() -> None:

@@ -5,7 +5,7 @@ A *step* runs from one section to the next: that of a hopper from apex to apex. 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
@@ -26,7 +26,21 @@ Codes = NDArray[np.int64]
 
 
 class StepStatus(IntEnum):
-    """Result of a step; its name in lower case is the `status` of a recorded step."""
+    """Result of a step; its name in lower case is the `status` of a recorded step.
+
+    A robot uses those that it can tell apart.
+
+    Attributes:
+        OK: It ended at its section.
+        FELL: The robot fell, or cannot step on.
+        NO_TAKE_OFF: Stance did not end: the robot did not leave the ground.
+        FULL_STRETCH: A leg was stretched completely, where the model of its force ends.
+        FOOT_SCUFFED: A foot touched the ground where it must be in the air.
+        NO_APEX: It did not reach its section, such as the apex, within the time limit.
+        INVALID: State or command are not finite numbers.
+        STOPPED: A safety limit was exceeded, or the plant failed.
+        DOUBTFUL: A sensor value was not plausible.
+    """
 
     OK = 0
     FELL = 1
@@ -58,35 +72,18 @@ def ending_of(status: StepStatus) -> str:
     return ENDINGS.get(status, f"ended without a next state ({status.label.replace('_', ' ')})")
 
 
-ADVICE = {
-    StepStatus.FELL: "the body came too low, or a leg tilted too far; "
-    "choose a slower or higher target, or a command nearer to the middle of its bounds",
-    StepStatus.NO_TAKE_OFF: "the leg did not push the body off the ground; "
-    "raise the vertical force or the leg stiffness",
-    StepStatus.FULL_STRETCH: "the leg reached full stretch, where the foot force is undefined; "
-    "lower the vertical force or shorten the spring's rest length",
-    StepStatus.FOOT_SCUFFED: "the foot touched the ground outside stance; "
-    "choose a higher apex or land with a shorter leg",
+ADVICE: Mapping[StepStatus, str] = {
+    StepStatus.FELL: "the robot fell; "
+    "choose a target nearer to the middle of the ranges of use, or a command nearer to the middle of its bounds",
+    StepStatus.NO_TAKE_OFF: "the robot did not leave the ground; choose a command that pushes it off harder",
+    StepStatus.FULL_STRETCH: "a leg reached full stretch, where its force is undefined; choose a weaker command",
+    StepStatus.FOOT_SCUFFED: "a foot touched the ground where it must be in the air; choose a higher target",
     StepStatus.NO_APEX: "the step did not end within the time limit; check gains and command",
     StepStatus.INVALID: "state and command must be finite numbers",
     StepStatus.STOPPED: "a safety limit was exceeded, or the plant failed; check gains, command and limits",
-    StepStatus.DOUBTFUL: "a sensor value was not plausible; check encoders, cables and force sensor before going on",
+    StepStatus.DOUBTFUL: "a sensor value was not plausible; check the sensors and their cables before going on",
 }
-"""Advice for each `StepStatus` other than OK."""
-
-
-class StepFailed(StepGapError):
-    """A single step has no next state.
-
-    Attributes:
-        status: How the step ended.
-        advice: What to try.
-    """
-
-    def __init__(self, status: StepStatus):
-        self.status = status
-        self.advice = ADVICE[status]
-        super().__init__(f"{status.label}: {self.advice}")
+"""Advice for any robot on each `StepStatus` other than OK; a `StepSpace` may have that of its robot."""
 
 
 @dataclass(frozen=True)
@@ -118,10 +115,16 @@ class StepSpace:
     Attributes:
         state: The n coordinates of the state at the section.
         command: The m coordinates of the step command.
+        advice: What the robot advises after a step that failed, by its status, instead of `ADVICE`.
     """
 
     state: tuple[Quantity, ...]
     command: tuple[Quantity, ...]
+    advice: Mapping[StepStatus, str] = field(default_factory=dict, compare=False, repr=False, kw_only=True)
+
+    def advice_on(self, status: StepStatus) -> str:
+        """Advice after a step that failed."""
+        return self.advice.get(status) or ADVICE[status]
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
@@ -211,6 +214,20 @@ def _read_only(numbers: Iterable[float]) -> Array:
     return array
 
 
+class StepFailed(StepGapError):
+    """A single step has no next state.
+
+    Attributes:
+        status: How the step ended.
+        advice: What to try.
+    """
+
+    def __init__(self, status: StepStatus, space: StepSpace):
+        self.status = status
+        self.advice = space.advice_on(status)
+        super().__init__(f"{status.label}: {self.advice}")
+
+
 class Outcome(NamedTuple):
     """Prediction of a `StepMap` for one or many steps.
 
@@ -269,7 +286,7 @@ class StepMap(ABC):
         """
         next_state, status = self.evaluate(state, command)
         if next_state.ndim == 1 and int(status) != StepStatus.OK:
-            raise StepFailed(StepStatus(int(status)))
+            raise StepFailed(StepStatus(int(status)), self.space)
         return next_state
 
 

@@ -83,12 +83,12 @@ class CommandTable:
         n = len(self.space.state)
         state, target = as_vector("state", state, n), as_vector("target", target, n)
         if not np.isfinite(state).all():
-            raise StepFailed(StepStatus.INVALID)
+            raise StepFailed(StepStatus.INVALID, self.space)
         if not np.isfinite(target).all():
             raise ValueError(f"target {target} must be finite numbers")
         found = self.interpolate(state, target)
         if found.status != StepStatus.OK:
-            raise StepFailed(StepStatus(int(found.status)))
+            raise StepFailed(StepStatus(int(found.status)), self.space)
         distance = float(np.linalg.norm((found.predicted - target) / self.space.state_scale))
         return StepPlan(found.command, found.predicted, bool(found.reached), distance)
 

@@ -65,7 +65,7 @@ class StepController:
         state, target = as_vector("state", state, n), as_vector("target", target, n)
         start = space.command_centre if guess is None else as_vector("guess", guess, m)
         if not np.isfinite(state).all():
-            raise StepFailed(StepStatus.INVALID)
+            raise StepFailed(StepStatus.INVALID, space)
         if not (np.isfinite(target).all() and np.isfinite(start).all()):
             raise ValueError(f"target {target} and guess {start} must be finite numbers")
 

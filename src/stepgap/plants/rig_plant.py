@@ -8,7 +8,7 @@ from stepgap.plants.plant import Plant
 from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl, TickFlag
 from stepgap.plants.ticks.stream import OnTicks
 from stepgap.rigs.rig import Rig, RigFault, Torques
-from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus
+from stepgap.step import Array, StepRecord, StepSpace, StepStatus
 
 STEP_ENDED, FAILED, _UNREADABLE = (
     int(flag) for flag in (TickFlag.STEP_ENDED, TickFlag.FAILED, TickFlag.UNREADABLE)
@@ -76,7 +76,7 @@ class RigPlant(Plant):
         if self._status != StepStatus.OK:
             detail = f" ({self._fault})" if self._fault else ""
             raise RigFault(
-                f"the first step failed: {self._status.label}{detail}: {ADVICE[self._status]}; "
+                f"the first step failed: {self._status.label}{detail}: {self._space.advice_on(self._status)}; "
                 "on a simulated robot, check whether it can step with the differences in [gap]"
             )
         return self._state

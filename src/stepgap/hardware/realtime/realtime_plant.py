@@ -14,7 +14,7 @@ from stepgap.plants.plant import Plant
 from stepgap.plants.tick_control import FinishedStep
 from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
 from stepgap.rigs.rig import RigFault
-from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus
+from stepgap.step import Array, StepRecord, StepSpace, StepStatus
 
 _CHECK_EVERY = 1e-3
 """Time between two checks whether a step has ended [s]."""
@@ -75,7 +75,7 @@ class RealtimePlant(Plant):
         status = self._await_step(session).status
         if status != StepStatus.OK:
             detail = f" ({self._fault})" if self._fault else ""
-            raise RigFault(f"the first step failed: {status.label}{detail}: {ADVICE[status]}")
+            raise RigFault(f"the first step failed: {status.label}{detail}: {self.space.advice_on(status)}")
         return self._state
 
     def take_step(self, command: Array) -> StepRecord:

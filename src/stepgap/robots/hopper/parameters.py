@@ -10,7 +10,20 @@ from math import isfinite
 from stepgap.base.errors import InputError
 from stepgap.base.ranges import require
 from stepgap.robots.robot import Robot
-from stepgap.step import Quantity, StepSpace
+from stepgap.step import Quantity, StepSpace, StepStatus
+
+ADVICE_ON_HOPS = {
+    StepStatus.FELL: "the body came too low, or a leg tilted too far; "
+    "choose a slower or higher target, or a command nearer to the middle of its bounds",
+    StepStatus.NO_TAKE_OFF: "the leg did not push the body off the ground; "
+    "raise the vertical force or the leg stiffness",
+    StepStatus.FULL_STRETCH: "the leg reached full stretch, where the foot force is undefined; "
+    "lower the vertical force or shorten the spring's rest length",
+    StepStatus.FOOT_SCUFFED: "the foot touched the ground outside stance; "
+    "choose a higher apex or land with a shorter leg",
+    StepStatus.DOUBTFUL: "a sensor value was not plausible; check encoders, cables and force sensor before going on",
+}
+"""What to try after a hop that failed."""
 
 
 @dataclass(frozen=True)
@@ -160,6 +173,7 @@ class CommandBounds:
                 Quantity("fx", "N", self.fx_lower, self.fx_upper),
                 Quantity("fy", "N", self.fy_lower, self.fy_upper),
             ),
+            advice=ADVICE_ON_HOPS,
         )
 
 
