@@ -14,7 +14,7 @@ from benchmarks.learning.methods.registry import method_of
 from benchmarks.learning.tasks import Task
 from benchmarks.learning.trial import Trial, hopping_gap
 from stepgap.base.blas import one_blas_thread
-from stepgap.experiment.bands import executed_hops_to_band, interval_coverage
+from stepgap.experiment.bands import executed_steps_to_band, interval_coverage
 from stepgap.experiment.outcome import summarise
 from stepgap.learning.step_log import StepLog
 from stepgap.robots.hopper.model.apex_map import ApexMap
@@ -54,7 +54,7 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Deploymen
         "transient_rmse": known_numbers(found.transient_rmse),
         "steady_rmse": known_numbers(found.steady_rmse),
         "true_rmse": known_numbers(found.true_rmse),
-        "hops_to_band": None if found.failed_steps else executed_hops_to_band(deployments, paper_result().band),
+        "hops_to_band": None if found.failed_steps else executed_steps_to_band(deployments, paper_result().band),
         "covered": covered.tolist(),
         "counted": int(counted.min()),
     }

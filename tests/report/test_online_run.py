@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from stepgap.experiment.bands import hops_to_band
+from stepgap.experiment.bands import steps_to_band
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
@@ -103,7 +103,7 @@ def test_predictions_of_exploratory_steps_are_no_reference(record: RunRecord) ->
 
 
 def test_hops_to_the_band_include_exploratory_ones(record: RunRecord, monkeypatch: pytest.MonkeyPatch) -> None:
-    tracking = hops_to_band(record.steps.tracking_errors(), paper_result().band)
+    tracking = steps_to_band(record.steps.tracking_errors(), paper_result().band)
     assert tracking is not None
     monkeypatch.setattr(RunRecord, "compared_result", paper_result())
     total, hops = len(TARGETS) + EXPLORATION, tracking + EXPLORATION

@@ -85,7 +85,7 @@ def test_the_papers_numbers_are_shown_only_for_its_reference(page: Page, like_pa
         theirs = [number for kind, number in row if kind.startswith("paper")]
         assert theirs == [paper_result().error(measure, iteration, index) for measure in MEASURED]
         assert len([kind for kind, _ in row if kind.startswith("run")]) == len(MEASURED), "true errors are not known"
-    theirs = ("On the paper's hardware", "For comparison", "The paper's points", "Hops to the paper's band")
+    theirs = ("On the paper's hardware", "For comparison", "The paper's points", "Steps to the paper's band")
     assert not [text for text in theirs if text in page.text]
     assert not [text for text in theirs if text not in like_paper.text]
     assert not [row for row in page.cells if any(kind.startswith("paper") for kind, _ in row)]

@@ -73,8 +73,8 @@ class CautiousController:
         """Plans one step.
 
         Args:
-            state: State at this apex; shape (n,).
-            target: State wanted at the next apex; shape (n,).
+            state: State at this section; shape (n,).
+            target: State wanted at the next section; shape (n,).
             guess: Command to start from; the middle of the bounds if none. Shape (m,).
 
         Raises:
@@ -159,7 +159,7 @@ class CautiousController:
         return np.sum(squares / self.step_map.space.state_scale**2, axis=-1)
 
     def is_safe(self, state: ArrayLike, command: Array) -> bool:
-        """Whether the step makes an apex, its next state is viable despite the errors, and it resembles no failure."""
+        """Whether the step has a next state, this is viable despite the errors, and it resembles no failure."""
         mean, status = self.step_map.evaluate(state, command)
         return bool(status == StepStatus.OK) and self._is_viable(state, command, mean, self.step_std(state, command))
 

@@ -72,8 +72,8 @@ class CommandTable:
         a target that can be reached.
 
         Args:
-            state: State at this apex; shape (n,).
-            target: State wanted at the next apex; shape (n,).
+            state: State at this section; shape (n,).
+            target: State wanted at the next section; shape (n,).
             guess: Unused; it exists so that a table can replace a `StepController`.
 
         Raises:

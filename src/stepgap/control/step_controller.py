@@ -1,4 +1,4 @@
-"""The step controller: the command with which the next apex is the target (Sec. 4.3 of the paper, Eqs. 11, 13).
+"""The step controller: the command with which the next state is the target (Sec. 4.3 of the paper, Eqs. 11, 13).
 
 `StepController` works with any `StepMap`, nominal or corrected. Usually a few damped Gauss–Newton steps within the
 command bounds reach the target. Where they do not, the controller searches a grid of commands for better starting
@@ -50,13 +50,13 @@ class StepController:
         """Solves map(state, command) = target within the command bounds (Eqs. 11, 13).
 
         Args:
-            state: State at this apex; shape (n,).
-            target: Desired state at the next apex; shape (n,).
+            state: State at this section; shape (n,).
+            target: State wanted at the next section; shape (n,).
             guess: Command at which the search starts, such as the previous one; shape (m,). None: the middle of the
                 bounds.
 
         Raises:
-            StepFailed: The state is not finite, or the search found no command that leads to a next apex.
+            StepFailed: The state is not finite, or the search found no command that leads to a next state.
             ValueError: State, target or guess has the wrong size, or target or guess is not finite.
         """
         space = self.step_map.space

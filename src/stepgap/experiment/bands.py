@@ -13,7 +13,7 @@ WINDOW: Final = 20
 """Number of consecutive steps over which an error is compared with the band."""
 
 
-def hops_to_band(errors: Array, band: Array) -> int | None:
+def steps_to_band(errors: Array, band: Array) -> int | None:
     """Number of steps after which the RMSE of 20 consecutive steps stays in a band.
 
     Args:
@@ -31,24 +31,24 @@ def hops_to_band(errors: Array, band: Array) -> int | None:
     return first + WINDOW if first < len(inside) else None
 
 
-def executed_hops_to_band(deployments: Sequence[StepLog], band: Array) -> int | None:
+def executed_steps_to_band(deployments: Sequence[StepLog], band: Array) -> int | None:
     """Number of steps, from the very first one on, after which the RMSE of 20 tracking steps stays in a band.
 
     Exploratory and failed steps before the end of the 20 are counted, too, since the robot executed them.
 
     Args:
         deployments: Steps of consecutive deployments.
-        band: As for `hops_to_band`.
+        band: As for `steps_to_band`.
 
     Returns:
-        None as from `hops_to_band`.
+        None as from `steps_to_band`.
     """
-    hops = hops_to_band(np.concatenate([steps.tracking_errors() for steps in deployments]), band)
-    if hops is None:
+    steady = steps_to_band(np.concatenate([steps.tracking_errors() for steps in deployments]), band)
+    if steady is None:
         return None
     executed = (logged for steps in deployments for logged in steps)
     tracked = [logged.step > 0 and logged.record.status == StepStatus.OK for logged in executed]
-    return int(np.flatnonzero(tracked)[hops - 1]) + 1
+    return int(np.flatnonzero(tracked)[steady - 1]) + 1
 
 
 def window_errors(errors: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Exploration: the choice of the most informative first hops, before tracking starts.
+"""Exploration: the choice of the most informative first steps, before tracking starts.
 
 The value of a step is the reduction of the map's variance at the points that the reference needs (I-optimal design of
 experiments; Atkinson, Donev, Tobias, Optimum Experimental Designs, ch. 10). The variance of a residual hardly depends

@@ -114,6 +114,6 @@ def missed_targets(steps: StepLog, reference: Reference, unreachable: Array, flo
 
 
 def _steady(steps: StepLog, reference: Reference) -> StepLog:
-    """The steady steps of a deployment that ended with an apex."""
+    """The steady steps of a deployment that ended at their section."""
     numbers = set((reference.steady + 1).tolist())
     return StepLog(steps.space, (logged for logged in steps.completed() if logged.step in numbers))

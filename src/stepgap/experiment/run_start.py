@@ -1,4 +1,4 @@
-"""Checks of `stepgap run` before the first hop: a new folder, and a reference that the model can track."""
+"""Checks of `stepgap run` before the first step: a new folder, and a reference that the model can track."""
 
 import fcntl
 import os

@@ -24,7 +24,7 @@ class Observations:
 
     Attributes:
         space: Names and scales of the coordinates.
-        state: State at the apex each step started from; shape (N, n).
+        state: State at the section each step started from; shape (N, n).
         command: Command requested of the joints; shape (N, m).
         error: Actual − nominal next state; shape (N, n).
         history: History of each step; shape (N, 2n + m + 1). None: only the order of the steps is known.
@@ -90,7 +90,7 @@ class Observations:
 
 
 def observe(log: StepLog, nominal: StepMap) -> Observations:
-    """Computes the nominal map's error at the steps of a log that ended with an apex, at the commands requested.
+    """Computes the nominal map's error at the steps of a log that ended at their section, at the commands requested.
 
     What limits remove from a command is thus a part of the error. A step that fails on the nominal map has no error and
     is omitted, and so are steps with a doubtful sensor.

@@ -67,7 +67,7 @@ class StepLog:
         return StepLog(self.space, (logged for logged in self._steps if logged.step > 0))
 
     def completed(self) -> "StepLog":
-        """The steps that ended with an apex: those that can be learned from."""
+        """The steps that ended at their section: those that can be learned from."""
         return StepLog(self.space, (logged for logged in self._steps if logged.record.status == StepStatus.OK))
 
     def tracking_errors(self) -> Array:

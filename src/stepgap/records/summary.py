@@ -35,7 +35,7 @@ class OtherSchema(StepGapError, ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Deployment:
-    """Tracking errors of one deployment, next state − target, over the steps that ended with an apex.
+    """Tracking errors of one deployment, next state − target, over the steps that ended at their section.
 
     An error is NaN where there are no such steps.
 

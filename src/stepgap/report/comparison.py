@@ -10,7 +10,7 @@ import numpy as np
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.decimals import decimal
 from stepgap.report.drawing import draw_figure
-from stepgap.report.error_table import hops_in_words
+from stepgap.report.error_table import steps_in_words
 from stepgap.report.html import bullets, page, paragraph, picture, section, table
 from stepgap.report.seed_spread import spread_tables
 from stepgap.report.sentences import end_in_a_word, headline
@@ -153,18 +153,18 @@ def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
     found.append(table("Steps, and how the deployment ended", ["deployment", *names], rows))
     results = [record.compared_result for record in records]
     if len({result and result.source for result in results}) == 1 and results[0]:
-        caption = f"Number of hops, exploratory ones included, until the error stays in {results[0].source}'s band"
-        hops = [_to_band(record, results[0].band) for record in records]
-        found.append(table(caption, ["", *names], [["hops", *hops]]))
+        caption = f"Number of steps, exploratory ones included, until the error stays in {results[0].source}'s band"
+        steps = [_to_band(record, results[0].band) for record in records]
+        found.append(table(caption, ["", *names], [["steps", *steps]]))
     return found
 
 
 def _to_band(record: RunRecord, band: Array) -> str:
-    """Number of hops until the error stays in the band, over all deployments of a run."""
+    """Number of steps until the error stays in the band, over all deployments of a run."""
     if not record.deployments:
         return DASH
     logs = [record.steps.of_iteration(entry.iteration) for entry in record.deployments]
-    return hops_in_words(logs, band, end_in_a_word(record, record.deployments[-1]))
+    return steps_in_words(logs, band, end_in_a_word(record, record.deployments[-1]))
 
 
 def _settings(records: Sequence[RunRecord], names: Sequence[str]) -> str:

@@ -1,10 +1,10 @@
-"""Tables of tracking errors: by deployment next to published ones, and the number of hops until they are as small."""
+"""Tables of tracking errors: by deployment next to published ones, and the number of steps until they are as small."""
 
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from stepgap.experiment.bands import WINDOW, executed_hops_to_band, window_errors
+from stepgap.experiment.bands import WINDOW, executed_steps_to_band, window_errors
 from stepgap.learning.step_log import StepLog
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURED, MEASURES, Deployment
@@ -80,31 +80,31 @@ def _cells(values: Iterable[float | None], kind: str, decimals: int | None = Non
 
 
 def band_table(record: RunRecord) -> str:
-    """Number of hops until the error stays as small as the published one; empty for other references."""
+    """Number of steps until the error stays as small as the published one; empty for other references."""
     published, state = record.compared_result, record.space.state
     if not published or not record.deployments:
         return ""
     limits = [f"{limit:g}{unit_suffix(each)} in {each.name}" for limit, each in zip(published.band, state, strict=True)]
     caption = (
-        f"Hops to {published.source}'s band, exploratory ones included: until the RMSE of {WINDOW} consecutive "
-        f"tracking hops stays at or below {' and '.join(limits)}, {published.source}'s errors after "
+        f"Steps to {published.source}'s band, exploratory ones included: until the RMSE of {WINDOW} consecutive "
+        f"tracking steps stays at or below {' and '.join(limits)}, {published.source}'s errors after "
         f"{published.last} redeployments"
     )
     first, *others = map(with_unit, state)
-    heads = ["deployment", "hops", "to the band", f"best {WINDOW} hops: {first}", *others]
-    rows, hops, logs = [], 0, []
+    heads = ["deployment", "steps", "to the band", f"best {WINDOW} steps: {first}", *others]
+    rows, steps, logs = [], 0, []
     for entry in record.deployments:
         log = record.steps.of_iteration(entry.iteration)
-        to_band = hops_in_words([log], published.band, end_in_a_word(record, entry))
+        to_band = steps_in_words([log], published.band, end_in_a_word(record, entry))
         rows.append([str(entry.iteration), str(entry.steps), to_band, *_best([log])])
-        hops, logs = hops + entry.steps, [*logs, log]
-    to_band = hops_in_words(logs, published.band, end_in_a_word(record, record.deployments[-1]))
-    rows.append(["all", str(hops), to_band, *_best(logs)])
+        steps, logs = steps + entry.steps, [*logs, log]
+    to_band = steps_in_words(logs, published.band, end_in_a_word(record, record.deployments[-1]))
+    rows.append(["all", str(steps), to_band, *_best(logs)])
     return table(caption, heads, rows)
 
 
-def hops_in_words(deployments: Sequence[StepLog], band: Array, end: str) -> str:
-    """Number of hops until the error stays in the band, for a table.
+def steps_in_words(deployments: Sequence[StepLog], band: Array, end: str) -> str:
+    """Number of steps until the error stays in the band, for a table.
 
     Args:
         deployments: The deployments, in their order.
@@ -113,12 +113,12 @@ def hops_in_words(deployments: Sequence[StepLog], band: Array, end: str) -> str:
     """
     if end != "complete":
         return f"never: {end}"
-    hops = executed_hops_to_band(deployments, band)
-    return "never" if hops is None else str(hops)
+    steps = executed_steps_to_band(deployments, band)
+    return "never" if steps is None else str(steps)
 
 
 def _best(deployments: Sequence[StepLog]) -> list[str]:
-    """Smallest error of 20 consecutive tracking hops, coordinate by coordinate."""
+    """Smallest error of 20 consecutive tracking steps, coordinate by coordinate."""
     errors = np.concatenate([steps.tracking_errors() for steps in deployments])
     if len(errors) < WINDOW:
         return ["–"] * errors.shape[1]

@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from stepgap.base.files import naming
-from stepgap.experiment.bands import executed_hops_to_band
+from stepgap.experiment.bands import executed_steps_to_band
 from stepgap.experiment.inputs import load_known, load_reference
 from stepgap.experiment.loop import run_experiment
 from stepgap.experiment.nominal import load_nominal
@@ -36,7 +36,7 @@ def run_case(case: Mapping[str, Any]) -> CaseOutput:
         case: Texts of the experiment's `files` by name, and which files to `keep`.
 
     Returns:
-        The deployments as in `summary.json`, with the hops to the band, and the files to keep.
+        The deployments as in `summary.json`, with the steps to the band, and the files to keep.
     """
     with TemporaryDirectory(prefix="stepgap_") as name:
         folder = Path(name)
@@ -59,7 +59,7 @@ def run_case(case: Mapping[str, Any]) -> CaseOutput:
 def _entries(
     deployments: list[Deployment], folder: Path, space: StepSpace, published: PublishedResult | None
 ) -> list[dict[str, Any]]:
-    """Entries of the deployments, with the hops until the error stayed in the band, as known after each of them.
+    """Entries of the deployments, with the steps until the error stayed in the band, as known after each of them.
 
     Args:
         deployments: Finished deployments.
@@ -72,6 +72,6 @@ def _entries(
     entries = []
     for count, deployment in enumerate(deployments, start=1):
         known = None if deployment.failed_steps else published
-        hops = executed_hops_to_band(logs[:count], known.band) if known else None
+        hops = executed_steps_to_band(logs[:count], known.band) if known else None
         entries.append({**deployment_entry(deployment, space.state_names), "hops_to_band": hops})
     return entries

@@ -74,7 +74,7 @@ def _span(*columns: Array) -> Array:
 
 
 class TrackingPlot:
-    """Chart of targets and apexes of one state coordinate, step by step."""
+    """Chart of targets and next states of one coordinate, step by step."""
 
     def __init__(self, gui: GuiApi, quantity: Quantity, index: int):
         self._index = index
@@ -82,23 +82,23 @@ class TrackingPlot:
         self._chart = _add_chart(gui, series, "step", named(quantity))
 
     def show(self, steps: Sequence[LoggedStep], overlaid: Sequence[LoggedStep], count: int) -> None:
-        """Draws the targets of all steps, and the apexes of the first `count` steps."""
+        """Draws the targets of all steps, and the next states of the first `count` steps."""
         if not steps:
             self._chart.data = _blank(5)
             return
         number = np.array([float(logged.step) for logged in steps])
         target = np.array([logged.target[self._index] for logged in steps])
-        apex, other = self._apexes(steps, len(steps)), self._apexes(overlaid, len(steps))
-        span = _span(target, apex, other)
-        apex[count:], other[count:] = np.nan, np.nan
-        self._chart.data = (number, span, target, other, apex)
+        found, other = self._next_states(steps, len(steps)), self._next_states(overlaid, len(steps))
+        span = _span(target, found, other)
+        found[count:], other[count:] = np.nan, np.nan
+        self._chart.data = (number, span, target, other, found)
 
-    def _apexes(self, steps: Sequence[LoggedStep], count: int) -> Array:
-        """Apexes of the first steps, NaN where there are fewer; shape (count,)."""
-        apexes = np.full(count, np.nan)
+    def _next_states(self, steps: Sequence[LoggedStep], count: int) -> Array:
+        """Next states of the first steps, NaN where there are fewer; shape (count,)."""
+        values = np.full(count, np.nan)
         known = [logged.record.next_state[self._index] for logged in steps[:count]]
-        apexes[: len(known)] = known
-        return apexes
+        values[: len(known)] = known
+        return values
 
 
 class LearnedPlot:

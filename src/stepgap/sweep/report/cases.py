@@ -102,7 +102,7 @@ class SweepCases:
         redeployed: Whether the last deployment is not deployment 0; shape (N,).
         aborted: Whether any deployment was aborted by a failed step; shape (N,).
         aborted_last: Whether the last deployment was; shape (N,).
-        hops: Number of hops to the band, infinite if it was never reached; shape (N,).
+        hops: Number of steps to the band, infinite if it was never reached; shape (N,).
         failed: Cases that failed.
     """
 

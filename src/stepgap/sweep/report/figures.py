@@ -1,4 +1,4 @@
-"""Figures of a sweep: errors, aborted deployments and hops by the levels of each axis, and the sensitivity."""
+"""Figures of a sweep: errors, aborted deployments and steps to the band by the levels of each axis; sensitivity."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Final
@@ -83,7 +83,7 @@ def aborted_figure(cases: SweepCases, axes: Sequence[SweepAxis]) -> Figure:
 
 
 def hops_figure(cases: SweepCases, axes: Sequence[SweepAxis]) -> Figure:
-    """Hops to the band by the levels of each axis: medians, with bars between the quartiles."""
+    """Steps to the band by the levels of each axis: medians, with bars between the quartiles."""
     figure, panels = _panels(len(axes))
     never = 1.15 * float(np.max(cases.hops, where=np.isfinite(cases.hops), initial=0))
     for panel, axis in zip(panels, axes, strict=True):
@@ -96,7 +96,7 @@ def hops_figure(cases: SweepCases, axes: Sequence[SweepAxis]) -> Figure:
     panels[0].set_ylim(0, 1.05 * never)
     panels[0].yaxis.set_major_locator(FixedLocator([*ticks, never]))
     panels[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: "never" if value >= never else f"{value:g}"))
-    _finish(figure, panels, "Hops to the band")
+    _finish(figure, panels, "Steps to the band")
     return figure
 
 

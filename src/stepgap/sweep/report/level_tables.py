@@ -20,7 +20,7 @@ MOST_ROWS: Final = 20
 
 
 def level_table(cases: SweepCases, axis: SweepAxis, state: Sequence[Quantity]) -> str:
-    """HTML table of the levels of an axis: errors, ratios to the first level, aborted deployments and hops."""
+    """HTML table of the levels of an axis: errors, ratios to the first, aborted deployments and steps to the band."""
     count = len(axis.levels)
     columns = {"cases": _numbers(axis.codes, count)}
     for index, quantity in enumerate(state):
@@ -28,7 +28,7 @@ def level_table(cases: SweepCases, axis: SweepAxis, state: Sequence[Quantity]) -
         columns[f"last RMSE of {with_unit(quantity)}"] = [_with_interval(means, row) for row in range(count)]
     columns["aborted"] = _numbers(axis.codes[cases.aborted], count)
     if np.isfinite(cases.hops).any():
-        columns["hops to band (median)"] = list(map(_hops, quartiles(cases.hops, axis.codes, count)[1]))
+        columns["steps to band (median)"] = list(map(_hops, quartiles(cases.hops, axis.codes, count)[1]))
     for quantity, ratios in zip(state, _ratios(cases, axis), strict=False):
         columns["pairs"] = [DASH, *map(str, ratios.counts[1:])]
         cells = ["1", *(_with_interval(ratios, row) for row in range(1, count))]

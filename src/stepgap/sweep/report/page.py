@@ -24,7 +24,7 @@ from stepgap.sweep.results_table import RESULTS, read_results
 
 SECTIONS: Final = {
     "effects": "Effects of the settings",
-    "aborted": "Aborted deployments and hops to the band",
+    "aborted": "Aborted deployments and steps to the band",
     "sensitivity": "Which settings matter",
     "levels": "Numbers by level",
     "worst": "Worst cases",
@@ -55,7 +55,7 @@ ABORTED_CAPTION: Final = (
     "Share of the cases in which any deployment was aborted by a failed step, with 95 % interval (Wilson)."
 )
 HOPS_CAPTION: Final = (
-    "Number of hops, over all deployments, until the error stays in the paper's band: median, with a bar between the "
+    "Number of steps, over all deployments, until the error stays in the paper's band: median, with a bar between the "
     "quartiles. A case that did not reach the band, or whose last deployment was aborted, counts as never."
 )
 SENSITIVITY_CAPTION: Final = (
@@ -144,7 +144,7 @@ def _drawings(sweep: _Sweep) -> dict[str, Drawing | Missing]:
         if cases.aborted.any():
             makers["aborted"] = (lambda figures: figures.aborted_figure(cases, axes), "the aborted deployments")
         if np.isfinite(cases.hops).any():
-            makers["hops"] = (lambda figures: figures.hops_figure(cases, axes), "the hops to the band")
+            makers["hops"] = (lambda figures: figures.hops_figure(cases, axes), "the steps to the band")
     if not isinstance(found := sweep.shares, Missing):
         makers["sensitivity"] = (lambda figures: figures.sensitivity_figure(found, sweep.state), "the sensitivity")
     return {name: _drawn(make, subject) for name, (make, subject) in makers.items()}
