@@ -1,13 +1,22 @@
-"""The import layers of pyproject.toml hold, and learning reads and writes no file."""
+"""The import layers of pyproject.toml hold, no modules import each other, and learning reads and writes no file."""
 
 import ast
 import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import importlinter.api  # noqa: F401  (configures import-linter on import)
 from importlinter.application import use_cases
 
 PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
+SOURCE = PYPROJECT.parent / "src"
+MODULES = {
+    ".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__"): path
+    for path in SOURCE.rglob("*.py")
+}
 
 
 def test_one_module_reads_toml() -> None:
@@ -19,6 +28,29 @@ def test_one_module_reads_toml() -> None:
 def test_imports_point_down() -> None:
     kept = use_cases.lint_imports(config_filename=str(PYPROJECT), cache_dir=None, no_logo=True)
     assert kept, "an import points up or across; `./go lint-imports` shows it"
+
+
+def imported(path: Path) -> Iterator[str]:
+    """Modules of the package that a module imports anywhere: in functions and for type checkers, too."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in MODULES)
+        elif isinstance(node, ast.ImportFrom) and node.module in MODULES:
+            inner = [f"{node.module}.{alias.name}" for alias in node.names]
+            yield from (name if name in MODULES else str(node.module) for name in inner)
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    TopologicalSorter({name: set(imported(path)) for name, path in MODULES.items()}).prepare()  # CycleError names one
+
+
+def test_the_hopper_needs_few_modules_and_no_hardware() -> None:
+    code = "import sys, stepgap.robots.hopper.robot; print(*(name for name in sys.modules if name in {names!r}))"
+    command = [sys.executable, "-c", code.format(names=set(MODULES))]
+    loaded = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    assert "stepgap.robots.hopper.robot" in loaded
+    assert len(loaded) <= 85, "the model of a robot must not bring what surrounds it"
+    assert not [name for name in loaded if name.startswith("stepgap.hardware")]
 
 
 def test_the_package_imports_nothing_from_the_checkout() -> None:

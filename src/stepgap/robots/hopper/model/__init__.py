@@ -1,1 +1,5 @@
-"""The hopper's equations of motion, from the leg to the apex map."""
+"""The hopper's equations of motion, from the leg to the apex map.
+
+Read in this order: `leg`, `dynamics`, `joint_control`, `reduced`, `hop`, `apex_map`; `sampled_hop` and `sampled_map`
+are the same with torques held from tick to tick.
+"""

@@ -1,1 +1,5 @@
-"""What the hopper computes in a tick: sensing, phases, torques and their safety limits."""
+"""What the hopper computes in a tick: sensing, phases, torques and their safety limits.
+
+Read in this order: `sensors`, `phases`, `estimator`; `safety` with `limits`, `load`, `stage` and `plausibility`, which
+tracks each encoder (`encoder_track`); `hop_state`, `sensing`, `tick_torque`, `hop_tick`; `tick_row`, `hop_control`.
+"""
