@@ -102,11 +102,11 @@ def test_predictions_of_exploratory_steps_are_no_reference(record: RunRecord) ->
     assert [np.asarray(line.get_xdata())[0] for line in changes] == [11, 21, 31]
 
 
-def test_hops_to_the_band_include_exploratory_ones(record: RunRecord, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_steps_to_the_band_include_exploratory_ones(record: RunRecord, monkeypatch: pytest.MonkeyPatch) -> None:
     tracking = steps_to_band(record.steps.tracking_errors(), paper_result().band)
     assert tracking is not None
     monkeypatch.setattr(RunRecord, "compared_result", paper_result())
-    total, hops = len(TARGETS) + EXPLORATION, tracking + EXPLORATION
-    assert f'<th scope="row">all</th><td>{total}</td><td>{hops}</td>' in band_table(record)
+    total, steps = len(TARGETS) + EXPLORATION, tracking + EXPLORATION
+    assert f'<th scope="row">all</th><td>{total}</td><td>{steps}</td>' in band_table(record)
     other = replace(record, folder=record.folder.parent / "other")
-    assert f'<th scope="row">hops</th><td>{hops}</td><td>{hops}</td>' in comparison_html([record, other])
+    assert f'<th scope="row">steps</th><td>{steps}</td><td>{steps}</td>' in comparison_html([record, other])

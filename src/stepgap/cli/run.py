@@ -39,7 +39,7 @@ class Shorthand:
         reference: CSV file of targets, one row per step. [default: the robot's; for the hopper that of the paper]
         plant: Plant that steps: a simulation of the robot (of the hopper: twin, or emulated-ring, the twin on an
             EtherCAT bus in software), process (the program given after two dashes, as in -- ./robot), or a rig, such as
-            ethercat. [default: the first simulation of the robot]
+            ethercat. [default: the first simulation; of the hopper: twin]
         rig: File that describes the rig, such as rig.toml.
         method: Settings of learning and control before others change them: default, or paper, the method as published.
         seed: Random seed. [default: 0]
