@@ -206,7 +206,8 @@ def _prepare(
     reference = load_reference(settings, settings.robot.space)
     nominal = _load_nominal(settings)
     check_reach(nominal.map, reference, settings.reference)
-    return Prepared(folder, settings, nominal, reference, load_known(settings, settings.robot.space))
+    known = load_known(settings, settings.robot.space)
+    return Prepared(folder, settings, nominal, reference, known=known)
 
 
 def _load_nominal(settings: "Experiment") -> "Nominal":

@@ -251,7 +251,8 @@ def integrate(system, time, state, time_limit, tolerance, h, trace):
             if h < 1e-12:
                 break
             continue
-        fraction, which = _crossing(system, Span(time, h, state, here, end, evaluated[0]), guards, evaluated[1])
+        span = Span(time=time, h=h, start=state, here=here, end=end, there=evaluated[0])
+        fraction, which = _crossing(system, span, guards, evaluated[1])
         trace.sizes[trace.cursor[0]] = h
         trace.cursor[0] += 1
         if which >= 0:

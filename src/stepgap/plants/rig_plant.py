@@ -128,6 +128,6 @@ class RigPlant(Plant):
                 raise RigFault(f"a sensor value is not finite: {reading}")
             applied = rig.write(torques)
         except RigFault as fault:
-            return TickRun((), self._time, None, 0, str(fault))
+            return TickRun(rows=(), time=self._time, applied=None, flags=0, fault=str(fault))
         row = [self._control.row(applied)] if self._on_ticks else ()
-        return TickRun(row, self._time + self._tick_time, applied, flags, "")
+        return TickRun(row, self._time + self._tick_time, applied, flags, fault="")

@@ -94,11 +94,11 @@ def with_value(reported: ReportedValue, track: Track, value: float) -> Track:
         return track._replace(doubts=track.doubts + 1)
     low, high = reported.limits
     return Track(
-        value,
-        track.doubts - 1 if track.doubts else 0,
-        track.beyond + 1 if not low <= value <= high else 0,
-        track.warned + 1 if value > reported.warning else 0,
-        track.same + 1 if value == track.value else 0,
+        value=value,
+        doubts=track.doubts - 1 if track.doubts else 0,
+        beyond=track.beyond + 1 if not low <= value <= high else 0,
+        warned=track.warned + 1 if value > reported.warning else 0,
+        same=track.same + 1 if value == track.value else 0,
     )
 
 

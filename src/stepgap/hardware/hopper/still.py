@@ -17,4 +17,5 @@ def still_hopper(tick: float) -> StillRig:
         touchdown_force=5.0,
         takeoff_length=0.273,
     )
-    return StillRig(sensors, HopperReading(2048, -2048, 0, 400, 0.0))
+    reading = HopperReading(motor_1=2048, motor_2=-2048, boom_horizontal=0, boom_vertical=400, contact_force=0.0)
+    return StillRig(sensors, reading)

@@ -65,7 +65,7 @@ ANALOG_INPUTS = {1: Register.AUX1_ANALOG_IN1, 2: Register.AUX2_ANALOG_IN1}
 SUPPLY = {"bus_voltage": (Register.VOLTAGE, "V"), "temperature": (Register.TEMPERATURE, "°C")}
 """Values of a controller that are logged, with their registers and units; the temperature is that of its board."""
 
-LIMP = JointCommand(0.0, 0.0, 0.0, 0.0, 0.0)
+LIMP = JointCommand(q=0.0, dq=0.0, kp=0.0, kd=0.0, tau=0.0)
 
 
 class MoteusRig(Rig):

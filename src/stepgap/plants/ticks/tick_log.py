@@ -290,7 +290,7 @@ def _parts(file: BinaryIO, faults: list[str]) -> Iterator[_Part]:
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.CHUNK):
             body = file.read(min(length, LARGEST_RECORD))
             content, intact = _chunk(body) if opcode == Opcode.CHUNK else (body, True)
-            yield _Part(offset, opcode, content, complete, complete and intact)
+            yield _Part(offset=offset, opcode=opcode, content=content, complete=complete, intact=complete and intact)
         if not complete:
             faults.append(f"it is truncated or damaged in the record at byte {offset} of {size}")
             return

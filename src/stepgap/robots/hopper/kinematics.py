@@ -160,7 +160,10 @@ class HopperKinematics(Kinematics):
         yaw, pitch, radius = ticks["boom_yaw"], ticks["boom_pitch"], self._sensors.boom_length
         along = ticks["hip_x"] - radius * yaw
         across = (ticks["hip_height"] - self._sensors.pivot_height - radius * np.sin(pitch)) / np.cos(pitch)
-        return HopperPose(yaw, pitch, ticks["true_alpha_1"], ticks["true_alpha_2"], along, across)
+        return HopperPose(
+            yaw=yaw, pitch=pitch, alpha_1=ticks["true_alpha_1"], alpha_2=ticks["true_alpha_2"],
+            deflection_forward=along, deflection_up=across,
+        )  # fmt: skip
 
 
 def joint_positions(robot: RobotParameters, pivot_height: float, pose: HopperPose) -> Array:

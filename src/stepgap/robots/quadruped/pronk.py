@@ -132,14 +132,14 @@ def leg_pose(pitch, pitch_rate, thigh, calf, thigh_rate, calf_rate):
     upper_rate, lower_rate = pitch_rate + thigh_rate, pitch_rate + thigh_rate + calf_rate
     x_upper, z_upper, x_lower, z_lower = -np.sin(upper), -np.cos(upper), -np.sin(lower), -np.cos(lower)
     return LegPose(
-        LINK * (x_upper + x_lower),
-        LINK * (z_upper + z_lower),
-        LINK * (z_upper * upper_rate + z_lower * lower_rate),
-        -LINK * (x_upper * upper_rate + x_lower * lower_rate),
-        LINK * (z_upper + z_lower),
-        -LINK * (x_upper + x_lower),
-        LINK * z_lower,
-        -LINK * x_lower,
+        x=LINK * (x_upper + x_lower),
+        z=LINK * (z_upper + z_lower),
+        x_rate=LINK * (z_upper * upper_rate + z_lower * lower_rate),
+        z_rate=-LINK * (x_upper * upper_rate + x_lower * lower_rate),
+        x_1=LINK * (z_upper + z_lower),
+        z_1=-LINK * (x_upper + x_lower),
+        x_2=LINK * z_lower,
+        z_2=-LINK * x_lower,
     )
 
 

@@ -29,19 +29,19 @@ class _Variables(NamedTuple):
     """Environment variables of a task of a job array: its number, the first and last ones, their interval and count."""
 
     number: str
-    first: str
-    last: str
-    interval: str
-    tasks: str
+    first: str = ""
+    last: str = ""
+    interval: str = ""
+    tasks: str = ""
 
 
 _SLURM = (f"SLURM_ARRAY_TASK_{name}" for name in ("ID", "MIN", "MAX", "STEP", "COUNT"))
 _SCHEDULERS = (
     _Variables(*_SLURM),
-    _Variables("LSB_JOBINDEX", "", "LSB_JOBINDEX_END", "LSB_JOBINDEX_STEP", ""),
-    _Variables("SGE_TASK_ID", "SGE_TASK_FIRST", "SGE_TASK_LAST", "SGE_TASK_STEPSIZE", ""),
-    _Variables("PBS_ARRAY_INDEX", "", "", "", ""),
-    _Variables("PBS_ARRAYID", "", "", "", ""),
+    _Variables("LSB_JOBINDEX", last="LSB_JOBINDEX_END", interval="LSB_JOBINDEX_STEP"),
+    _Variables("SGE_TASK_ID", "SGE_TASK_FIRST", "SGE_TASK_LAST", "SGE_TASK_STEPSIZE"),
+    _Variables("PBS_ARRAY_INDEX"),
+    _Variables("PBS_ARRAYID"),
 )
 """Job arrays of SLURM, LSF, Grid Engine, PBS Pro and TORQUE; PBS does not give the last number."""
 

@@ -104,7 +104,7 @@ def decode(raw: bytes) -> Frame:
         (counter,) = _COUNTER.unpack_from(raw, data_end)
         flags, more = length & ~_LENGTH_MASK & ~_MORE_FOLLOW, bool(length & _MORE_FOLLOW)
         data = bytes(raw[data_start:data_end])
-        datagrams.append(Datagram(command, mark, address, offset, data, counter, flags, event))
+        datagrams.append(Datagram(command, mark, address, offset, data=data, counter=counter, flags=flags, event=event))
         start = data_end + _COUNTER.size
     return Frame(destination, source, tuple(datagrams))
 

@@ -276,7 +276,7 @@ class EmulatedSlave:
         start, length, _, _, physical, _, kind, active = unpack_from("<IHBBHBBB", self.memory, base)
         if not active & 1 or physical < reg.PROCESS_RAM or physical + length > reg.MEMORY_SIZE:
             return None
-        return _Fmmu(start, start + length, physical, bool(kind & 1), bool(kind & 2))
+        return _Fmmu(start=start, end=start + length, physical=physical, reads=bool(kind & 1), writes=bool(kind & 2))
 
     # ---- EEPROM
 

@@ -86,13 +86,13 @@ def leg_inertia(masses, bar, alpha_2):
     cos_k = cos_2 * bar.cos_beta - sin_2 * bar.sin_beta
     b, db = bar.d_beta, bar.dd_beta
     return LegInertia(
-        2.0 * (masses.knee_moment * cos_2 + masses.shank_moment * bar.cos_beta),
-        -2.0 * (masses.knee_moment * sin_2 + masses.shank_moment * bar.sin_beta * b),
-        -2.0 * (masses.knee_moment * cos_2 + masses.shank_moment * (bar.cos_beta * b * b + bar.sin_beta * db)),
-        2.0 * (masses.thigh + masses.shank + 2.0 * masses.coupling * cos_k),
-        -4.0 * masses.coupling * sin_k * (1.0 + b),
-        2.0 * (masses.thigh + masses.shank * b * b - 2.0 * masses.coupling * b * cos_k),
-        4.0 * (masses.shank * b * db - masses.coupling * (db * cos_k - b * sin_k * (1.0 + b))),
+        s=2.0 * (masses.knee_moment * cos_2 + masses.shank_moment * bar.cos_beta),
+        d_s=-2.0 * (masses.knee_moment * sin_2 + masses.shank_moment * bar.sin_beta * b),
+        dd_s=-2.0 * (masses.knee_moment * cos_2 + masses.shank_moment * (bar.cos_beta * b * b + bar.sin_beta * db)),
+        a=2.0 * (masses.thigh + masses.shank + 2.0 * masses.coupling * cos_k),
+        d_a=-4.0 * masses.coupling * sin_k * (1.0 + b),
+        d=2.0 * (masses.thigh + masses.shank * b * b - 2.0 * masses.coupling * b * cos_k),
+        d_d=4.0 * (masses.shank * b * db - masses.coupling * (db * cos_k - b * sin_k * (1.0 + b))),
     )
 
 
@@ -125,18 +125,18 @@ def terms(masses, bar, alpha_1, alpha_2, rate_1, rate_2):
     along = leg.dd_s * rate_2**2 - leg.s * rate_1**2
     across = 2.0 * leg.d_s * rate_1 * rate_2
     return Terms(
-        masses.x,
-        masses.y,
-        leg.s * cos_1,
-        leg.d_s * sin_1,
-        leg.s * sin_1,
-        -leg.d_s * cos_1,
-        leg.a,
-        leg.d,
-        along * sin_1 + across * cos_1,
-        -along * cos_1 + across * sin_1 + masses.weight,
-        leg.d_a * rate_1 * rate_2 + masses.gravity * leg.s * sin_1,
-        0.5 * leg.d_d * rate_2**2 - 0.5 * leg.d_a * rate_1**2 - masses.gravity * leg.d_s * cos_1,
+        x=masses.x,
+        y=masses.y,
+        x_1=leg.s * cos_1,
+        x_2=leg.d_s * sin_1,
+        y_1=leg.s * sin_1,
+        y_2=-leg.d_s * cos_1,
+        a=leg.a,
+        d=leg.d,
+        n_x=along * sin_1 + across * cos_1,
+        n_y=-along * cos_1 + across * sin_1 + masses.weight,
+        n_1=leg.d_a * rate_1 * rate_2 + masses.gravity * leg.s * sin_1,
+        n_2=0.5 * leg.d_d * rate_2**2 - 0.5 * leg.d_a * rate_1**2 - masses.gravity * leg.d_s * cos_1,
     )
 
 

@@ -100,7 +100,10 @@ def _flight_switched(system, time, state, motor):
     s, torques = system, flight_motion(system, time, state)[3]
     mode_1 = _next_mode(s.mode_1, torques[0]) if motor == 1 else s.mode_1
     mode_2 = _next_mode(s.mode_2, torques[1]) if motor == 2 else s.mode_2
-    return Flight(s.masses, s.law, s.side, s.depth, s.momentum_x, s.momentum_y, s.moment_y, mode_1, mode_2)
+    return Flight(
+        masses=s.masses, law=s.law, side=s.side, depth=s.depth, momentum_x=s.momentum_x, momentum_y=s.momentum_y,
+        moment_y=s.moment_y, mode_1=mode_1, mode_2=mode_2,
+    )  # fmt: skip
 
 
 @implements(switched, Stance)
@@ -108,7 +111,9 @@ def _stance_switched(system, time, state, motor):
     s, torques = system, stance_motion(system, state)[3]
     mode_1 = _next_mode(s.mode_1, torques[0]) if motor == 1 else s.mode_1
     mode_2 = _next_mode(s.mode_2, torques[1]) if motor == 2 else s.mode_2
-    return Stance(s.masses, s.law, s.side, s.force_x, s.force_y, mode_1, mode_2)
+    return Stance(
+        masses=s.masses, law=s.law, side=s.side, force_x=s.force_x, force_y=s.force_y, mode_1=mode_1, mode_2=mode_2
+    )
 
 
 @compiled
@@ -188,7 +193,7 @@ def to_midstance(masses, law, tolerances, speed, height, trace, retracing):
     state = (state[0], state[1], rate_1, rate_2)
     if speed_y >= 0.0:
         return OK, state
-    compression = Stance(masses, law, -1.0, 0.0, 0.0, 0.0, 0.0)
+    compression = Stance(masses=masses, law=law, side=-1.0, force_x=0.0, force_y=0.0, mode_1=0.0, mode_2=0.0)
     status, event, _, state = _run_phase(compression, state, STANCE_LIMIT, tolerances.stance, trace, retracing)
     if status == NO_APEX or event == CONTACT:
         status = NO_TAKE_OFF
@@ -213,7 +218,7 @@ def to_apex(masses, law, tolerances, state, force_x, force_y, trace, retracing):
         (status, next speed, next height): `StepStatus` as an integer; NaN if there is no next apex.
     """
     rewind(trace)
-    thrust = Stance(masses, law, 1.0, force_x, force_y, 0.0, 0.0)
+    thrust = Stance(masses=masses, law=law, side=1.0, force_x=force_x, force_y=force_y, mode_1=0.0, mode_2=0.0)
     if not np.isfinite(force_x + force_y):
         return INVALID, np.nan, np.nan
     status, event, _, state = _run_phase(thrust, state, STANCE_LIMIT, tolerances.stance, trace, retracing)

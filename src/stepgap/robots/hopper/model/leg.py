@@ -73,13 +73,13 @@ def four_bar(leg, alpha_2):
     d_beta = ratio * cos_2 * secant
     dd_beta = sin_beta * (d_beta * d_beta - 1.0) * secant
     return FourBar(
-        leg.top * cos_2 + leg.bottom * cos_beta,
-        -leg.top * sin_2 * (1.0 + d_beta),
-        -leg.top * (cos_2 * (1.0 + d_beta) + sin_2 * dd_beta),
-        sin_beta,
-        cos_beta,
-        d_beta,
-        dd_beta,
+        length=leg.top * cos_2 + leg.bottom * cos_beta,
+        d_length=-leg.top * sin_2 * (1.0 + d_beta),
+        dd_length=-leg.top * (cos_2 * (1.0 + d_beta) + sin_2 * dd_beta),
+        sin_beta=sin_beta,
+        cos_beta=cos_beta,
+        d_beta=d_beta,
+        dd_beta=dd_beta,
     )
 
 
@@ -91,16 +91,16 @@ def foot(leg, bar, alpha_1):
     cos_f = cos_1 * bar.cos_beta - sin_1 * bar.sin_beta
     toe = leg.foot
     return Foot(
-        bar.length * sin_1 + toe * sin_f,
-        -bar.length * cos_1 - toe * cos_f,
-        bar.length * cos_1 + toe * cos_f,
-        bar.length * sin_1 + toe * sin_f,
-        bar.d_length * sin_1 + toe * bar.d_beta * cos_f,
-        -bar.d_length * cos_1 + toe * bar.d_beta * sin_f,
-        bar.d_length * cos_1 - toe * bar.d_beta * sin_f,
-        bar.d_length * sin_1 + toe * bar.d_beta * cos_f,
-        bar.dd_length * sin_1 + toe * (bar.dd_beta * cos_f - bar.d_beta**2 * sin_f),
-        -bar.dd_length * cos_1 + toe * (bar.dd_beta * sin_f + bar.d_beta**2 * cos_f),
+        x=bar.length * sin_1 + toe * sin_f,
+        y=-bar.length * cos_1 - toe * cos_f,
+        x_1=bar.length * cos_1 + toe * cos_f,
+        y_1=bar.length * sin_1 + toe * sin_f,
+        x_2=bar.d_length * sin_1 + toe * bar.d_beta * cos_f,
+        y_2=-bar.d_length * cos_1 + toe * bar.d_beta * sin_f,
+        x_12=bar.d_length * cos_1 - toe * bar.d_beta * sin_f,
+        y_12=bar.d_length * sin_1 + toe * bar.d_beta * cos_f,
+        x_22=bar.dd_length * sin_1 + toe * (bar.dd_beta * cos_f - bar.d_beta**2 * sin_f),
+        y_22=-bar.dd_length * cos_1 + toe * (bar.dd_beta * sin_f + bar.d_beta**2 * cos_f),
     )
 
 

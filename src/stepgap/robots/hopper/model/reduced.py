@@ -91,15 +91,15 @@ def flight_of(masses, law, side, depth, hip, state):
     """`Flight` that starts with this motion of hip and leg, both motors obeying their laws."""
     m = terms(masses, four_bar(masses.leg, state[1]), state[0], state[1], state[2], state[3])
     return Flight(
-        masses,
-        law,
-        side,
-        depth,
-        m.x * hip.speed_x + m.x_1 * state[2] + m.x_2 * state[3],
-        m.y * hip.speed_y + m.y_1 * state[2] + m.y_2 * state[3],
-        m.y * hip.height - m.x_1,
-        0.0,
-        0.0,
+        masses=masses,
+        law=law,
+        side=side,
+        depth=depth,
+        momentum_x=m.x * hip.speed_x + m.x_1 * state[2] + m.x_2 * state[3],
+        momentum_y=m.y * hip.speed_y + m.y_1 * state[2] + m.y_2 * state[3],
+        moment_y=m.y * hip.height - m.x_1,
+        mode_1=0.0,
+        mode_2=0.0,
     )
 
 

@@ -158,9 +158,9 @@ def _integrate_stance(masses, law, state, pending, tick, tolerance, trace, force
     Returns:
         (event, state, pending): CONTACT at take-off, or another event that ended the stance.
     """
-    stance = Stance(masses, law, -1.0, 0.0, 0.0, 0.0, 0.0)
+    stance = Stance(masses=masses, law=law, side=-1.0, force_x=0.0, force_y=0.0, mode_1=0.0, mode_2=0.0)
     if stance_motion(stance, state)[1].speed_y >= 0.0:
-        stance = Stance(masses, law, 1.0, force_x, force_y, 0.0, 0.0)
+        stance = Stance(masses=masses, law=law, side=1.0, force_x=force_x, force_y=force_y, mode_1=0.0, mode_2=0.0)
     time, (remaining, torque_1, torque_2), limit = 0.0, pending, law.torque_limit
     while time < STANCE_LIMIT:
         if remaining <= 0.0:
@@ -171,7 +171,7 @@ def _integrate_stance(masses, law, state, pending, tick, tolerance, trace, force
         time, state, event, _ = integrate(held, time, state, begin + remaining, tolerance, FIRST_STEP, trace)
         remaining = 0.0 if event == TIME_OUT else remaining - (time - begin)
         if event == REVERSAL and stance.side < 0.0:
-            stance = Stance(masses, law, 1.0, force_x, force_y, 0.0, 0.0)
+            stance = Stance(masses=masses, law=law, side=1.0, force_x=force_x, force_y=force_y, mode_1=0.0, mode_2=0.0)
         elif event != TIME_OUT:
             return event, state, (remaining, torque_1, torque_2)
     return BROKEN, state, (remaining, torque_1, torque_2)
@@ -202,7 +202,8 @@ def sampled_hop(masses, law, tick, tolerance, speed, height, force_x, force_y, t
     _, _, rate_1, rate_2 = impact(m, toe, hip.speed_x, hip.speed_y, state[2], state[3])
     state = (state[0], state[1], rate_1, rate_2)
     event, state, pending = _integrate_stance(masses, law, state, pending, tick, tolerance, trace, force_x, force_y)
-    hip = stance_motion(Stance(masses, law, 1.0, force_x, force_y, 0.0, 0.0), state)[1]
+    stance = Stance(masses=masses, law=law, side=1.0, force_x=force_x, force_y=force_y, mode_1=0.0, mode_2=0.0)
+    hip = stance_motion(stance, state)[1]
     if event != CONTACT or hip.speed_y <= STANDSTILL:
         return _failure(event, NO_TAKE_OFF), *no_apex
 

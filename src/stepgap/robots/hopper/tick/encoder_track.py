@@ -69,7 +69,7 @@ class Jump(NamedTuple):
     restless: float
 
 
-NO_JUMP = Jump(0.0, 0.0, 0.0, 0.0, 0.0)
+NO_JUMP = Jump(size=0.0, change=0.0, speed=0.0, pace=0.0, restless=0.0)
 
 
 @as_written
@@ -90,7 +90,10 @@ def with_angle(track, tick, count, time, angle, torque, should_move):
     if track.readings > 0 and time <= track.time:
         return track, NO_JUMP
     if track.readings == 0:
-        first = EncoderTrack(1, time, angle, 0.0, 0.0, 0.0, 0.0, torque, 0.0, 0.0, angle, 0.0)
+        first = EncoderTrack(
+            readings=1, time=time, angle=angle, took=0.0, movement=0.0, took_before=0.0, movement_before=0.0,
+            torque=torque, restless=0.0, restless_before=0.0, anchor=angle, still=0.0,
+        )  # fmt: skip
         return first, NO_JUMP
     took, movement = time - track.time, angle - track.angle
     size = change = speed = pace = 0.0
@@ -113,16 +116,18 @@ def with_angle(track, tick, count, time, angle, torque, should_move):
     elif should_move:
         still += took
     after = EncoderTrack(
-        min(track.readings + 1, 3), time, angle, took, movement, track.took, track.movement, torque, restless,
-        track.restless, anchor, still,
+        readings=min(track.readings + 1, 3), time=time, angle=angle, took=took, movement=movement,
+        took_before=track.took, movement_before=track.movement, torque=torque, restless=restless,
+        restless_before=track.restless, anchor=anchor, still=still,
     )  # fmt: skip
-    return after, Jump(size, change, speed, pace, track.restless_before)
+    return after, Jump(size=size, change=change, speed=speed, pace=pace, restless=track.restless_before)
 
 
 @as_written
 def may_rest(track):
     """`EncoderTrack` of a link that may stand still, so that the time of standing still begins again at zero."""
     return EncoderTrack(
-        track.readings, track.time, track.angle, track.took, track.movement, track.took_before, track.movement_before,
-        track.torque, track.restless, track.restless_before, track.anchor, 0.0,
+        readings=track.readings, time=track.time, angle=track.angle, took=track.took, movement=track.movement,
+        took_before=track.took_before, movement_before=track.movement_before, torque=track.torque,
+        restless=track.restless, restless_before=track.restless_before, anchor=track.anchor, still=0.0,
     )  # fmt: skip

@@ -79,7 +79,10 @@ class FlightFit(NamedTuple):
 @as_written
 def no_samples():
     """`FlightFit` at take-off, without samples."""
-    return FlightFit(0, 0.0, 0.0, -np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return FlightFit(
+        samples=0, latest=0.0, height=0.0, highest=-np.inf, u=0.0, u2=0.0, u3=0.0, u4=0.0, x=0.0, ux=0.0, u2x=0.0,
+        v=0.0, uv=0.0, u2v=0.0,
+    )  # fmt: skip
 
 
 @as_written
@@ -88,20 +91,20 @@ def with_sample(fit, time, x, y):
     u, v = time - CENTRE, y - LEVEL
     u2 = u * u
     return FlightFit(
-        fit.samples + 1,
-        time,
-        y,
-        max(fit.highest, y),
-        fit.u + u,
-        fit.u2 + u2,
-        fit.u3 + u2 * u,
-        fit.u4 + u2 * u2,
-        fit.x + x,
-        fit.ux + u * x,
-        fit.u2x + u2 * x,
-        fit.v + v,
-        fit.uv + u * v,
-        fit.u2v + u2 * v,
+        samples=fit.samples + 1,
+        latest=time,
+        height=y,
+        highest=max(fit.highest, y),
+        u=fit.u + u,
+        u2=fit.u2 + u2,
+        u3=fit.u3 + u2 * u,
+        u4=fit.u4 + u2 * u2,
+        x=fit.x + x,
+        ux=fit.ux + u * x,
+        u2x=fit.u2x + u2 * x,
+        v=fit.v + v,
+        uv=fit.uv + u * v,
+        u2v=fit.u2v + u2 * v,
     )
 
 
@@ -232,4 +235,7 @@ def with_reading(rates, time, alpha_1, alpha_2):
             rate_1, rate_2 = (alpha_1 - past_1) / took, (alpha_2 - past_2) / took
         before, past_1, past_2 = latest, old_1, old_2
         readings, latest, old_1, old_2 = min(readings + 1, 2), time, alpha_1, alpha_2
-    return JointRates(readings, latest, old_1, old_2, before, past_1, past_2, rate_1, rate_2)
+    return JointRates(
+        readings=readings, time=latest, alpha_1=old_1, alpha_2=old_2, time_before=before, alpha_1_before=past_1,
+        alpha_2_before=past_2, rate_1=rate_1, rate_2=rate_2,
+    )  # fmt: skip

@@ -157,7 +157,7 @@ class HopState(NamedTuple):
     mode: int = int(Mode.STEP)
     phase: int = Phase.DESCENT.value
     sampled: float = 0.0
-    motion: JointMotion = JointMotion(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    motion: JointMotion = JointMotion(alpha_1=0.0, alpha_2=0.0, rate_1=0.0, rate_2=0.0, leg_length=0.0, hip_height=0.0)
     rates: JointRates = JointRates()
     flight: FlightState = FlightState()
     hop: HopProgress = HopProgress()

@@ -66,8 +66,9 @@ def hop_tick(settings, state, inputs):
         flags, hop, flight, apex = _end_hop(settings.sensor_model, hop, flight, apex, phase, body, inputs.time)
     flags |= _flags(settings.limits, hop, phase, checked)
     after = HopState(
-        inputs.mode, phase, sampled, motion, rates, flight, hop, apex, sensors, checked.watch, asked[0], asked[1],
-        checked.limited, state.hops + int(flags & _STEP_ENDED != 0), stage, load,
+        mode=inputs.mode, phase=phase, sampled=sampled, motion=motion, rates=rates, flight=flight, hop=hop,
+        apex=apex, sensors=sensors, watch=checked.watch, asked_1=asked[0], asked_2=asked[1], limited=checked.limited,
+        hops=state.hops + int(flags & _STEP_ENDED != 0), stage=stage, load=load,
     )  # fmt: skip
     return after, (checked.torque_1, checked.torque_2), flags
 
@@ -87,7 +88,8 @@ def _add_lost_force(law, state, applied_1, applied_2):
         force_x, force_y = lost_force(law, state.motion.alpha_1, state.motion.alpha_2, lost_1, lost_2)
         lost_x, lost_y = lost_x + force_x, lost_y + force_y
     return HopProgress(
-        hop.deadline, hop.left_ground, hop.force_x, hop.force_y, hop.thrust_ticks + 1, lost_x, lost_y, hop.status
+        deadline=hop.deadline, left_ground=hop.left_ground, force_x=hop.force_x, force_y=hop.force_y,
+        thrust_ticks=hop.thrust_ticks + 1, lost_x=lost_x, lost_y=lost_y, status=hop.status,
     )  # fmt: skip
 
 
@@ -106,13 +108,19 @@ def _update_hop(hop, before, phase, mode_before, inputs):
         deadline, left_ground, force_x, force_y, thrust_ticks, lost_x, lost_y, _ = _new_hop(np.inf, hop.status)
     if inputs.mode == Mode.STEP and np.isnan(force_x) and _takes_command(phase, left_ground):
         force_x, force_y = inputs.force_x, inputs.force_y
-    return HopProgress(deadline, left_ground, force_x, force_y, thrust_ticks, lost_x, lost_y, hop.status), phase
+    return HopProgress(
+        deadline=deadline, left_ground=left_ground, force_x=force_x, force_y=force_y, thrust_ticks=thrust_ticks,
+        lost_x=lost_x, lost_y=lost_y, status=hop.status,
+    ), phase  # fmt: skip
 
 
 @as_written
 def _new_hop(deadline, status):
     """`HopProgress` at the start of a hop."""
-    return HopProgress(deadline, 0, np.nan, np.nan, 0, 0.0, 0.0, status)
+    return HopProgress(
+        deadline=deadline, left_ground=0, force_x=np.nan, force_y=np.nan, thrust_ticks=0, lost_x=0.0, lost_y=0.0,
+        status=status,
+    )  # fmt: skip
 
 
 @as_written
@@ -135,7 +143,8 @@ def _update_status(leg, hop, motion, limited):
 @as_written
 def _with_status(hop, status):
     return HopProgress(
-        hop.deadline, hop.left_ground, hop.force_x, hop.force_y, hop.thrust_ticks, hop.lost_x, hop.lost_y, status
+        deadline=hop.deadline, left_ground=hop.left_ground, force_x=hop.force_x, force_y=hop.force_y,
+        thrust_ticks=hop.thrust_ticks, lost_x=hop.lost_x, lost_y=hop.lost_y, status=status,
     )  # fmt: skip
 
 
@@ -154,7 +163,10 @@ def _end_hop(model, hop, flight, apex, phase, body, time):
         if np.isfinite(speed + height):
             lost_x, lost_y = _mean_loss(hop)
             flight = FlightState(flight.start, flight.x, flight.fit, speed)
-            ended = Apex(speed, height, body.yaw, lost_x, lost_y, hop.force_x, hop.force_y)
+            ended = Apex(
+                speed=speed, height=height, yaw=body.yaw, lost_x=lost_x, lost_y=lost_y, force_x=hop.force_x,
+                force_y=hop.force_y,
+            )  # fmt: skip
             return _STEP_ENDED, _new_hop(time + STEP_TIMEOUT, hop.status), flight, ended
     if time > hop.deadline:
         hop = _with_status(hop, StepStatus.NO_APEX.value if hop.left_ground else StepStatus.NO_TAKE_OFF.value)
@@ -203,8 +215,10 @@ def tick(
     if not np.isfinite(motor_1 + motor_2 + boom_horizontal + boom_vertical + contact_force):
         return (0.0, 0.0), UNREADABLE
     inputs = TickInputs(
-        time, age, motor_1, motor_2, boom_horizontal, boom_vertical, contact_force, int(frame_lost), int(stale),
-        int(late), int(emergency_stop), int(mode), share, force_x, force_y, applied_1, applied_2,
+        time=time, age=age, motor_1=motor_1, motor_2=motor_2, boom_horizontal=boom_horizontal,
+        boom_vertical=boom_vertical, contact_force=contact_force, frame_lost=int(frame_lost), stale=int(stale),
+        late=int(late), emergency_stop=int(emergency_stop), mode=int(mode), share=share, force_x=force_x,
+        force_y=force_y, applied_1=applied_1, applied_2=applied_2,
     )  # fmt: skip
     state, torques, flags = hop_tick(settings[0], loaded(memory[0], HopState), inputs)  # pyright: ignore[reportCallIssue]
     assign(memory[0], state)

@@ -110,7 +110,10 @@ def judge_sensors(settings, state, sampled, phase, motion, body, inputs):
     low, misplaced = _judge_foot(settings.limits, state, sampled, contact, phase, motion.hip_height + body.foot_y)
     if inputs.mode == Mode.STEP:
         doubts |= slid | misplaced
-    return SensorWatch(motor_1, motor_2, yaw, pitch, contact, yaw_there, foot_there, low), doubts
+    return SensorWatch(
+        motor_1=motor_1, motor_2=motor_2, yaw=yaw, pitch=pitch, contact=contact, yaw_there=yaw_there,
+        foot_there=foot_there, low=low,
+    ), doubts  # fmt: skip
 
 
 @as_written

@@ -171,11 +171,16 @@ def check_torque(limits, stage, watch, motion, health, doubts, torque_1, torque_
         if _brakes(limits, stopped, braked):
             torque_1 = _brake(limits, watch.torque_1, motion.rate_1 + motion.rate_2)
             torque_2 = _brake(limits, watch.torque_2, motion.rate_1 - motion.rate_2)
-        return Checked(
-            torque_1, torque_2, stopped, Watch(torque_1, torque_2, lost, stale, late, stopped, braked, slowest)
-        )
+        after = Watch(
+            torque_1=torque_1, torque_2=torque_2, lost=lost, stale=stale, late=late, stopped=stopped, braked=braked,
+            slowest=slowest,
+        )  # fmt: skip
+        return Checked(torque_1, torque_2, stopped, after)
     torque_1, torque_2, limited = _within_limits(limits, stage.torque, watch, motion.alpha_2, torque_1, torque_2)
-    return Checked(torque_1, torque_2, limited, Watch(torque_1, torque_2, lost, stale, late, 0, 0, inf))
+    after = Watch(
+        torque_1=torque_1, torque_2=torque_2, lost=lost, stale=stale, late=late, stopped=0, braked=0, slowest=inf
+    )
+    return Checked(torque_1, torque_2, limited, after)
 
 
 @as_written

@@ -51,8 +51,11 @@ def sense(settings, rates, sampled, inputs):
     length, hip_rate, shift_x, shift_y, foot_x, foot_y = _leg_state(
         settings.masses, alpha_1, alpha_2, rates.rate_1, rates.rate_2
     )
-    motion = JointMotion(alpha_1, alpha_2, rates.rate_1, rates.rate_2, length, y)
-    return rates, motion, Body(x, yaw, hip_rate, shift_x, shift_y, foot_x, foot_y)
+    motion = JointMotion(
+        alpha_1=alpha_1, alpha_2=alpha_2, rate_1=rates.rate_1, rate_2=rates.rate_2, leg_length=length, hip_height=y
+    )
+    body = Body(x=x, yaw=yaw, hip_rate=hip_rate, shift_x=shift_x, shift_y=shift_y, foot_x=foot_x, foot_y=foot_y)
+    return rates, motion, body
 
 
 @as_written

@@ -230,7 +230,7 @@ class Twin(CompiledRig):
         if not isinstance(control, HopControl):
             raise TypeError(f"a hopper's twin needs a HopControl, not {type(control).__name__}")
         if self._fault or not self._connected:
-            return TickRun((), time, None, 0, self._fault or "the twin is not connected")
+            return TickRun(rows=(), time=time, applied=None, flags=0, fault=self._fault or "the twin is not connected")
         noise = self._next_noise(min(most, self._hold_remaining or most))
         rows = np.empty((len(noise), len(TICK_UNITS)))
         done, outcome, flags, time, applied_1, applied_2 = run_ticks(
@@ -251,10 +251,11 @@ class Twin(CompiledRig):
         self._noise_used -= len(noise) - done - (outcome == NO_TORQUE)
         self._count_ticks(done)
         if outcome == NO_NUMBER:
-            return TickRun(rows[:done], time, None, 0, f"a sensor value is not finite: {self.read()}")
+            fault = f"a sensor value is not finite: {self.read()}"
+            return TickRun(rows=rows[:done], time=time, applied=None, flags=0, fault=fault)
         if outcome != READ:
-            return TickRun(rows[:done], time, None, 0, str(self._trip(MESSAGES[outcome])))
-        return TickRun(rows[:done], time, (applied_1, applied_2), flags, "")
+            return TickRun(rows=rows[:done], time=time, applied=None, flags=0, fault=str(self._trip(MESSAGES[outcome])))
+        return TickRun(rows=rows[:done], time=time, applied=(applied_1, applied_2), flags=flags, fault="")
 
     def fork(self, rng: np.random.Generator, floor_yaw: float = 0.0) -> Self:
         """Returns a copy in exactly the same motion, including the state of the drives; this twin is unchanged.
