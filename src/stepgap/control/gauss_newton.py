@@ -87,6 +87,8 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, improvement: 
     value, matrix, origin, damping = function(point), jacobian(point), point, 0.0
     if not (np.isfinite(value).all() and np.isfinite(matrix).all()):
         return Solution(point, float(norms(value)), converged=False)
+    # `value` is the function at `point`, the best point so far. `matrix` is the Jacobian at `origin` with Broyden's
+    # updates since then: that no step helps is believed only near `origin`; elsewhere the Jacobian is renewed.
     for _ in range(MOST_TRIALS):
         cost, size = _square(value), float(np.sum(matrix**2))
         if cost <= TOLERANCE**2 or damping > MOST_DAMPING * size:
@@ -112,6 +114,8 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, improvement: 
                 step, change, trial = fraction * step, fraction * change, shorter
                 linear = _square(value + change)
                 expected = cost - linear
+        # A trial that is not taken teaches as much as one that is: the damping with which |linear|² + damping |step|²
+        # would have given the norm found there, and a matrix that agrees with it in the direction of the step.
         gain = cost - _square(trial)
         damping = max(0.0, (_square(trial) - linear) / _square(step))
         matrix = matrix + (trial - value - change)[:, None] * (step / _square(step))
@@ -143,6 +147,8 @@ def minimise_many(
     points, values, matrices = points.copy(), values.copy(), matrices.copy()
     converged, relative_damping = np.zeros(len(points), bool), np.zeros(len(points))
     active = np.flatnonzero(np.isfinite(matrices).all(axis=(1, 2)))
+    # `active` has the numbers of the problems that still run; each local array has one row for each of them. `points`
+    # and `values` change only where the norm falls, so whenever a problem leaves, it keeps the best that it has found.
     for _ in range(MOST_ROUNDS):
         point, value, matrix = points[active], values[active], matrices[active]
         cost = np.sum(value**2, axis=1)
@@ -189,6 +195,8 @@ def box_step(matrix: Array, value: Array, lower: Array, upper: Array, damping: f
     matrix = np.vstack([matrix, np.sqrt(damping) * np.eye(k)])
     value = np.append(value, np.zeros(k))
     step, free = np.zeros(k), np.ones(k, bool)
+    # `step` stays in the box, and each coordinate that is not `free` rests on a bound. A turn ends at the first bound
+    # that the move meets, or at the minimum among the free ones; there the coordinate is freed whose bound costs most.
     for _ in range(4 * k + 4):
         move = np.zeros(k)
         move[free] = np.linalg.lstsq(matrix[:, free], -(matrix @ step + value), rcond=None)[0]

@@ -107,6 +107,8 @@ def _solve(problem: _Problem, states: Array, count: int) -> tuple[Array, Array, 
     ranks = _basins(norms(sampled).reshape(-1, *grid.shape[:-1]), m)
     best, at = sampled[np.arange(len(ranks)), ranks[:, 0]], sample[ranks[:, 0]]
     converged = np.zeros(len(ranks), bool)
+    # Each turn starts from the next closest basin of the nodes that are not yet solved, in one batch. `best` is the
+    # least error so far. An equal one replaces it: a search that did not move tells, too, whether it converged.
     for choice in ranks.T:
         nodes = np.flatnonzero((choice >= 0) & (norms(best) > REACHED))
         matrices = _jacobians(problem, states, nodes // count, sample, choice[nodes])

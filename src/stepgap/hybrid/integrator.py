@@ -177,6 +177,8 @@ def _root(system, span, which, low, g_low, high, g_high):
         if not g_low > 0.0:
             return 0.0
     side = 0
+    # The guard is positive at `low` and negative at `high`. An end that stays twice in a row counts with half its
+    # value: the secant then falls beyond the root, and the interval shrinks from both sides.
     for _ in range(30):
         s = (low * g_high - high * g_low) / (g_high - g_low)
         g = _guards_at(system, span, s)[which]
@@ -242,6 +244,8 @@ def integrate(system, time, state, time_limit, tolerance, h, trace):
     event, begin = BROKEN, time
     here, guards = rate_and_guards(system, time, state)
     jacobian = rate_jacobian(system, state, here)
+    # `here`, `guards` and `jacobian` are those at (time, state), and no guard has crossed zero since `begin`. Only
+    # accepted steps enter the trace, the last one shortened to the event, so `retrace` gets there without choices.
     while trace.cursor[0] < MAX_STEPS and trace.cursor[1] < MAX_PIECES:
         h = min(h, time_limit - time)
         end, evaluated, error = _step(system, time, state, here, jacobian, h)

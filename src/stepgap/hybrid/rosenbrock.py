@@ -67,6 +67,8 @@ def _solved(factors, right):
 @generic
 def rosenbrock_step(system, time, state, here, jacobian, h):
     """Takes a step of size h from `state`, whose rate is `here`: (end, (rate, guards) there, local error)."""
+    # A stage solves for u instead of the rate k, so no product with J is needed. In this stiffly accurate method, each
+    # of the last three points is the one before plus its u; the last u is the difference to the solution of order 4.
     factors, w = factorised(jacobian, h), 1.0 / h
     u1 = _solved(factors, here)
     k2 = rate(system, axpy(state, 1.0, _A2, (u1,)))

@@ -190,6 +190,9 @@ def _estimate(parts: Sequence[_Part], strength: float, noise_scale: Array) -> tu
     size, steps = parts[0].features.shape[1], sum(len(part.error) for part in parts)
     information, projection = np.eye(size) / PRIOR_STD**2, np.zeros((size, len(noise_scale)))
     squares, log_determinant = PRIOR_COUNT * noise_scale**2, 0.0
+    # The errors of a deployment are features · weights + R c + noise. With c integrated out, their covariance in
+    # variances of the noise is V = 1 + R S Rᵀ, and x − disturbance(x) is V⁻¹ x. So these sums, over independent
+    # deployments, are Σ FᵀV⁻¹F, Σ FᵀV⁻¹e and Σ eᵀV⁻¹e of a linear regression with the noise V.
     for part in parts:
         features, error = part.features, part.error
         information = information + features.T @ (features - part.disturbance(features, strength))

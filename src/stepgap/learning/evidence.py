@@ -195,6 +195,8 @@ class Evidence:
     def loss(self, parameters: LogParameters) -> tuple[float, LogParameters]:
         """Negative criterion and its gradient (RW Eqs. 5.8, 5.9)."""
         squared, linear_features, solved, signal = self._solve(parameters)
+        # K is in units of signal². The signal is the best one for these parameters, where the criterion does not
+        # change with it to first order, so its gradient is that at a fixed signal, but for the exception below.
         criterion, alpha = self.criterion, self.criterion.alpha(solved, signal)
         K_inv, _ = _potri(solved.factor.base, lower=1)
         # potri fills the lower triangle in Fortran order: the upper one in C order.

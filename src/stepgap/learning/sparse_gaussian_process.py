@@ -308,6 +308,8 @@ def spread_points(
     scaled = points / (input_scale * hyper_parameters.length_scale)
     columns = np.empty((count, len(points)))
     remaining, chosen = np.ones(len(points)), []
+    # `columns` has the Cholesky factor of the chosen points, continued to all points, and `remaining` the variance of
+    # f at each point given them [signal²]. A column costs O(N · row), and no matrix of all points is ever made.
     for row in range(min(count, len(points))):
         pick = int(np.argmax(remaining))
         if remaining[pick] < 1e-8:

@@ -334,6 +334,8 @@ def _predict(residual: Residual, steps: StepTable, learning: LearningSettings) -
         steps.space.state_scale, drift=learning.drift, reject_outliers=learning.reject_outliers
     )
     remaining, offset, offset_std = steps.error - mean, np.empty_like(mean), np.empty_like(mean)
+    # As in a run, a step is predicted before its error is known: the disturbance comes from the rows above alone.
+    # Neither this nor the fit has seen the step, or the score would reward a residual that follows the noise.
     for row in range(len(steps)):
         offset[row], offset_std[row] = disturbance.predict(residual, yaw[row])
         disturbance = disturbance.after(residual, remaining[row], std[row], yaw[row])

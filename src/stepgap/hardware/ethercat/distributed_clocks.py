@@ -133,6 +133,9 @@ class Steering:
             self._aligned = isfinite(self.offset)
             self.shift = self._time_to_grid() if self._aligned else 0.0
             return self.shift
+        # A PI law: `_rate` is the drift of the clocks, and an offset counts once, so that after a lost frame only the
+        # drift is followed. Both are bounded, because a late frame says nothing of the clocks. A slip is completed to
+        # whole cycles, which keeps all later frames in phase.
         if self._fresh:
             self._settling -= self._settling > 0
             most = (_LARGEST_FIRST_OFFSET if self._settling else _LARGEST_OFFSET) * self._cycle

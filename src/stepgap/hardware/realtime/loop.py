@@ -138,6 +138,8 @@ class ControlLoop:
     def _act(self, reading: Reading, health: Health, late: float) -> bool:
         """Computes and writes the torques; returns False when the robot is off."""
         time, control = self._clock.time, self._control
+        # What stops the robot is judged before the state, and the state before the torques, so it acts in this tick. A
+        # limp robot writes zeros, whatever the control computes; the next tick gets what was really written.
         self._watch_key()
         self._watch_rig()
         self._enter(next_state(self._state, self._signals()))

@@ -186,6 +186,8 @@ class EmulatedSlave:
         """Processes LRD, LWR, LRW: reads the old memory and writes the new data through every overlapping FMMU."""
         read = written = False
         end, incoming = address + len(data), bytes(data)
+        # One datagram may meet several mappings: all of them write what came in, from `incoming`, since `data` already
+        # has what an earlier one has read. The counter counts a read and a write once for each slave.
         for fmmu in self._fmmus:
             low, high = max(address, fmmu.start), min(end, fmmu.end)
             if low >= high:

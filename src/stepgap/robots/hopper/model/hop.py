@@ -144,6 +144,8 @@ def _run_phase(system, state, time_limit, tolerance, trace, retracing):
             return FULL_STRETCH, event, time, state
         if guards[CONTACT] <= 0.0:  # the ground cannot pull: a stance that starts without load ends immediately
             return OK, CONTACT, time, state
+    # A motor begins and stops saturating where its law gives just the limit, so torques and rates have no jump there:
+    # the next piece goes on from the same state with the same step size. All other events end the phase.
     for _ in range(MOST_PIECES):
         if retracing:
             time, state, event = retrace(system, time, state, trace)

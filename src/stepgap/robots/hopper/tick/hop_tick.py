@@ -45,6 +45,8 @@ def hop_tick(settings, state, inputs):
     Returns:
         `HopState` after this tick, torques that may be written [N·m], and the sum of the `TickFlag`s.
     """
+    # The order matters. What limits took away belongs to the phase of the tick before, so it is added before the phase
+    # changes; the law acts on a command in the tick that brings it; and a step fails before it could end as good.
     hop = _add_lost_force(settings.law, state, inputs.applied_1, inputs.applied_2)
     sampled = state.sampled if inputs.stale else inputs.time - inputs.age  # when the sensors were read [s]
     rates, motion, body = sense(settings, state.rates, sampled, inputs)
