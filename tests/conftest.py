@@ -147,11 +147,11 @@ def stepgap(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pyte
 
 @pytest.fixture(scope="session")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The package with the robots of the documentation, on the search path."""
+    """The packages with robots, a verb and plants of the documentation, on the search path."""
     folder = tmp_path_factory.mktemp("package")
     install(folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)
-        for name in ("ball_robot", "spring_hopper"):
+        for name in ("ball_robot", "spring_hopper", "authority_verb", "ball_plants"):
             patch.delitem(sys.modules, name, raising=False)
         yield folder

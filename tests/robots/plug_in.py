@@ -1,25 +1,46 @@
-"""Packages with robots, as pip installs them, without pip: those of the documentation."""
+"""Packages with plug-ins, as pip installs them, without pip: those of the documentation."""
 
 import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 _DOCS = Path(__file__).parents[2] / "docs"
 _PAGE = (_DOCS / "own_robot.md").read_text("utf-8")
-(_BALL,) = re.findall(r"```python\n(.*?)```", _PAGE, re.DOTALL)
-(_SPRING_HOPPER,) = re.findall(r"```python\n(.*?)```", (_DOCS / "mujoco_robot.md").read_text("utf-8"), re.DOTALL)
 PYPROJECT, CUSTOM_TOML, TEMPLATE_TOML = re.findall(r"```toml\n(.*?)```", _PAGE, re.DOTALL)
 
 
 def install(folder: Path) -> None:
-    """Makes the files of a package with the robots of both pages in a folder, which is to be on the search path."""
-    project = tomllib.loads(PYPROJECT)["project"]
+    """Makes the files of the packages of these pages in a folder, which is to be on the search path."""
+    robots = tomllib.loads(PYPROJECT)["project"]
+    robots["entry-points"]["stepgap.robots"]["spring_hopper"] = "spring_hopper:SpringHopper"
+    install_package(folder, robots, ball_robot=module_of("own_robot.md"), spring_hopper=module_of("mujoco_robot.md"))
+    for page in ("own_verb.md", "own_plant.md"):
+        install_page(folder, page)
+
+
+def install_page(folder: Path, page: str) -> None:
+    """Makes the files of the package of a page with one module and one `pyproject.toml`."""
+    (text,) = re.findall(r"```toml\n(.*?)```", (_DOCS / page).read_text("utf-8"), re.DOTALL)
+    project = tomllib.loads(text)["project"]
+    install_package(folder, project, **{project["name"].replace("-", "_"): module_of(page)})
+
+
+def module_of(page: str) -> str:
+    """The one module of a page."""
+    (module,) = re.findall(r"```python\n(.*?)```", (_DOCS / page).read_text("utf-8"), re.DOTALL)
+    return module
+
+
+def install_package(folder: Path, project: Mapping[str, Any], **modules: str) -> None:
+    """Makes the files of a package from the table `project` of its `pyproject.toml` and the texts of its modules."""
     info = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n")
-    ((group, points),) = project["entry-points"].items()
-    points["spring_hopper"] = "spring_hopper:SpringHopper"
-    lines = [f"[{group}]", *(f"{name} = {value}" for name, value in points.items()), ""]
+    lines = []
+    for group, points in project["entry-points"].items():
+        lines += [f"[{group}]", *(f"{name} = {value}" for name, value in points.items()), ""]
     (info / "entry_points.txt").write_text("\n".join(lines))
-    (folder / "ball_robot.py").write_text(_BALL, "utf-8")
-    (folder / "spring_hopper.py").write_text(_SPRING_HOPPER, "utf-8")
+    for name, text in modules.items():
+        (folder / f"{name}.py").write_text(text, "utf-8")

@@ -38,13 +38,14 @@ def command_line(only: str = "") -> App:
     names = verb_names()
     for name in [only] if only in names else names:
         try:
-            verb = load_plugin(VERBS, "verb", name, callable, "a function or a Cyclopts App")
-        except InputError as error:
+            add_verb(app, name, load_plugin(VERBS, "verb", name, callable, "a function or a Cyclopts App"))
+        except Exception as error:  # whatever the module of another package raises
+            line = str(error) if isinstance(error, InputError) else f"verb '{name}': {type(error).__name__}: {error}"
             if name == only:
-                raise
-            warn(str(error))
+                raise InputError(line) from error
+            warn(line)
         else:
-            add_verb(app, name, verb)
+            app[name].sort_key = ORDER.index(name) if name in ORDER else None
     return app
 
 

@@ -1,7 +1,9 @@
 """A plant that is a `StepMap` with noise, for fast tests and for experiments without a rig."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from stepgap.base.ranges import require
 from stepgap.plants.plant import RepeatablePlant
 from stepgap.step import Array, StepMap, StepRecord, StepSpace, StepStatus
 
@@ -11,14 +13,26 @@ class ModelPlant(RepeatablePlant):
 
     Args:
         step_map: True map of the plant.
-        start_state: First state at the section; shape (n,).
-        noise: Standard deviation of the noise that is added to every next state; shape (n,).
-        rng: Random generator that draws the noise.
+        start_state: First state at the section; shape (n,). [default: the middle of the ranges of use]
+        noise: Standard deviation of the noise that is added to every next state; shape (n,). [default: none]
+        rng: Random generator that draws the noise; without noise, none is needed.
+
+    Raises:
+        ValueError: There is noise, but no generator.
     """
 
-    def __init__(self, step_map: StepMap, start_state: Array, noise: Array, rng: np.random.Generator):
-        self._map, self._start, self._noise, self._rng = step_map, np.asarray(start_state, float), noise, rng
-        self._state = self._start
+    def __init__(
+        self,
+        step_map: StepMap,
+        start_state: ArrayLike | None = None,
+        noise: ArrayLike = 0.0,
+        rng: np.random.Generator | None = None,
+    ):
+        start = step_map.space.state_centre if start_state is None else start_state
+        self._map, self._start = step_map, np.asarray(start, float)
+        self._noise = np.broadcast_to(np.asarray(noise, float), self._start.shape)
+        require(rng is not None or not self._noise.any(), "noise", noise, "come with a generator that draws it")
+        self._rng, self._state = rng or np.random.default_rng(0), self._start
 
     @property
     def space(self) -> StepSpace:

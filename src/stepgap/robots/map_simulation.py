@@ -29,7 +29,7 @@ class MapSimulation(Simulation):
 
     def plant(self, rng: np.random.Generator, on_ticks: OnTicks | None = None) -> ModelPlant:  # noqa: ARG002
         """Plant of one deployment."""
-        return ModelPlant(self.step_map, np.asarray(self.start, float), np.asarray(self.noise, float), rng)
+        return ModelPlant(self.step_map, self.start, self.noise, rng)
 
     def repeatable_plant(self, rng: np.random.Generator) -> ModelPlant:
         """The same, which can repeat a step."""
