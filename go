@@ -9,7 +9,7 @@ set -eu
 
 root=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 venv=$root/.venv
-pythons='python3.13 python3.12 python3.11 python3'
+pythons=${STEPGAP_PYTHON:-python3.13 python3.12 python3.11 python3}
 developer_commands='coverage lint-imports mkdocs playwright pre-commit pyright pytest ruff twine'
 
 say() {

@@ -14,7 +14,7 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).parent.parent
 HOME = "docs/index.md"
 """It includes what is needed of README.md, so links to the one lead to the other."""
-ROOT_PAGES = ("ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md", "NOTATION.md")
+ROOT_PAGES = ("ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md", "NOTATION.md", "SECURITY.md")
 LINK = re.compile(r"(!?\[[^]]*\])\(([^):# ]+)(#[^) ]+)?\)")
 INCLUDED = re.compile(r'^\[.*\]\((\S+)#(\S+) "included"\)$', re.MULTILINE)
 HEADING = re.compile(r"^(?=#+ )", re.MULTILINE)

@@ -91,6 +91,13 @@ def test_a_users_command_installs_what_users_need_once(clone: Clone) -> None:
     assert clone.run("stepgap") == (True, [], "")
 
 
+def test_a_python_can_be_chosen(clone: Clone) -> None:
+    clone.environment["STEPGAP_PYTHON"] = "python3.99"
+    assert "Python 3.11 or newer is needed, and none of these is one: python3.99." in clone.run("stepgap")[2]
+    (clone.folder / "programs" / "python3.99").symlink_to(sys.executable)
+    assert clone.run("stepgap")[0]
+
+
 def test_a_command_knows_how_it_was_started(clone: Clone) -> None:
     clone.run("stepgap")
     folder = clone.folder / "other"

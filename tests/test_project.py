@@ -11,6 +11,7 @@ from inspect import signature
 from pathlib import Path
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -155,3 +156,17 @@ def test_readme_verbs_exist() -> None:
         outcome = subprocess.run([stepgap, verb, "--help"], capture_output=True, text=True, check=False)
         assert outcome.returncode == 0, f"README uses `stepgap {verb}`: {outcome.stderr}"
         assert f"stepgap {verb}" in outcome.stdout, f"README uses `stepgap {verb}`, which its help does not know"
+
+
+def test_the_workflow_runs_the_check_and_the_tests_with_pythons_that_we_name() -> None:
+    (job,) = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))["jobs"].values()
+    classifiers = PYPROJECT["project"]["classifiers"]
+    for version in job["strategy"]["matrix"]["python"]:
+        assert f"Programming Language :: Python :: {version}" in classifiers
+    assert {step["uses"].partition("@")[0] for step in job["steps"] if "uses" in step} == {
+        "actions/checkout",
+        "actions/setup-python",
+    }
+    commands = [step["run"] for step in job["steps"] if "run" in step]
+    assert {"sh .ci/check", "sh .ci/package"} < set(commands)
+    assert any(command.startswith("./go pytest") for command in commands)
