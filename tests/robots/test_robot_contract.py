@@ -294,7 +294,10 @@ def test_a_template_without_a_derivative_by_a_command_is_warned_of(stepgap: Comm
         (["--robot", "bal"], ["robot 'bal': unknown; did you mean ball?", "hopper"]),
         (["--robot", "ball", "--gains.stiffness", "3"], ["--gains: unknown key; the keys here are seed"]),
         (["--robot", "ball", "--ball.restitution", "2"], ["--ball.restitution = 2.0, but it must lie between 0 and 1"]),
-        (["--robot", "ball", "--plant", "twin"], ["--plant twin: unknown; it must be one of dragged, process"]),
+        (
+            ["--robot", "ball", "--plant", "twin"],
+            ["--plant twin: unknown; it must be one of dragged, worn, driver, process"],
+        ),
         (["--robot", "ball", "--nominal.kind", "simulator"], ["robot 'ball' has no such map", "equations, template"]),
         (["--robot", "ball", "--nominal.kind", "log"], ["give its file by nominal.file, such as steps.csv"]),
         (["--robot", "ball", "--nominal.kind", "log", "--nominal.file", "x.csv"], ["x.csv: No such file"]),
