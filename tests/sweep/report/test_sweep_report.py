@@ -182,7 +182,7 @@ def test_aborted_deployments_and_hops_are_drawn(sweep: Path) -> None:
 
 
 def test_bars_are_shares(sweep: Path) -> None:
-    found = variance_shares(cases_in(sweep), np.random.default_rng(0))
+    found = variance_shares(cases_in(sweep))
     assert isinstance(found, VarianceShares)
     figure = sensitivity_figure(found, CONTEXT.state)
     widths = [patch.get_width() for patch in figure.axes[0].patches]  # pyright: ignore[reportAttributeAccessIssue]

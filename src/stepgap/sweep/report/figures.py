@@ -14,8 +14,8 @@ from stepgap.report.figures import WIDTH, axis_label, log_scale, plain
 from stepgap.step import Array, Quantity
 from stepgap.sweep.report.cases import SweepAxis, SweepCases
 from stepgap.sweep.report.levels import Estimates, level_means, quartiles, shares
-from stepgap.sweep.report.sentences import percent
-from stepgap.sweep.report.variance_shares import MOST_AXES, VarianceShare, VarianceShares
+from stepgap.sweep.report.sentences import CHANCE, percent
+from stepgap.sweep.report.variance_shares import VarianceShares
 
 COLUMNS: Final = 3
 """Number of panels side by side."""
@@ -28,9 +28,6 @@ MOST_SORTED: Final = 50
 
 MOST_POINTS: Final = 150
 """Largest number of single cases drawn in a panel."""
-
-MOST_PAIRS: Final = 6
-"""Number of interactions in the figure of the sensitivity."""
 
 _FIRST: Final = {"color": VERMILLION, "marker": "s", "markersize": 3.5, "label": "deployment 0, before learning"}
 _LAST: Final = {"color": BLUE, "marker": "o", "markersize": 4, "label": "last deployment"}
@@ -101,36 +98,25 @@ def hops_figure(cases: SweepCases, axes: Sequence[SweepAxis]) -> Figure:
 
 
 def sensitivity_figure(found: VarianceShares, state: Sequence[Quantity]) -> Figure:
-    """Shares of the variance that axes, and pairs of axes, explain, with 95 % intervals."""
-    axes, pairs = found.axes[:MOST_AXES], found.pairs[:MOST_PAIRS]
-    rows = [*axes, *pairs]
-    names = short_names([share.names[0] for share in found.axes])
-    labels = [" × ".join(plain(names[name]) for name in share.names) for share in rows] + ["everything else"]
-    colours = [BLUE] * len(axes) + [SKY] * len(pairs) + [LIGHT]
-    values = np.array([*(share.values for share in rows), found.remainder]) * 100
-    positions = -np.arange(len(labels), dtype=float) - 0.5 * (np.arange(len(labels)) >= len(axes))
-    positions[-1] -= 0.5 * bool(pairs)
+    """Shares of the variance that axes explain; light where they may be by chance."""
+    names = short_names([share.name for share in found.axes])
+    labels = [*map(plain, names.values()), "everything else"]
     figure = Figure(figsize=(WIDTH, 0.7 + 0.19 * len(labels)), layout="constrained")
     FigureCanvasAgg(figure)
     panels = list(figure.subplots(1, len(state), sharey=True, squeeze=False)[0])
     for index, (panel, quantity) in enumerate(zip(panels, state, strict=True)):
-        panel.barh(positions, values[:, index], height=0.7, color=colours)
-        _write_shares(panel, positions, values[:, index], rows, index)
+        values = 100 * np.array([*(share.values[index] for share in found.axes), found.remainder[index]])
+        colours = [BLUE if share.chance[index] < CHANCE else SKY for share in found.axes]
+        panel.barh(range(len(labels)), values, height=0.7, color=[*colours, LIGHT])
+        for row, value in enumerate(values):
+            panel.annotate(percent(value), (max(value, 0), row), (3, 0), textcoords="offset points", va="center")
         panel.set_xlabel(f"Share of the variance of the logarithm\nof the last {plain(quantity.name)} error [%]")
+        panel.set_xlim(min(0.0, 1.05 * values.min()), 1.22 * max(values.max(), 1.0))
         panel.spines[["top", "right"]].set_visible(False)
         panel.axvline(0, color=BLACK, linewidth=0.7)
-    panels[0].set_yticks(positions, labels)
+    panels[0].set_yticks(range(len(labels)), labels)
+    panels[0].invert_yaxis()
     return figure
-
-
-def _write_shares(panel: Axes, positions: Array, values: Array, rows: Sequence[VarianceShare], index: int) -> None:
-    """Draws the intervals, and writes each share to the right of its bar and interval."""
-    ends = np.array([[share.lower[index], share.upper[index]] for share in rows] or np.zeros((0, 2))) * 100
-    panel.hlines(positions[:-1], ends[:, 0], ends[:, 1], color=BLACK, linewidth=0.9)
-    right = np.append(np.maximum(ends[:, 1], values[:-1]), max(values[-1], 0))
-    panel.set_xlim(min(0.0, 1.05 * float(ends[:, 0].min(initial=0))), 1.22 * max(float(right.max()), 1))
-    for position, end, value in zip(positions, np.maximum(right, 0), values, strict=True):
-        panel.annotate(percent(value), (end, position), (3, 0), textcoords="offset points", va="center")
 
 
 def short_names(names: Sequence[str]) -> dict[str, str]:

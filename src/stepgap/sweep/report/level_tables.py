@@ -1,4 +1,4 @@
-"""Tables of a sweep: the statistics of the levels of each axis, and the sensitivity."""
+"""Tables of a sweep: the statistics of the levels of each axis."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -12,8 +12,6 @@ from stepgap.report.units import with_unit
 from stepgap.step import Quantity
 from stepgap.sweep.report.cases import LevelCodes, SweepAxis, SweepCases
 from stepgap.sweep.report.levels import Estimates, level_means, matched_groups, paired_ratios, quartiles
-from stepgap.sweep.report.sentences import percent
-from stepgap.sweep.report.variance_shares import VarianceShare, VarianceShares
 
 MOST_ROWS: Final = 20
 """Largest number of rows of a table."""
@@ -51,22 +49,6 @@ def _ratios(cases: SweepCases, axis: SweepAxis) -> list[Estimates]:
     groups = matched_groups(cases, axis)
     found = [paired_ratios(groups, axis, each) for each in errors.T]
     return found if found[0].counts[1:].any() else []
-
-
-def share_table(found: VarianceShares, state: Sequence[Quantity]) -> str:
-    """HTML table of the shares of the variance, of axes and of all examined pairs of axes."""
-    rows = [
-        [share.names[0], " × ".join(share.names[1:]) or DASH, *(_percent(share, row) for row in range(len(state)))]
-        for share in (*found.axes, *found.pairs)
-    ]
-    rest = ["everything else", DASH, *(percent(100 * value) for value in found.remainder)]
-    heads = ["setting", "together with", *(f"share for {quantity.name} [%]" for quantity in state)]
-    return table("Share of the variance, with 95 % interval", heads, [*rows, rest])
-
-
-def _percent(share: VarianceShare, index: int) -> str:
-    ends = [percent(100 * end[index]) for end in (share.values, share.lower, share.upper)]
-    return f"{ends[0]} ({ends[1]} to {ends[2]})"
 
 
 def _with_interval(found: Estimates, row: int) -> str:

@@ -17,9 +17,9 @@ from stepgap.report.settings_table import changed_settings
 from stepgap.step import Quantity
 from stepgap.sweep.report.case_tables import failed_cases, worst_cases
 from stepgap.sweep.report.cases import SweepAxis, SweepCases, sweep_cases
-from stepgap.sweep.report.level_tables import level_table, share_table
+from stepgap.sweep.report.level_tables import level_table
 from stepgap.sweep.report.sentences import share_notes, sweep_headline, sweep_sentences
-from stepgap.sweep.report.variance_shares import MOST_AXES, VarianceShares, variance_shares
+from stepgap.sweep.report.variance_shares import VarianceShares, variance_shares
 from stepgap.sweep.results_table import RESULTS, read_results
 
 SECTIONS: Final = {
@@ -32,6 +32,9 @@ SECTIONS: Final = {
     "settings": "Settings",
 }
 """Sections of the page, with their titles; those without content are left out."""
+
+MOST_AXES: Final = 12
+"""Number of axes, those with the largest shares of the variance, whose levels are drawn."""
 
 INTERVALS: Final = (
     "Intervals are 95 % intervals and treat the cases as independent, although cases share twins and seeds. The "
@@ -59,8 +62,7 @@ HOPS_CAPTION: Final = (
     "quartiles. A case that did not reach the band, or whose last deployment was aborted, counts as never."
 )
 SENSITIVITY_CAPTION: Final = (
-    "Share of the variance of the logarithm of the last RMSE that each setting explains (dark), and the largest "
-    "interactions of two settings (light), with 95 % bootstrap intervals."
+    "Share of the variance of the logarithm of the last RMSE that the effects of each setting explain."
 )
 
 
@@ -120,10 +122,10 @@ def _read(folder: Path, state: Sequence[Quantity]) -> _Sweep:
         raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
     known = {quantity.name: quantity for quantity in state}
     quantities = [known.get(name, Quantity(name, "", -1, 1)) for name in cases.state_names]
-    found = variance_shares(cases, np.random.default_rng(0))
+    found = variance_shares(cases)
     axes = cases.axes
     if not isinstance(found, Missing):
-        order = {share.names[0]: rank for rank, share in enumerate(found.axes)}
+        order = {share.name: rank for rank, share in enumerate(found.axes)}
         axes = tuple(sorted(axes, key=lambda axis: order.get(axis.name, len(order))))
     return _Sweep(folder, cases, quantities, axes, found)
 
@@ -218,8 +220,7 @@ def _sensitivity(sweep: _Sweep, drawings: Mapping[str, Drawing | Missing]) -> li
     if isinstance(sweep.shares, Missing):
         return [absence("sensitivity", sweep.shares)]
     notes = bullets(share_notes(sweep.cases, sweep.shares))
-    opened = f"<details><summary>All shares as numbers</summary>{share_table(sweep.shares, sweep.state)}</details>"
-    return [picture(drawings["sensitivity"], "sensitivity-", SENSITIVITY_CAPTION), notes, opened]
+    return [picture(drawings["sensitivity"], "sensitivity-", SENSITIVITY_CAPTION), notes]
 
 
 def _levels(sweep: _Sweep) -> list[str]:

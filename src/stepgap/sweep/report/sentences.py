@@ -1,6 +1,7 @@
 """The results of a sweep in sentences."""
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from stepgap.step import Array, Quantity
 from stepgap.sweep.report.cases import SweepCases
 from stepgap.sweep.report.levels import overall_mean
 from stepgap.sweep.report.variance_shares import VarianceShares
+
+CHANCE: Final = 0.05
+"""Largest probability of a share by chance that counts as an effect."""
 
 
 def sweep_headline(cases: SweepCases, state: Sequence[Quantity]) -> str:
@@ -62,11 +66,10 @@ def share_notes(cases: SweepCases, found: VarianceShares) -> list[str]:
     """Sentences on how shares of variance were computed, and what is left out."""
     notes = [
         f"{_cases(found.cases)} are compared. A share is corrected for what a setting would explain by chance (epsilon "
-        "squared), so a share of zero may be slightly negative.",
-        "The interaction of two settings (×) is what their combination explains beyond the sum of their effects. "
-        "Everything else is due to the random seed, to three and more settings together, and to the values within "
-        "ranges, which matter if a setting is divided into few of them.",
-        "If not all combinations of settings are in the table, shares overlap, and their sum may differ from 100 %.",
+        "squared), so a share of zero may be slightly negative. Where a setting without effect would have such a share "
+        "in more than one of 20 sweeps (F test), its bar is light.",
+        "Everything else is due to the random seed, to settings together beyond the sum of their effects, and to the "
+        "values within ranges. If not all combinations of settings are in the table, shares overlap.",
     ]
     without = len(cases) - found.cases
     if without:
@@ -75,9 +78,7 @@ def share_notes(cases: SweepCases, found: VarianceShares) -> list[str]:
             f"{'is' if without == 1 else 'are'} left out."
         )
     if found.left_out:
-        names = ", ".join(" × ".join(names) for names in found.left_out[:10])
-        more = f" and {len(found.left_out) - 10} more" if len(found.left_out) > 10 else ""
-        notes.append(f"Too few cases per level or combination for: {names}{more}.")
+        notes.append(f"Too few cases per level for: {', '.join(found.left_out)}.")
     return notes
 
 
@@ -144,9 +145,9 @@ def _largest(found: VarianceShares, state: Sequence[Quantity]) -> list[str]:
     for index, quantity in enumerate(state):
         ranked = sorted(found.axes, key=lambda share: -share.values[index])
         named = [
-            f"{share.names[0]} ({percent(100 * share.values[index])} %)"
+            f"{share.name} ({percent(100 * share.values[index])} %)"
             for share in ranked[:3]
-            if share.lower[index] > 0
+            if share.chance[index] < CHANCE
         ]
         if named:
             lines.append(
@@ -154,7 +155,7 @@ def _largest(found: VarianceShares, state: Sequence[Quantity]) -> list[str]:
             )
         else:
             lines.append(
-                f"No setting's share of the variance of the {quantity.name} error is certainly above zero; the ratios "
+                f"No setting's share of the variance of the {quantity.name} error is larger than by chance; the ratios "
                 "below, from pairs of cases, may still show an effect."
             )
     return lines
