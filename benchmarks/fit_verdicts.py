@@ -26,8 +26,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from stepgap.learning.step_table import StepTable
-from stepgap.learning.validation import Reduction, Validation, deployment_folds, validate
 from stepgap.logs.fits.fit import gains, read_fit_data
+from stepgap.logs.fits.validation import Reduction, Validation, deployment_folds, validate
 
 T = TypeVar("T")
 KINDS = ("none", "constant", "linear", "quadratic", "gp", "gp_on_linear")

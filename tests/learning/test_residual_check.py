@@ -23,13 +23,13 @@ from stepgap.learning.residual_check import ResidualError
 from stepgap.learning.residual_fit import fit_residual, residual_from_dict
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
-from stepgap.learning.validation import contiguous_folds, validate, validate_on
+from stepgap.logs.fits.validation import contiguous_folds, validate, validate_on
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.records.model_files import MAP, NominalSource, saved_model_text
 from tests.learning.test_learner import NOISE, NOMINAL, REALITY, hops, log_of
 from tests.learning.test_own_residual import install, packages
 from tests.learning.test_residual import SPACE, steps
-from tests.learning.test_validation import STATIC, steps_with
+from tests.logs.fits.test_validation import STATIC, steps_with
 
 __all__ = ["packages"]
 

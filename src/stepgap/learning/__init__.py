@@ -6,8 +6,8 @@
 `disturbance` is the part of an error that depends on time and yaw, not on state and command; `disturbance_estimator`
 estimates it from step to step. A `residual` is a model of the rest. It has one `regression` for each state coordinate:
 `zero`, a `polynomial`, a `gaussian_process_regression`, or one of another package, found by its name in `entry_points`.
-`residual_fit` fits and selects residuals, `residual_check` checks what their models return, `validation` compares them
-on held-out steps, and `corrected_map` adds a residual to the nominal map, which gives a step map again (Eq. 13).
+`residual_fit` fits and selects residuals, `residual_check` checks what their models return, and `corrected_map` adds a
+residual to the nominal map, which gives a step map again (Eq. 13).
 
 The Gaussian processes consist of `kernel`, `covariance`, `cholesky` and `least_squares` (the mathematics),
 `gaussian_process` (the interface), `exact_gaussian_process` (for hundreds of steps), `sparse_gaussian_process` (for

@@ -21,7 +21,7 @@ from stepgap.hardware.hopper.ring_rig import emulated_settings
 from stepgap.hardware.hopper.still import still_hopper
 from stepgap.hardware.hopper.twin_machine import hopper_devices
 from stepgap.hardware.host_time import HostTime
-from stepgap.plants.tick_clock import TickClock
+from stepgap.hardware.realtime.tick_clock import TickClock
 from stepgap.rigs.rig import Torques
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.tick.sensors import HopperReading, hopper_sensors

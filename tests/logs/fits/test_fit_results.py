@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from stepgap.learning.validation import HeldOut
 from stepgap.logs.fits.fit_results import lacking
+from stepgap.logs.fits.validation import HeldOut
 from stepgap.step import Quantity
 
 STATE = (Quantity("speed", "m/s", 0.0, 1.0), Quantity("height", "m", 0.0, 1.0))

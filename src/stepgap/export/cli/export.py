@@ -140,7 +140,7 @@ def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None
     from stepgap.experiment.loop import deployment_generator
     from stepgap.experiment.plants import simulation_of
     from stepgap.experiment.settings import read_experiment
-    from stepgap.robots.hopper.twin.mjcf_files import mjcf_files
+    from stepgap.export.data.mjcf_files import mjcf_files
     from stepgap.robots.hopper.twin.simulation import HopperSimulation
 
     if iteration is not None:

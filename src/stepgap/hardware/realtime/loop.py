@@ -10,7 +10,7 @@ import numpy as np
 from stepgap.hardware.realtime.board import Board, Request, StepEnd
 from stepgap.hardware.realtime.pace import Pace
 from stepgap.hardware.realtime.states import MOVING, Signals, next_state
-from stepgap.plants.tick_clock import TickClock
+from stepgap.hardware.realtime.tick_clock import TickClock
 from stepgap.plants.tick_control import FinishedStep, Mode, Order, TickControl, TickFlag
 from stepgap.plants.ticks.log_description import FieldMeaning
 from stepgap.plants.ticks.rig_state import RigState

@@ -14,9 +14,9 @@ from stepgap.base.output_files import check_new, format_by_name, write_new
 from stepgap.cli.options import NO_COLUMNS, ColumnNames, Integer, Overrides
 
 if TYPE_CHECKING:  # slow imports are made where they are used
-    from stepgap.learning.validation import Validation
     from stepgap.logs.columns import Columns
     from stepgap.logs.fits.fit import FitData
+    from stepgap.logs.fits.validation import Validation
 
     Source = tuple[Columns | None, str | None, Path | None, Sequence[tuple[str, str]]]
     """How logs are read: meaning of their columns, nominal next states, settings of the experiment."""
@@ -129,9 +129,9 @@ def _compare(
     from stepgap.base.blas import one_blas_thread
     from stepgap.cli.progress import progress_bar
     from stepgap.learning.residual_fit import names_without_lagged_inputs
-    from stepgap.learning.validation import validate, validate_on
     from stepgap.logs.fits.fit import choose_folds, read_fit_data, read_test_data
     from stepgap.logs.fits.fit_results import describe_fit_data, show_validation, verdicts
+    from stepgap.logs.fits.validation import validate, validate_on
 
     kinds = names_without_lagged_inputs()
     data = read_fit_data(log, *source)

@@ -1,1 +1,1 @@
-"""Residuals fitted to the steps of a log, and the corrected map applied to further ones."""
+"""Residuals fitted to the steps of a log, compared on held-out steps, and the corrected map applied to others."""

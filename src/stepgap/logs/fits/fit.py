@@ -9,11 +9,12 @@ import numpy as np
 from stepgap.base.errors import InputError
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import read_experiment
-from stepgap.learning.model_averaging import averaged, common_weights
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog, joined
 from stepgap.learning.step_table import StepTable, describe_left_out, tabulate
-from stepgap.learning.validation import (
+from stepgap.logs.columns import Columns
+from stepgap.logs.fits.model_averaging import averaged, common_weights
+from stepgap.logs.fits.validation import (
     FOLDS,
     LEAST_STEPS,
     Folds,
@@ -24,7 +25,6 @@ from stepgap.learning.validation import (
     fit_steps,
     reduction,
 )
-from stepgap.logs.columns import Columns
 from stepgap.logs.foreign_log import read_foreign_logs
 from stepgap.records.model_files import MAP, NominalSource, saved_model_text
 from stepgap.records.steps_csv import RecordError, read_step_log

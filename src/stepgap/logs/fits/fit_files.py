@@ -7,7 +7,7 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from stepgap.learning.validation import Validation
+from stepgap.logs.fits.validation import Validation
 from stepgap.report.colours import BLACK, BLUE, VERMILLION
 from stepgap.report.figures import axis_label
 from stepgap.step import Quantity

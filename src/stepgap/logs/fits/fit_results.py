@@ -11,10 +11,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from stepgap.learning.model_averaging import averaged, correlation_of_successive, residual_weights
 from stepgap.learning.step_table import StepTable, describe_left_out
-from stepgap.learning.validation import Folds, HeldOut, Reduction, Validation
 from stepgap.logs.fits.fit import BASELINES, FitData, gains, heaviest_residual
+from stepgap.logs.fits.model_averaging import averaged, correlation_of_successive, residual_weights
+from stepgap.logs.fits.validation import Folds, HeldOut, Reduction, Validation
 from stepgap.report.units import with_unit
 from stepgap.step import Array, Quantity
 

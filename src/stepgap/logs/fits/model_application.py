@@ -9,8 +9,8 @@ import numpy as np
 
 from stepgap.base.errors import InputError, message_of
 from stepgap.learning.residual import HistoryInputs, Residual, join_points
-from stepgap.learning.validation import HeldOut, Reduction, Validation, reduction, validate_fitted
 from stepgap.logs.fits.fit import FitData
+from stepgap.logs.fits.validation import HeldOut, Reduction, Validation, reduction, validate_fitted
 from stepgap.records.model_files import read_saved_model
 from stepgap.step import Array
 

@@ -10,11 +10,11 @@ from scipy.optimize import minimize
 from scipy.stats import norm, t
 
 from stepgap.learning.learner import Learner
-from stepgap.learning.model_averaging import averaged, correlation_of_successive, residual_weights, stacking_weights
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.learning.step_table import StepTable, tabulate
-from stepgap.learning.validation import (
+from stepgap.logs.fits.model_averaging import averaged, correlation_of_successive, residual_weights, stacking_weights
+from stepgap.logs.fits.validation import (
     FOLDS,
     HeldOut,
     Reduction,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from stepgap.base.normal import INTERVAL_95, log_density
 from stepgap.learning.settings import AUTO
-from stepgap.learning.validation import HeldOut, Validation
+from stepgap.logs.fits.validation import HeldOut, Validation
 from stepgap.step import Array
 
 ROUNDS = 300
