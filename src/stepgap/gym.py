@@ -4,7 +4,6 @@ Importing this module registers `stepgap/Step-v0`, which takes any robot by its 
 """
 
 from collections.abc import Callable, Sequence
-from difflib import get_close_matches
 from functools import partial
 from math import isfinite
 from typing import Any
@@ -19,6 +18,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
+from stepgap.base.plugins import one_of
 from stepgap.control.reference import Reference
 from stepgap.experiment.inputs import load_reference
 from stepgap.experiment.nominal import load_nominal
@@ -214,7 +214,7 @@ def robot_env(
     simulations = simulations_of(chosen)
     if settings.plant not in simulations:
         known = (*simulations, MODEL)
-        raise ValueError(f"plant = {settings.plant!r}, but it must be {_one_of(settings.plant, known)}")
+        raise ValueError(f"plant = {settings.plant!r}, but it must be {one_of(settings.plant, known)}")
     make = simulations[settings.plant]
 
     def make_plant(rng: np.random.Generator) -> Plant:
@@ -233,7 +233,7 @@ def _check_render_mode(render_mode: str | None, camera: Camera | None) -> None:
     window = (
         "; for a window, wrap the environment in gymnasium.wrappers.HumanRendering" if "human" in render_mode else ""
     )
-    raise ValueError(f"render_mode = {render_mode!r}, but it must be {_one_of(render_mode, RENDER_MODES)}{window}")
+    raise ValueError(f"render_mode = {render_mode!r}, but it must be {one_of(render_mode, RENDER_MODES)}{window}")
 
 
 def _reference_of(options: dict[str, Any], default: Reference) -> Reference:
@@ -245,11 +245,6 @@ def _reference_of(options: dict[str, Any], default: Reference) -> Reference:
     if not isinstance(reference, Reference):
         raise ValueError(f"option 'reference' must be a stepgap Reference, not {type(reference).__name__}")
     return reference
-
-
-def _one_of(given: object, known: tuple[str, ...]) -> str:
-    close = get_close_matches(str(given), known, n=1)
-    return " or ".join(map(repr, known)) + (f"; did you mean {close[0]!r}?" if close else "")
 
 
 gymnasium.register(STEP_ID, entry_point="stepgap.gym:robot_env")

@@ -301,7 +301,7 @@ def test_any_text_is_settings_or_refused(tmp_path_factory: pytest.TempPathFactor
         (b"speed,height\n0.1,nan\n", "line 2, column 'height': 'nan'"),
         (b"speed,height\n0.1\n", "line 2: 1 values"),
         (b"\xff\xfe\x01\n", "not text"),
-        (b"speed,height\n" + b"1" * 200_000 + b",1\n", "reference must be 'paper' or a CSV file"),
+        (b"speed,height\n" + b"1" * 200_000 + b",1\n", "it must be CSV"),
         (b"speed,height\n" + b"0.1,0.5\n" * 200_000, "larger than 1048576 bytes"),
     ],
 )

@@ -63,6 +63,13 @@ def suggestion(name: str, names: Iterable[str]) -> str:
     return f"did you mean {close[0]}?" if close else ""
 
 
+def one_of(given: object, known: Iterable[str]) -> str:
+    """The valid names, and the one of them that was probably meant, for the message about another one."""
+    names = tuple(known)
+    close = get_close_matches(str(given), names, n=1)
+    return " or ".join(f"'{name}'" for name in names) + (f"; did you mean '{close[0]}'?" if close else "")
+
+
 def owner(entry: EntryPoint) -> str:
     """Name of the package that offers an entry point."""
     return entry.dist.name if entry.dist else "a package without a name"

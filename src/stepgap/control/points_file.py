@@ -1,13 +1,11 @@
 """CSV files of points of a step map, and of their next states."""
 
-import csv
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
 from stepgap.base.files import read_bounded_text
-from stepgap.control.reference import numbers_in_row
+from stepgap.control.reference import parse_rows
 from stepgap.step import Array, Outcome, StepSpace, StepStatus
 
 LARGEST_POINTS_FILE = 2**28
@@ -23,27 +21,14 @@ def read_points(path: Path, space: StepSpace) -> Array:
     Raises:
         ValueError: The message names file, line and column, and states what is valid.
     """
-    names = list(space.names)
-    wanted = f"it must be a CSV file with the columns {','.join(names)}"
+    wanted = f"it must be a CSV file with the columns {','.join(space.names)}"
     try:
         text = read_bounded_text(path, LARGEST_POINTS_FILE)
     except OSError as error:
         raise ValueError(f"{path}: {error.strerror}; {wanted}") from None
     except UnicodeDecodeError:
         raise ValueError(f"{path}: this is not text; {wanted}") from None
-    rows = csv.reader(StringIO(text, newline=""), strict=True)
-    try:
-        header = [cell.strip() for cell in next(rows, [])]
-        if sorted(header) != sorted(names):
-            raise ValueError(f"{path}, line 1: the header is {','.join(header)!r:.80}; it must be {','.join(names)!r}")
-        quantities = {quantity.name: quantity for quantity in (*space.state, *space.command)}
-        columns = [quantities[name] for name in header]
-        points = [numbers_in_row(row, columns, f"{path}, line {rows.line_num}") for row in rows if row]
-    except csv.Error as error:
-        raise ValueError(f"{path}, line {rows.line_num}: {error}; {wanted}") from None
-    if not points:
-        raise ValueError(f"{path}, line 2: there is no point; it must have at least one row below the header")
-    return np.array(points)[:, [header.index(name) for name in names]]
+    return parse_rows(text, (*space.state, *space.command), str(path), "point")
 
 
 def outcome_rows(space: StepSpace, points: Array, outcome: Outcome) -> str:

@@ -126,22 +126,7 @@ def parse_reference(text: str, space: StepSpace, source: str = "reference") -> R
     Raises:
         ValueError: The message names the source, line and column, and states what is valid.
     """
-    names = space.state_names
-    rows = csv.reader(StringIO(text, newline=""))
-    header = [cell.strip() for cell in next(rows, [])]
-    if sorted(header) != sorted(names):
-        raise ValueError(
-            f"{source}, line 1: the header is {','.join(header)!r}; it must be {','.join(names)!r}, separated by commas"
-        )
-    quantities = [space.state[names.index(name)] for name in header]
-    targets = []
-    for row in rows:
-        if not any(cell.strip() for cell in row):
-            continue
-        targets.append(numbers_in_row(row, quantities, f"{source}, line {rows.line_num}"))
-    if not targets:
-        raise ValueError(f"{source}, line 2: there is no step; it must have at least one row below the header")
-    return Reference(names, np.array(targets)[:, [header.index(name) for name in names]])
+    return Reference(space.state_names, parse_rows(text, space.state, source, "step"))
 
 
 def reference_text(reference: Reference) -> str:
@@ -150,12 +135,42 @@ def reference_text(reference: Reference) -> str:
     return "\n".join(rows) + "\n"
 
 
-def numbers_in_row(row: Sequence[str], quantities: Sequence[Quantity], source: str) -> list[float]:
-    """Parses the numbers in a row of CSV, one for each quantity.
+def parse_rows(text: str, quantities: Sequence[Quantity], source: str, item: str) -> Array:
+    """Parses CSV text: a header of the names of quantities in any order, then rows of their numbers, SI units.
+
+    Args:
+        text: The content.
+        quantities: The columns.
+        source: Name of the text in messages.
+        item: What a row is, for messages.
+
+    Returns:
+        Shape (rows, columns), in the order of the quantities.
 
     Raises:
-        ValueError: The message names source and column, and states what is valid.
+        ValueError: The message names the source, line and column, and states what is valid.
     """
+    names = [quantity.name for quantity in quantities]
+    rows = csv.reader(StringIO(text, newline=""), strict=True)
+    try:
+        header = [cell.strip() for cell in next(rows, [])]
+        if sorted(header) != sorted(names):
+            raise ValueError(
+                f"{source}, line 1: the header is {','.join(header)!r:.80}; it must be {','.join(names)!r}, separated "
+                "by commas"
+            )
+        columns = [quantities[names.index(name)] for name in header]
+        numbers = [
+            _numbers_in_row(row, columns, f"{source}, line {rows.line_num}") for row in rows if any(map(str.strip, row))
+        ]
+    except csv.Error as error:
+        raise ValueError(f"{source}, line {rows.line_num}: {error}; it must be CSV") from None
+    if not numbers:
+        raise ValueError(f"{source}, line 2: there is no {item}; it must have at least one row below the header")
+    return np.array(numbers)[:, [header.index(name) for name in names]]
+
+
+def _numbers_in_row(row: Sequence[str], quantities: Sequence[Quantity], source: str) -> list[float]:
     if len(row) != len(quantities):
         names = ",".join(quantity.name for quantity in quantities)
         raise ValueError(f"{source}: {len(row)} values; it must have {len(quantities)}, one for each of {names}")

@@ -1,6 +1,5 @@
 """The files of an experiment: those that its settings name, and those of a folder with which it can be repeated."""
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,8 +36,6 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
         return read_reference(path, space)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; {wanted}") from None
-    except csv.Error as error:
-        raise InputError(f"{path}: {error}; {wanted}") from None
     except ValueError as error:
         raise InputError(str(error)) from None
 

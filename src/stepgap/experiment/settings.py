@@ -2,12 +2,12 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from stepgap.base.errors import InputError
+from stepgap.base.plugins import one_of
 from stepgap.base.ranges import format_value, require
 from stepgap.base.settings_file import (
     IS_KEY,
@@ -261,7 +261,4 @@ def _chosen(choices: Mapping[str, _Choice], name: Any, where: str) -> _Choice:
     """The choice of this name; `where` names the setting in the message of the InputError if there is none."""
     if name in list(choices):
         return choices[name]
-    close = get_close_matches(str(name), choices, n=1)
-    hint = f"; did you mean '{close[0]}'?" if close else ""
-    wanted = " or ".join(f"'{known}'" for known in choices)
-    raise InputError(f"{where} = {format_value(name)}, but it must be {wanted}{hint}")
+    raise InputError(f"{where} = {format_value(name)}, but it must be {one_of(name, choices)}")

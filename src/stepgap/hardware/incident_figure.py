@@ -6,7 +6,6 @@ from io import BytesIO
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from stepgap.hardware.incident import Incident, bit_numbers, namers_of
@@ -42,7 +41,6 @@ def incident_picture(incident: Incident, form: str) -> bytes:
     numbers = [field for field in shown.units if field not in {"time", *namers, *bits}]
     drawn += [(1.2, partial(_draw_fields, incident=incident, fields=fields)) for fields in _by_unit(shown, numbers)]
     figure = Figure(figsize=(11, 1.0 + sum(height for height, _ in drawn)), layout="constrained")
-    FigureCanvasAgg(figure)
     heights = [height for height, _ in drawn]
     panels = figure.subplots(len(drawn), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0].tolist()
     for panel, (_, draw) in zip(panels, drawn, strict=True):

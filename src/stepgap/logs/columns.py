@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from stepgap.base.errors import InputError
+from stepgap.base.plugins import suggestion
 from stepgap.base.settings_file import read_toml
 from stepgap.logs.tables.text_format import AS_FOUND, TextFormat
 from stepgap.records.steps_csv import MOST_COORDINATES, RecordError
@@ -153,8 +154,7 @@ def _checked(key: str, value: Any, file: Path) -> Any:
         keys = [entry.name for entry in fields(TextFormat)]
         fits, right = _is_table(value, str) and set(value) <= set(keys), f"a table of strings, {', '.join(keys)}"
     else:
-        close = get_close_matches(key, known, n=1)
-        hint = f"did you mean {close[0]}?" if close else f"the keys are {', '.join(known)}"
+        hint = suggestion(key, known) or f"the keys are {', '.join(known)}"
         raise RecordError(f"{file}: {key}: unknown key; {hint}")
     if not fits:
         raise RecordError(f"{file}: {key} = {value!r:.60}, but it must be {right}")

@@ -1,6 +1,5 @@
 """Recovery of the intact part of truncated or damaged records: a run folder, its `steps.csv`, or a tick log."""
 
-import csv
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
@@ -88,7 +87,7 @@ def _input_fault(path: Path, space: StepSpace) -> str:
             read_step_log(path, space)
         else:
             parse_json(read_bounded_text(path, LARGEST_STEPS_FILE))
-    except (ValueError, csv.Error) as error:
+    except ValueError as error:
         return str(error) if str(path) in str(error) else f"{path}: {error}"
     return ""
 

@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
@@ -236,7 +235,6 @@ def _deployment_label(record: RunRecord) -> str:
 
 def _panels(count: int) -> tuple[Figure, list[Axes]]:
     figure = Figure(figsize=(WIDTH, 0.8 + 2.0 * count), layout="constrained")
-    FigureCanvasAgg(figure)
     return figure, list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
 
 

@@ -1,7 +1,6 @@
 """Limit cycles and one-step reachable sets, as text and as figures."""
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -91,7 +90,6 @@ def reference_gait_figure(gait: ReferenceGait) -> Figure:
     There must be two state coordinates and two commands.
     """
     figure = Figure(figsize=(WIDTH, 3.7), layout="constrained")
-    FigureCanvasAgg(figure)
     plane, sizes = figure.subplots(1, 2, width_ratios=[1.5, 1])
     sizes.axhline(1, color=GREY, linewidth=1)
     looks = ({"color": VERMILLION, "linestyle": "-.", "marker": "x"}, {"color": BLUE, "linestyle": "-", "marker": "o"})

@@ -1,7 +1,6 @@
 """The figure of leave-one-out predictions of a residual: each error predicted from all others."""
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -19,7 +18,6 @@ def left_out_figure(space: StepSpace, learned: LearnedResidual) -> Figure:
     """Draws leave-one-out predictions against the errors, and their differences in standard deviations, by step."""
     count = len(space.state)
     figure = Figure(figsize=(WIDTH, 0.4 + 2.3 * count), layout="constrained")
-    FigureCanvasAgg(figure)
     panels = figure.subplots(count, 2, squeeze=False, width_ratios=[1, 1.6])
     regressions, predictions = learned.residual.regressions, learned.leave_one_out
     parts = zip(panels, space.state, regressions, predictions, learned.standardised_errors, strict=True)

@@ -3,7 +3,6 @@
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -22,7 +21,6 @@ def state_error_figure(record: RunRecord) -> Figure:
     values = np.hstack([steps.state, steps.requested])
     rows = len(record.space.state)
     figure = Figure(figsize=(WIDTH, 0.7 + 1.7 * rows), layout="constrained")
-    FigureCanvasAgg(figure)
     panels = figure.subplots(rows, len(inputs), squeeze=False, sharex="col", sharey="row")
     dots: dict[str, Any] = {
         "linestyle": "",

@@ -3,7 +3,6 @@
 from typing import Final
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from stepgap.learning.residual import Residual
@@ -33,7 +32,6 @@ def surface_figure(space: StepSpace, learned: LearnedResidual, centre: Array) ->
     residual, points = conditioned(learned), learned.residual.regressions[0].points[:, : len(centre)]
     quantities = [*space.state, *space.command]
     figure = Figure(figsize=(WIDTH, 0.3 + 2.6 * len(space.state)), layout="constrained")
-    FigureCanvasAgg(figure)
     for row, (panels, quantity) in enumerate(
         zip(figure.subplots(len(space.state), 2, squeeze=False), space.state, strict=True)
     ):

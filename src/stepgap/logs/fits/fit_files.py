@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from io import BytesIO
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from stepgap.logs.fits.validation import Validation
@@ -37,7 +36,6 @@ def fit_picture(state: Sequence[Quantity], validation: Validation, form: str) ->
     best = max(complex_kinds, key=lambda kind: validation.reduction(kind, "none", everything).value)
     drawn = [validation.held_out["constant"], validation.held_out[best]]
     figure = Figure(figsize=(PANEL * len(state), PANEL + 0.5), layout="constrained")
-    FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(state), squeeze=False)[0]
     for index, (panel, quantity) in enumerate(zip(panels, state, strict=True)):
         for held_out, look in zip(drawn, LOOKS, strict=True):

@@ -6,7 +6,6 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from stepgap.logs.sections.signals import Signal
@@ -41,7 +40,6 @@ def sections_picture(logs: Sequence[ExtractedSteps], form: str) -> bytes:
     doubtful = [(log, number) for log in logs for number, doubt in enumerate(log.sections.doubts) if doubt]
     del rows[MOST_OVERVIEW_ROWS:], doubtful[MOST_VIEWS:]
     figure = Figure(figsize=(13, 0.8 + 2 * (len(rows) + len(doubtful))), layout="constrained")
-    FigureCanvasAgg(figure)
     parts = figure.subfigures(len(rows) + len(doubtful), 1, squeeze=False)[:, 0].tolist()
     panels = [_draw_overview(part, log, begin) for part, (log, begin) in zip(parts, rows, strict=False)]
     panels += [_draw_about(part, log, number) for part, (log, number) in zip(parts[len(rows) :], doubtful, strict=True)]

@@ -5,7 +5,6 @@ from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
@@ -102,7 +101,6 @@ def sensitivity_figure(found: VarianceShares, state: Sequence[Quantity]) -> Figu
     names = short_names([share.name for share in found.axes])
     labels = [*map(plain, names.values()), "everything else"]
     figure = Figure(figsize=(WIDTH, 0.7 + 0.19 * len(labels)), layout="constrained")
-    FigureCanvasAgg(figure)
     panels = list(figure.subplots(1, len(state), sharey=True, squeeze=False)[0])
     for index, (panel, quantity) in enumerate(zip(panels, state, strict=True)):
         values = 100 * np.array([*(share.values[index] for share in found.axes), found.remainder[index]])
@@ -129,7 +127,6 @@ def _panels(count: int) -> tuple[Figure, list[Axes]]:
     """A figure with panels in rows, which have the same vertical axis."""
     rows = -(-count // COLUMNS)
     figure = Figure(figsize=(WIDTH, 0.5 + 1.75 * rows), layout="constrained")
-    FigureCanvasAgg(figure)
     panels = list(figure.subplots(rows, COLUMNS, sharey=True, squeeze=False).ravel())
     for panel in panels[count:]:
         panel.set_visible(False)
