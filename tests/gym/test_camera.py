@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stepgap.report.camera import FOOTROOM, HEADROOM, PIXELS, TILT, Shot, draw_shot
+from stepgap.gym.camera import FOOTROOM, HEADROOM, PIXELS, TILT, Shot, draw_shot
 from stepgap.robots.scene import Link, Scene
 
 TOP = 0.6

@@ -242,7 +242,7 @@ def test_gymnasiums_checker_accepts_the_pictures(mode: str) -> None:
 
 
 def test_pictures_do_not_change_the_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("stepgap.gym", "stepgap.report.camera"):
+    for module in ("stepgap.gym", "stepgap.gym.camera"):
         monkeypatch.setattr(f"{module}.FRAMES_PER_SECOND", 8)
     plain, drawn = (made(reference=REFERENCE, render_mode=mode) for mode in (None, "rgb_array_list"))
     for env in (plain, drawn):

@@ -23,9 +23,9 @@ from stepgap.control.reference import Reference
 from stepgap.experiment.inputs import load_reference
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import Experiment
+from stepgap.gym.camera import FRAMES_PER_SECOND, Camera
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
-from stepgap.report.camera import FRAMES_PER_SECOND, Camera
 from stepgap.robots.entry_points import load_robot, simulations_of
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap, StepStatus
