@@ -156,15 +156,17 @@ def compare_plans(code: Code, controller: PortableController, count: int, rng: n
 def compare_commands(code: Code, run: LoadedRun, seed: int) -> str:
     """Differences of the commands on the steps of one deployment of the twin, which Python hops."""
     plant = TwinSimulation(Hopper(), random_stream(seed)).plant(random_stream(seed, 0))
-    filter_, command, yaw, apart = ctypes.create_string_buffer(16384), None, float("nan"), []
+    filter_, command, phase, apart = ctypes.create_string_buffer(16384), None, float("nan"), []
     code.call("filter_init", filter_)
     for logged in deploy(run.learner(1), plant, paper_reference(), 1, control=run.settings.control):
         record, found = logged.record, code.array(np.zeros(len(plant.space.command)))
         given = map(code.array, (record.state, logged.target))
-        code.call("plan", filter_, *given, None if command is None else code.array(command), yaw, found, None, None)
+        code.call("plan", filter_, *given, None if command is None else code.array(command), phase, found, None, None)
         apart.append((found - record.requested) / plant.space.command_scale)
-        code.call("filter_update", filter_, *map(code.array, (record.state, record.requested, record.next_state)), yaw)
-        command, yaw = record.requested, float(record.yaw_after)
+        code.call(
+            "filter_update", filter_, *map(code.array, (record.state, record.requested, record.next_state)), phase
+        )
+        command, phase = record.requested, record.context.get("yaw", float("nan"))
     rms, worst = np.sqrt(np.mean(np.square(apart))), np.abs(apart).max()
     return f"{len(apart)} commands of a deployment: RMS difference {rms:.1g} of a half range, at most {worst:.1g}"
 
@@ -177,19 +179,19 @@ def steps_of(run: LoadedRun, seed: int) -> Iterator[StepRecord]:
 
 
 def steps_of_program(program: Path, seed: int) -> Iterator[StepRecord]:
-    """The same with the program, which receives a line with state, target and yaw, and answers with the command."""
+    """The same with the program, which receives a line with state, target and phase, and answers with the command."""
     plant = TwinSimulation(Hopper(), random_stream(seed)).plant(random_stream(seed, 0))
     with plant, subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin
         assert process.stdout
-        state, yaw = plant.start(), float("nan")
+        state, phase = plant.start(), float("nan")
         for target in paper_reference().targets:
-            print(*state.tolist(), *target.tolist(), yaw, file=process.stdin, flush=True)
+            print(*state.tolist(), *target.tolist(), phase, file=process.stdin, flush=True)
             status, *command = process.stdout.readline().split()
             assert int(status) == StepStatus.OK
             record = plant.take_step(np.array(command, float))
             yield record
-            state, yaw = record.next_state, float(record.yaw_after)
+            state, phase = record.next_state, record.context.get("yaw", float("nan"))
         process.stdin.close()
 
 

@@ -21,9 +21,9 @@ from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.plants import simulation_of
 from stepgap.experiment.settings import read_experiment
 from stepgap.learning.learner import Learner
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.plants.plant import Plant, RepeatablePlant
-from stepgap.records.steps_csv import read_step_log, row_of
+from stepgap.records.steps_csv import digest, read_step_log
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.step import Array, StepRecord, StepSpace
 
@@ -76,7 +76,7 @@ def floor(folder: Path) -> tuple[int, Array, Array]:
     nominal, reference = load_nominal(settings).map, paper_reference()
     recorded = read_step_log(folder / "steps.csv", nominal.space)
     last = recorded.iterations[-1]
-    before = StepLog(recorded.space, (logged for logged in recorded if logged.iteration < last))
+    before = recorded.before(last)
     repeatable = simulation_of(settings).repeatable_plant(deployment_generator(settings.seed, last))
     if repeatable is None:
         raise ValueError(f"{folder}: plant '{settings.plant}' cannot repeat a step")
@@ -84,8 +84,8 @@ def floor(folder: Path) -> tuple[int, Array, Array]:
     with threadpool_limits(limits=1, user_api="blas"):  # as in a run, otherwise the last digits differ
         learner = Learner.start(nominal, before, settings.learning, last)
         with closing(deploy(learner, plant, reference, last)) as steps:
-            simulated = StepLog(nominal.space, steps)
-    if [*map(row_of, simulated)] != [*map(row_of, recorded.of_iteration(last))]:
+            simulated = Steps(nominal.space, steps)
+    if digest(simulated) != digest(recorded.of_iteration(last)):
         raise ValueError(f"{folder}: deployment {last} could not be reproduced; use the versions that recorded it")
     steady = reference.steady
     errors = (simulated.next_state - simulated.target)[steady]

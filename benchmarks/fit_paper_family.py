@@ -47,7 +47,7 @@ from stepgap.base.random_streams import random_stream
 from stepgap.experiment.loop import run_experiment
 from stepgap.experiment.plants import PlantRequest, choose_plants
 from stepgap.experiment.settings import METHODS, Experiment
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.records import paper
 from stepgap.records.steps_csv import read_step_log
 from stepgap.robots.gap import differences
@@ -84,7 +84,7 @@ PRIOR_STD = (HIGHEST - LOWEST) / np.sqrt(12)
 PRESET = np.array([float(getattr(RealityGap(), name) == differences(RealityGap)[name].whole) for name in DRAWN])
 
 
-def first_steps(log: StepLog) -> Array:
+def first_steps(log: Steps) -> Array:
     """Errors of speed on the first step after each fall of the target speed [m/s]; shape (3,)."""
     error = log.next_state[:, 0] - log.target[:, 0]
     return error[1:][np.diff(log.target[:, 0]) < 0]

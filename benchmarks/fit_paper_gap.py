@@ -34,7 +34,7 @@ from stepgap.experiment.deployment import deploy
 from stepgap.experiment.outcome import summarise
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.records.summary import Deployment
 from stepgap.robots.hopper.model.apex_map import ApexMap
@@ -97,7 +97,7 @@ def first_deployment(
     gap: RealityGap,
     seed: int,
     bounds: CommandBounds = CommandBounds(),  # noqa: B008  (frozen)
-) -> tuple[StepLog, Deployment]:
+) -> tuple[Steps, Deployment]:
     """Deployment 0 of `stepgap run` with this seed and these bounds of the command.
 
     Raises:
@@ -109,10 +109,10 @@ def first_deployment(
     rng = random_stream(seed, 0)
     floor_yaw = rng.uniform(0, tau)
     twin = Twin(robot, gap, rng, ground=ground, floor_yaw=floor_yaw)
-    uncorrected = Learner.start(nominal, StepLog(nominal.space), LearningSettings(), iteration=0)
+    uncorrected = Learner.start(nominal, Steps(nominal.space), LearningSettings(), iteration=0)
     steps = deploy(uncorrected, RigPlant(twin, HopperControl(robot, gains, bounds)), reference, iteration=0)
     with threadpool_limits(limits=1, user_api="blas"), closing(steps):
-        log = StepLog(nominal.space, steps)
+        log = Steps(nominal.space, steps)
     return log, summarise(log, reference, "none")
 
 
@@ -129,7 +129,7 @@ def hardware_stairs(path: Path) -> Array:
     return np.array([error[stair].mean(axis=0) for stair in stairs()])
 
 
-def stair_errors(log: StepLog) -> Array:
+def stair_errors(log: Steps) -> Array:
     """Mean errors of a deployment on each stair; shape (18, 2)."""
     error = log.completed().next_state - log.completed().target
     return np.array([error[stair].mean(axis=0) for stair in stairs()])

@@ -18,6 +18,7 @@ Subsets share logs, so they agree more often than independent ones would; this h
 import argparse
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -25,7 +26,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from stepgap.learning.step_table import StepTable
+from stepgap.learning.observations import Observations
 from stepgap.logs.fits.fit import gains, read_fit_data
 from stepgap.logs.fits.validation import Reduction, Validation, deployment_folds, validate
 
@@ -61,18 +62,18 @@ def selection(validation: Validation, coordinates: Sequence[int]) -> tuple[str, 
     return chosen, frozenset(kind for kind, each in by.items() if each.certain)
 
 
-def verdicts(steps: StepTable) -> Verdicts:
+def verdicts(steps: Observations) -> Verdicts:
     """Both verdicts on some steps."""
-    validation = validate(KINDS, steps, deployment_folds(steps.deployment))
+    validation = validate(KINDS, steps, deployment_folds(steps.labels[:, 0]))
     together = range(len(steps.space.state))
     by = gains(validation, together)
     return Verdicts(*selection(validation, together), by["none"], by["constant"])
 
 
-def subset(steps: StepTable, rng: np.random.Generator) -> StepTable:
+def subset(steps: Observations, rng: np.random.Generator) -> Observations:
     """Two to four random logs."""
-    logs = np.unique(steps.deployment)
-    return steps.selected(np.isin(steps.deployment, rng.choice(logs, rng.integers(2, 5), replace=False)))
+    logs = np.unique(steps.labels[:, 0])
+    return steps.selected(np.isin(steps.labels[:, 0], rng.choice(logs, rng.integers(2, 5), replace=False)))
 
 
 def apart(one: Reduction, other: Reduction) -> bool:
@@ -119,11 +120,12 @@ def main() -> None:
     options, rng = parser.parse_args(), np.random.default_rng(0)
     found = []
     with threadpool_limits(limits=1, user_api="blas"):
-        steps = read_fit_data(options.run, None, None, None, []).steps
-        rows = np.arange(len(steps)) - np.searchsorted(steps.deployment, steps.deployment)  # within each deployment
-        steps = StepTable(**{**steps.__dict__, "deployment": 1000 * steps.deployment + rows // PART})
-        logs, count = np.unique(steps.deployment, return_counts=True)
-        steps = steps.selected(np.isin(steps.deployment, logs[count == PART]))
+        steps = read_fit_data(options.run, None, None, None, []).observed
+        deployment = steps.labels[:, 0]
+        rows = np.arange(len(steps)) - np.searchsorted(deployment, deployment)  # within each deployment
+        steps = replace(steps, deployment=1000 * deployment + rows // PART)
+        logs, count = np.unique(steps.labels[:, 0], return_counts=True)
+        steps = steps.selected(np.isin(steps.labels[:, 0], logs[count == PART]))
         for done in range(1, options.subsets + 1):
             found.append(verdicts(subset(steps, rng)))
             if done % 20 == 0 or done == options.subsets:

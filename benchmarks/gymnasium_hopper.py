@@ -24,7 +24,7 @@ from stepgap.experiment.deployment import tracking_plan
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.learning.learner import Learner
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.records.steps_csv import read_step_log
 from stepgap.step import Array, StepMap, StepStatus
 
@@ -72,22 +72,22 @@ def held_out_error(settings: Experiment, surrogate: StepMap) -> Array:
     return np.sqrt(np.nanmean(errors**2, axis=0)) / space.state_scale
 
 
-def one_step_errors(log: StepLog, iteration: int) -> Array:
+def one_step_errors(log: Steps, iteration: int) -> Array:
     """Root-mean-square difference of next and predicted states in a deployment; shape (n,), half ranges."""
     steps = log.of_iteration(iteration).tracking().completed()
     errors = np.array([logged.record.next_state - logged.predicted for logged in steps])
     return np.sqrt(np.nanmean(errors**2, axis=0)) / log.space.state_scale
 
 
-def tracking_errors(log: StepLog, iteration: int) -> Array:
+def tracking_errors(log: Steps, iteration: int) -> Array:
     """Root-mean-square difference of next states and targets in a deployment; shape (n,), state units."""
     steps = log.of_iteration(iteration).tracking().completed()
     return np.sqrt(np.mean([(logged.record.next_state - logged.target) ** 2 for logged in steps], axis=0))
 
 
-def planning_times(settings: Experiment, nominal: StepMap, log: StepLog) -> Array:
+def planning_times(settings: Experiment, nominal: StepMap, log: Steps) -> Array:
     """Wall-clock and processor times of the plans of the second deployment, made again; shape (plans, 2) [s]."""
-    learned = StepLog(log.space, log.of_iteration(0))
+    learned = log.of_iteration(0)
     learner = Learner.start(nominal, learned, settings.learning, 1)
     seconds, command = [], None
     for logged in log.of_iteration(1).tracking().completed():

@@ -22,7 +22,7 @@ from stepgap.experiment.deployment import deploy
 from stepgap.learning.background import BackgroundThread
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.paper import paper_reference
@@ -40,7 +40,7 @@ def hops(nominal: ApexMap, count: int, seed: int) -> list[LoggedStep]:
     steps: list[LoggedStep] = []
     while len(steps) < count:
         plant = ModelPlant(heavier, np.array([0.0, 0.55]), NOISE, np.random.default_rng([seed, len(steps)]))
-        uncorrected = Learner.start(nominal, StepLog(nominal.space), LearningSettings(), iteration=0)
+        uncorrected = Learner.start(nominal, Steps(nominal.space), LearningSettings(), iteration=0)
         steps += islice(deploy(uncorrected, plant, paper_reference(), iteration=0), count - len(steps))
     return steps
 
@@ -48,7 +48,7 @@ def hops(nominal: ApexMap, count: int, seed: int) -> list[LoggedStep]:
 def measure(nominal: ApexMap, known: list[LoggedStep], new: list[LoggedStep], hop: float) -> list[float]:
     """Times from a measured apex to the next command, for each of the new steps [s]."""
     seconds = []
-    learner = Learner.start(nominal, StepLog(nominal.space, known), LearningSettings(online=True), 0)
+    learner = Learner.start(nominal, Steps(nominal.space, known), LearningSettings(online=True), 0)
     with BackgroundThread() as background:
         for logged in new:
             begin = perf_counter()

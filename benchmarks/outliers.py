@@ -21,7 +21,7 @@ from stepgap.experiment.deployment import deploy
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.simulation import TwinPlant, TwinSimulation
@@ -54,7 +54,7 @@ def deployment(seed: int, rate: float, reject: bool) -> Outcome:
     assert isinstance(hopper, Hopper)
     simulation, nominal = TwinSimulation(hopper, random_stream(seed)), hopper.nominal_maps()["equations"]()
     _, twin = simulation.direct_rig(random_stream(seed, 0))
-    plant, rng, log, pushed = TwinPlant(twin, hopper), random_stream(seed, 1), StepLog(nominal.space), set[int]()
+    plant, rng, log, pushed = TwinPlant(twin, hopper), random_stream(seed, 1), Steps(nominal.space), set[int]()
     settings = LearningSettings(online=True, reject_outliers=reject)
     learner = Learner.start(nominal, log, settings, 0)
     with closing(deploy(learner, plant, paper_reference(), 0)) as steps:

@@ -17,14 +17,14 @@ from stepgap.experiment.settings import read_experiment
 from stepgap.learning.entry_points import residual_models
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import AUTO, LaggedInputs, LearningSettings
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.records.steps_csv import read_step_log
 from stepgap.step import Array
 
 
-def scores(nominal: StepMap, learning: LearningSettings, log: StepLog, iteration: int) -> tuple[str, Array, float]:
+def scores(nominal: StepMap, learning: LearningSettings, log: Steps, iteration: int) -> tuple[str, Array, float]:
     """Name of the fitted residual, its RMSE on a deployment (n,), and its mean log density summed over the state."""
-    before = StepLog(log.space, (logged for logged in log if logged.iteration < iteration))
+    before = log.before(iteration)
     errors, std = [], []
     learner = Learner.start(nominal, before, learning, iteration)
     name = learner.residual.name

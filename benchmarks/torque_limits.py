@@ -26,7 +26,7 @@ from stepgap.experiment.plants import PlantRequest, choose_plants
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.records.run_folder import read_run_folder
 from stepgap.report.sentences import headline
 from stepgap.robots.hopper.model.apex_map import ApexMap
@@ -77,7 +77,7 @@ def compare_requests(limit: float, seed: int) -> None:
     rng = random_stream(seed, 99)
     twin = Twin(nominal.robot, gap, random_stream(seed, 0))
     plant = TwinPlant(twin, Hopper(gap=gap))
-    learner = Learner.start(nominal, StepLog(nominal.space), LearningSettings(), 0)
+    learner = Learner.start(nominal, Steps(nominal.space), LearningSettings(), 0)
     print(f"limit {limit:g} N·m: request, removed [N]; mean next state minus that after the full request [mm/s, mm]")
     with closing(deploy(learner, plant, reference, 0)) as steps:
         for logged in steps:

@@ -28,7 +28,7 @@ from benchmarks.learning.tasks import DEFAULT_TASK, tasks
 from benchmarks.learning.trial import Method, Trial, hopping_gap
 from stepgap import ApexMap
 from stepgap.experiment.outcome import summarise
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 
 FIRST_TWIN = 900
 """First of the twins on which is tuned."""
@@ -36,7 +36,7 @@ FIRST_TWIN = 900
 GAINS = (0.05, 0.1, 0.2, 0.3, 0.5)
 FACTORS = (0.8, 0.9, 0.95, 0.98, 0.99, 0.995)
 
-TUNED: dict[str, tuple[Callable[..., Sequence[StepLog]], str, tuple[float, ...]]] = {
+TUNED: dict[str, tuple[Callable[..., Sequence[Steps]], str, tuple[float, ...]]] = {
     "integral": (integral.integral, "gain", GAINS),
     "integral_plain": (integral.integral_plain, "gain", GAINS),
     "rls": (affine.rls, "forgetting", FACTORS),

@@ -11,8 +11,8 @@ from stepgap import (
     LoggedStep,
     Reference,
     StepController,
-    StepLog,
     StepRecord,
+    Steps,
     StepStatus,
 )
 
@@ -33,13 +33,13 @@ def episode(plan, seed, iteration):
         next_state, status = observation[:2], StepStatus[info["status"].upper()]
         done = failed or truncated
         errors.append(next_state - target)
-        record = StepRecord(state, info["command"], info["applied"], next_state, status, info.get("yaw", np.nan))
+        record = StepRecord(state, info["command"], info["applied"], next_state, status)
         steps.append(LoggedStep(iteration, len(errors), target, planned.predicted, np.zeros(2), record))
     return steps, np.sqrt(np.mean(np.square(errors), axis=0))
 
 
 steps, first = episode(StepController(nominal), 0, 0)
-learner = Learner.start(nominal, StepLog(space, steps), LearningSettings(), 1)
+learner = Learner.start(nominal, Steps(space, steps), LearningSettings(), 1)
 _, second = episode(CautiousController(learner.step_map(), nominal, learner.failures), 1, 1)
 print("nominal map: speed {:.4f} m/s, height {:.4f} m".format(*first))
 print("corrected:   speed {:.4f} m/s, height {:.4f} m".format(*second))

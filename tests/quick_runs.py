@@ -26,8 +26,8 @@ def leave_out_repeats(patch: pytest.MonkeyPatch) -> None:
 
 
 def repeat_less(patch: pytest.MonkeyPatch) -> None:
-    """The noise floor is measured at two yaw angles instead of six."""
-    patch.setattr("stepgap.experiment.noise_floor.YAWS", 2)
+    """The noise floor is measured at two phases instead of six."""
+    patch.setattr("stepgap.experiment.noise_floor.PHASES", 2)
 
 
 def leave_out_report(patch: pytest.MonkeyPatch) -> None:

@@ -50,3 +50,8 @@ def test_the_version_is_that_of_the_package() -> None:
 def test_another_name_is_refused_with_the_public_ones() -> None:
     with pytest.raises(AttributeError, match=r"stepgap has no 'ApexMaps'; its public names are .*ApexMap"):
         stepgap.ApexMaps  # noqa: B018
+
+
+def test_a_former_name_is_refused_with_the_present_one() -> None:
+    with pytest.raises(AttributeError, match=r"stepgap has no 'StepLog' any more; use stepgap\.Steps"):
+        stepgap.StepLog  # noqa: B018

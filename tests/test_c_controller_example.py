@@ -10,8 +10,9 @@ import pytest
 
 from stepgap.export.controller.c_source import c_source
 from stepgap.export.controller.model_document import filter_after
-from stepgap.learning.step_log import LoggedStep
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import StepRecord, StepStatus
+from tests.control.maps import YAW
 from tests.export.controller.learned import SPACE, learned
 
 MAIN = Path(__file__).parents[1] / "examples" / "c_controller" / "main.c"
@@ -38,9 +39,9 @@ def test_it_plans_section_after_section(tmp_path: Path) -> None:
             for number in range(4):
                 state, yaw = states[4 * deployment + number], 0.4 * number
                 if number:
-                    record = StepRecord(before, guess, guess, state, StepStatus.OK, yaw)
+                    record = StepRecord(before, guess, guess, state, StepStatus.OK, {"yaw": yaw})
                     logged.append(LoggedStep(0, number, target, target, np.zeros(2), record))
-                drift = filter_after(controller, logged)
+                drift = filter_after(controller, Steps(replace(SPACE, context=(YAW,)), logged))
                 corrected = replace(
                     controller.map,
                     offset=drift.offset(yaw),

@@ -14,7 +14,7 @@ import pytest
 from stepgap.experiment.deployment import deploy
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.robots.mjcf.mjcf_robot import MjcfPlant, MjcfStepper
 from stepgap.robots.nominal_maps.surrogate_map import fit_surrogate
@@ -67,7 +67,7 @@ def test_it_learns_in_a_few_steps(robot: Any, monkeypatch: pytest.MonkeyPatch) -
     for limit in ("FIRST_SAMPLES", "MOST_SAMPLES"):
         monkeypatch.setattr(f"stepgap.robots.nominal_maps.surrogate_map.{limit}", 32)
     nominal = fit_surrogate(robot.nominal_maps()["simulator"](), np.random.default_rng(0))
-    reference, log, errors = stairs(robot.space, steps=2), StepLog(robot.space), []
+    reference, log, errors = stairs(robot.space, steps=2), Steps(robot.space), []
     for iteration in range(2):
         learner = Learner.start(nominal, log, LearningSettings(), iteration)
         steps = list(deploy(learner, MjcfPlant(robot, np.random.default_rng(iteration)), reference, iteration))

@@ -13,12 +13,12 @@ from math import tau
 from benchmarks.learning.tasks import Change, Task
 from stepgap.base.random_streams import random_stream
 from stepgap.control.settings import ALL_RULES, ControlSettings
-from stepgap.experiment.deployment import AdaptiveMap, Steps, deploy
-from stepgap.learning.disturbance import without_yaw_dependence
+from stepgap.experiment.deployment import AdaptiveMap, ExecutedSteps, deploy
+from stepgap.learning.disturbance import without_periodic_part
 from stepgap.learning.learner import Learner
 from stepgap.learning.observations import Observations, observe
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.plants.plant import Plant
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.ticks.stream import OnTicks
@@ -62,32 +62,32 @@ class Trial:
     seed: int
     learning: Mapping[str, bool] = field(default_factory=dict)
     control: ControlSettings = ALL_RULES
-    made: dict[str, StepLog] = field(default_factory=dict)
+    made: dict[str, Steps] = field(default_factory=dict)
 
-    def once(self, key: str, make: Callable[[], StepLog]) -> StepLog:
+    def once(self, key: str, make: Callable[[], Steps]) -> Steps:
         """Makes a deployment that several methods have in common, unless it was made before."""
         if key not in self.made:
             self.made[key] = make()
         return self.made[key]
 
     @property
-    def first(self) -> StepLog:
+    def first(self) -> Steps:
         """Steps of deployment 0 without correction, from which most methods learn."""
         all_rules = replace(self, control=ALL_RULES)
         return self.once(FIRST, lambda: all_rules.deploy(self.uncorrected(self.nominal), 0))
 
-    def learner(self, nominal: StepMap, log: StepLog, settings: LearningSettings, iteration: int) -> Learner:
+    def learner(self, nominal: StepMap, log: Steps, settings: LearningSettings, iteration: int) -> Learner:
         """Learner before a deployment, with the changes of its settings that the trial makes."""
         return Learner.start(nominal, log, replace(settings, **self.learning), iteration)
 
     def uncorrected(self, nominal: StepMap) -> Learner:
         """Learner without any knowledge but a map."""
-        return self.learner(nominal, StepLog(nominal.space), UNCORRECTED_LEARNING, 0)
+        return self.learner(nominal, Steps(nominal.space), UNCORRECTED_LEARNING, 0)
 
     def cleaned_errors(self) -> Observations:
-        """Errors of the nominal map in deployment 0, less their yaw-dependent part unless that rule is off."""
+        """Errors of the nominal map in deployment 0, less their periodic part unless that rule is off."""
         errors = observe(self.first, self.nominal)
-        return without_yaw_dependence(errors, 1) if self.learning.get("remove_yaw_dependence", True) else errors
+        return without_periodic_part(errors, 1) if self.learning.get("remove_yaw_dependence", True) else errors
 
     def twin_of(self, iteration: int) -> Twin:
         """Twin of a deployment."""
@@ -101,31 +101,31 @@ class Trial:
         iteration: int,
         most_steps: int | None = None,
         on_ticks: OnTicks | None = None,
-    ) -> StepLog:
+    ) -> Steps:
         """Steps of a deployment that a method learns from; none if the hop before the first step failed."""
         steps_on = self._tracking(learner, iteration, 0)
         return self._record(steps_on, iteration, None, most_steps, on_ticks)
 
-    def measure(self, learner: AdaptiveMap, iteration: int, exploration: int = 0) -> StepLog:
+    def measure(self, learner: AdaptiveMap, iteration: int, exploration: int = 0) -> Steps:
         """Steps of the deployment by which a method is judged; in the midst of it the task may change the robot."""
         return self.measure_steps(self._tracking(learner, iteration, exploration), iteration)
 
-    def measure_steps(self, steps_on: Callable[[Plant], Steps], iteration: int) -> StepLog:
+    def measure_steps(self, steps_on: Callable[[Plant], ExecutedSteps], iteration: int) -> Steps:
         """As `measure`, for a method that does not plan its steps with a `StepMap`, but makes them on a plant."""
         return self._record(steps_on, iteration, self.task.change, None, None)
 
-    def _tracking(self, learner: AdaptiveMap, iteration: int, exploration: int) -> Callable[[Plant], Steps]:
+    def _tracking(self, learner: AdaptiveMap, iteration: int, exploration: int) -> Callable[[Plant], ExecutedSteps]:
         return lambda plant: deploy(learner, plant, self.task.reference, iteration, exploration, self.control)
 
     def _record(
         self,
-        steps_on: Callable[[Plant], Steps],
+        steps_on: Callable[[Plant], ExecutedSteps],
         iteration: int,
         change: Change | None,
         most_steps: int | None,
         on_ticks: OnTicks | None,
-    ) -> StepLog:
-        nominal, log, twin = self.nominal, StepLog(self.nominal.space), self.twin_of(iteration)
+    ) -> Steps:
+        nominal, log, twin = self.nominal, Steps(self.nominal.space), self.twin_of(iteration)
         plant = RigPlant(twin, HopperControl(nominal.robot, nominal.gains, nominal.bounds), on_ticks)
         with closing(steps_on(plant)) as steps:
             try:
@@ -139,7 +139,7 @@ class Trial:
         return log
 
 
-Method = Callable[[Trial], Sequence[StepLog]]
+Method = Callable[[Trial], Sequence[Steps]]
 """Makes the deployments that a learning method needs, from number 0 on, the last of which is measured."""
 
 

@@ -16,7 +16,7 @@ from benchmarks.learning.trial import Trial, hopping_gap
 from stepgap.base.blas import one_blas_thread
 from stepgap.experiment.bands import executed_steps_to_band, interval_coverage
 from stepgap.experiment.outcome import summarise
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.paper import paper_result
 from stepgap.step import Array
@@ -32,7 +32,7 @@ def measure_twin(task: Task, twin: int, seed: int, names: Sequence[str]) -> list
         return [first, *(_row(trial, name, method(trial)) for name, method in chosen.items())]
 
 
-def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> DeploymentRow:
+def _row(trial: Trial, method: str, deployments: Sequence[Steps]) -> DeploymentRow:
     """Measures of the last of the deployments that a method needs."""
     steps = deployments[-1]
     row: DeploymentRow = {

@@ -5,7 +5,7 @@
  *     echo "0.1 0.56 0.2 0.58 0.0" | ./robot
  *
  * Here, a line of standard input stands for the sensors at a section (for the hopper the apex): the state, the target
- * for the next section, and the yaw [rad], or nan if it is unknown. The answer is the status of the plan and the command.
+ * for the next section, and the phase [rad], or nan if it is unknown. The answer is the status of the plan and the command.
  * An empty line ends a deployment, as does a fall: the next line starts a new one.
  *
  * On a robot, replace `read_section` and `write_command`. Nothing else is needed: no memory is allocated, and a call
@@ -21,7 +21,7 @@
 enum { STATES = controller_STATES, COMMANDS = controller_COMMANDS };
 
 typedef struct {
-    controller_real state[STATES], target[STATES], yaw;
+    controller_real state[STATES], target[STATES], phase;
 } Section;
 
 /* Waits for the next section; 1 if there is one, 0 if the deployment ended, -1 if the robot is switched off. */
@@ -51,7 +51,7 @@ static int read_section(Section *section)
         section->state[i] = (controller_real)numbers[i];
         section->target[i] = (controller_real)numbers[STATES + i];
     }
-    section->yaw = (controller_real)numbers[2 * STATES];
+    section->phase = (controller_real)numbers[2 * STATES];
     return 1;
 }
 
@@ -80,8 +80,8 @@ int main(void)
         if (steps == 0)
             controller_filter_init(&filter);
         else /* the step that ends here: from the section before, with the command given there */
-            controller_filter_update(&filter, before.state, command, present.state, before.yaw);
-        int status = controller_plan(&filter, present.state, present.target, steps ? command : NULL, present.yaw, command,
+            controller_filter_update(&filter, before.state, command, present.state, before.phase);
+        int status = controller_plan(&filter, present.state, present.target, steps ? command : NULL, present.phase, command,
                                      NULL, NULL);
         /* Unless the status is controller_OK, the command is the middle of the bounds. */
         write_command(status, command);

@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from stepgap.learning.residual import Residual as Residual
     from stepgap.learning.residual_fit import fit_residual as fit_residual
     from stepgap.learning.settings import LearningSettings as LearningSettings
-    from stepgap.learning.step_log import LoggedStep as LoggedStep
-    from stepgap.learning.step_log import StepLog as StepLog
+    from stepgap.learning.steps import LoggedStep as LoggedStep
+    from stepgap.learning.steps import Steps as Steps
     from stepgap.plants.model_plant import ModelPlant as ModelPlant
     from stepgap.plants.plant import Plant as Plant
     from stepgap.plants.rig_plant import RigPlant as RigPlant
@@ -83,6 +83,7 @@ if TYPE_CHECKING:
     from stepgap.robots.scene import Link as Link
     from stepgap.robots.scene import Motion as Motion
     from stepgap.robots.scene import Scene as Scene
+    from stepgap.step import ContextQuantity as ContextQuantity
     from stepgap.step import Outcome as Outcome
     from stepgap.step import Quantity as Quantity
     from stepgap.step import StepFailed as StepFailed
@@ -99,6 +100,9 @@ _MODULES = {name: module for module, name in _LISTED.findall(Path(__file__).read
 It is imported when the name is first used, so that the command line starts quickly.
 """
 
+_RENAMED = {"StepLog": "Steps"}
+"""Public names of earlier versions, with those that replace them."""
+
 __all__ = sorted(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
@@ -108,6 +112,8 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version  # its import takes a tenth of that of the command line
 
         return version("stepgap")
+    if name in _RENAMED:
+        raise AttributeError(f"stepgap has no {name!r} any more; use stepgap.{_RENAMED[name]}")
     if name not in _MODULES:
         raise AttributeError(f"stepgap has no {name!r}; its public names are {', '.join(__all__)}")
     value = globals()[name] = getattr(import_module(f"stepgap.{_MODULES[name]}"), name)

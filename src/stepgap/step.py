@@ -5,12 +5,13 @@ A *step* runs from one section to the next: that of a hopper from apex to apex. 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
-from math import inf, isfinite
-from typing import NamedTuple
+from math import inf, isfinite, isinf, tau
+from types import MappingProxyType
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +24,8 @@ Array = NDArray[np.float64]
 
 Codes = NDArray[np.int64]
 """Array of `StepStatus` values."""
+
+_Number = TypeVar("_Number", float, Array)
 
 
 class StepStatus(IntEnum):
@@ -109,18 +112,58 @@ class Quantity:
 
 
 @dataclass(frozen=True)
+class ContextQuantity:
+    """A number measured around a step that is neither state nor command, such as where on its circle the robot is.
+
+    Attributes:
+        name: Name in `StepRecord.context`; its column in files is NAME_after.
+        unit: SI unit, for example `rad`.
+        period: Change after which the robot is where it was, such as 2π of an angle about the vertical: the part of the
+            error that returns with it is estimated and removed. Infinite if there is none.
+
+    Raises:
+        ValueError: The period is not positive.
+    """
+
+    name: str
+    unit: str
+    period: float = inf
+
+    def __post_init__(self) -> None:
+        require(self.period > 0, "period", self.period, f"be positive ({self.name})")
+
+    def phase(self, value: _Number) -> _Number:
+        """A value, or an array of values, as an angle that is 2π at the period [rad]."""
+        return value * (tau / self.period)
+
+
+@dataclass(frozen=True)
 class StepSpace:
     """Names, units and ranges of the state and the command of a step; its arrays are computed once and read-only.
 
     Attributes:
         state: The n coordinates of the state at the section.
         command: The m coordinates of the step command.
+        context: What else is measured around a step; at most one of these quantities has a period.
         advice: What the robot advises after a step that failed, by its status, instead of `ADVICE`.
+
+    Raises:
+        ValueError: Several quantities of the context have a period.
     """
 
     state: tuple[Quantity, ...]
     command: tuple[Quantity, ...]
+    context: tuple[ContextQuantity, ...] = ()
     advice: Mapping[StepStatus, str] = field(default_factory=dict, compare=False, repr=False, kw_only=True)
+
+    def __post_init__(self) -> None:
+        periodic = [each.name for each in self.context if isfinite(each.period)]
+        require(len(periodic) <= 1, "context", periodic, "have at most one quantity with a period")
+
+    @cached_property
+    def periodic(self) -> ContextQuantity | None:
+        """The quantity of the context that has a period; None if there is none."""
+        return next((each for each in self.context if isfinite(each.period)), None)
 
     def advice_on(self, status: StepStatus) -> str:
         """Advice after a step that failed."""
@@ -135,6 +178,15 @@ class StepSpace:
     def command_names(self) -> tuple[str, ...]:
         """Names of the command coordinates."""
         return tuple(quantity.name for quantity in self.command)
+
+    @cached_property
+    def context_names(self) -> tuple[str, ...]:
+        """Names of the quantities of the context."""
+        return tuple(quantity.name for quantity in self.context)
+
+    def named_context(self, values: Sequence[float]) -> dict[str, float]:
+        """Context of a step by name, from all its numbers in the order of `context`, or from none."""
+        return dict(zip(self.context_names if values else (), values, strict=True))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -312,6 +364,8 @@ def difference_jacobian(step_map: StepMap, state: ArrayLike, command: ArrayLike,
 
 NOT_GIVEN = _read_only(())
 """Default of an array of a record that its maker does not give."""
+_NO_CONTEXT: Mapping[str, float] = MappingProxyType({})
+"""Default of the context of a record."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,8 +379,8 @@ class StepRecord:
             not known; shape (m,).
         next_state: State in which it ended, as measured; NaN if it failed; shape (n,).
         status: How it ended.
-        yaw_after: Yaw after the step [rad], such as that of a boom; NaN if the plant does not measure it, or if
-            the step failed. It is not part of the state, and its zero is arbitrary.
+        context: What was measured around the step and is known when it ends, by the names in `StepSpace.context`, such
+            as {"yaw": 0.3}; it is neither state nor command, and what is missing or NaN is unknown.
         requested: Command that was requested of the joints, within its bounds; by default `command`. It is another one
             where `command` came too late to act. Learning uses this one: then the effect of limits on a command
             is part of the learned map, and the controller plans with it. Shape (m,).
@@ -334,7 +388,7 @@ class StepRecord:
             for reports; nothing that controls or learns may read it. Shape (n,).
 
     Raises:
-        ValueError: The yaw is infinite, or the status is not a `StepStatus`.
+        ValueError: A number of the context is infinite, or the status is not a `StepStatus`.
     """
 
     state: Array
@@ -342,13 +396,13 @@ class StepRecord:
     applied: Array
     next_state: Array
     status: StepStatus
-    yaw_after: float = np.nan
+    context: Mapping[str, float] = field(default_factory=lambda: _NO_CONTEXT)
     requested: Array = field(default_factory=lambda: NOT_GIVEN)
     true_next_state: Array = field(default_factory=lambda: NOT_GIVEN)
 
     def __post_init__(self) -> None:
-        rule = "be an angle, or NaN where it is not known"
-        require(not np.isinf(self.yaw_after), "yaw_after", self.yaw_after, rule)
+        for name, value in self.context.items():
+            require(not isinf(value), f"context.{name}", value, "be a finite number, or NaN where it is not known")
         object.__setattr__(self, "status", StepStatus(self.status))
         if self.requested is NOT_GIVEN:
             object.__setattr__(self, "requested", self.command)

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from stepgap.cli import progress as module
 from stepgap.cli.progress import RunProgress
-from stepgap.learning.step_log import LoggedStep
+from stepgap.learning.steps import LoggedStep
 from stepgap.records.summary import Deployment
 from stepgap.step import StepRecord, StepStatus
 from tests.control.maps import LossyHopper

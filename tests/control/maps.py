@@ -5,9 +5,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.step import Array, Codes, Outcome, Quantity, StepMap, StepSpace, StepStatus, difference_jacobian
+from stepgap.step import (
+    Array,
+    Codes,
+    ContextQuantity,
+    Outcome,
+    Quantity,
+    StepMap,
+    StepSpace,
+    StepStatus,
+    difference_jacobian,
+)
 
 SPEED, HEIGHT = Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.52, 0.64)
+YAW = ContextQuantity("yaw", "rad", period=2 * np.pi)
 FX, FY = Quantity("fx", "N", -15.0, 15.0), Quantity("fy", "N", -20.0, 20.0)
 
 
@@ -52,7 +63,7 @@ class LossyHopper(ClosedFormMap):
 
     @property
     def space(self) -> StepSpace:
-        return StepSpace((SPEED, HEIGHT), (FX, FY))
+        return StepSpace((SPEED, HEIGHT), (FX, FY), (YAW,))
 
     def next_state(self, state: Array, command: Array) -> Array:
         speed, height = state[..., 0], state[..., 1]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stepgap.experiment.bands import WINDOW, executed_steps_to_band, steps_to_band
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import StepRecord, StepStatus
 from tests.control.maps import LossyHopper
 
@@ -13,7 +13,7 @@ TARGET = np.array([0.2, 0.58])
 BAND = np.array([0.02, 0.005])
 
 
-def log_of(first: int, errors: list[float], falls: bool = False) -> StepLog:
+def log_of(first: int, errors: list[float], falls: bool = False) -> Steps:
     """Steps of a deployment with these errors of speed; the last one may be a fall."""
     steps, size = [], len(TARGET)
     for number, error in enumerate(errors, start=first):
@@ -21,7 +21,7 @@ def log_of(first: int, errors: list[float], falls: bool = False) -> StepLog:
         reached = np.full(size, np.nan) if fell else TARGET + np.array([error, 0])
         record = StepRecord(TARGET, np.zeros(size), np.zeros(size), reached, StepStatus.FELL if fell else StepStatus.OK)
         steps.append(LoggedStep(0, number, TARGET, TARGET, np.zeros(size), record))
-    return StepLog(SPACE, steps)
+    return Steps(SPACE, steps)
 
 
 def test_every_executed_hop_is_counted() -> None:

@@ -9,7 +9,7 @@ import pytest
 from stepgap.control.step_controller import StepController
 from stepgap.experiment.diagnosis import Diagnosis, diagnose, part_at_bounds
 from stepgap.learning.observations import observe
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import Array, StepRecord, StepStatus
 from tests.control.maps import LossyHopper
 
@@ -25,7 +25,7 @@ HOLDING = StepController(NOMINAL)(MIDDLE, MIDDLE).command
 """The command that keeps the state in the middle."""
 
 
-def steps_of(count: int, seed: int, error: Error) -> StepLog:
+def steps_of(count: int, seed: int, error: Error) -> Steps:
     """Steps with random commands of a robot whose error is a function of its state and of the error before."""
     rng, steps = np.random.default_rng(seed), []
     state, before = MIDDLE, np.zeros(2)
@@ -35,7 +35,7 @@ def steps_of(count: int, seed: int, error: Error) -> StepLog:
         record = StepRecord(state, command, command, NOMINAL(state, command) + before, StepStatus.OK)
         steps.append(LoggedStep(0, number, state, record.next_state, NOISE, record))
         state = record.next_state
-    return StepLog(SPACE, steps)
+    return Steps(SPACE, steps)
 
 
 def diagnosis(count: int, seed: int, error: Error) -> Diagnosis:
@@ -81,7 +81,7 @@ def test_noise_that_depends_on_the_state_is_found(seed: int) -> None:
 def test_commands_at_bounds_and_what_they_move() -> None:
     log = steps_of(200, 0, plain)
     bounded = [replace(one, record=replace(one.record, requested=np.array([15.0, 0.0]))) for one in log]
-    observed = observe(StepLog(SPACE, bounded[:50] + list(log)[50:]), NOMINAL)
+    observed = observe(Steps(SPACE, bounded[:50] + list(log)[50:]), NOMINAL)
     found = diagnose(observed, NOMINAL)
     np.testing.assert_allclose(part_at_bounds(observed), [0.25, 0.0])
     jacobian = NOMINAL.jacobian(MIDDLE, HOLDING)[:, 2:]

@@ -9,7 +9,7 @@ from stepgap.experiment.exploration import exploration_plan, goals_of
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.plants.model_plant import ModelPlant
 from tests.control.maps import LossyHopper
 from tests.learning.test_learner import NOISE, NOMINAL, REALITY, fitted, hops, log_of
@@ -47,7 +47,7 @@ def test_exploratory_steps_come_first_and_stay_in_the_range_of_the_reference() -
     assert [logged.step for logged in steps] == list(range(-9, len(REFERENCE) + 1))
     lower, upper = REFERENCE.targets.min(axis=0), REFERENCE.targets.max(axis=0)
     room = 0.2 * NOMINAL.space.state_scale + 4 * NOISE
-    ends = StepLog(NOMINAL.space, steps[3:10]).next_state  # before the first ones nothing is known of the robot
+    ends = Steps(NOMINAL.space, steps[3:10]).next_state  # before the first ones nothing is known of the robot
     assert ((ends >= lower - room) & (ends <= upper + room)).all()
 
 

@@ -26,7 +26,7 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.observations import next_history
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
 from stepgap.records.steps_csv import RecordError, StepWriter, read_step_log
@@ -61,7 +61,7 @@ def run_in(
     seed: int = 3,
     observer: Observer = Observer(),  # noqa: B008  (frozen)
     replays: bool = True,
-    known: StepLog | None = None,
+    known: Steps | None = None,
 ) -> list[Deployment]:
     folder.mkdir(exist_ok=True)
     return run_experiment(
@@ -93,8 +93,8 @@ def copy(unbroken: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(unbroken, tmp_path / "copy"))
 
 
-def in_space(steps: list[LoggedStep]) -> StepLog:
-    return StepLog(NOMINAL.space, steps)
+def in_space(steps: list[LoggedStep]) -> Steps:
+    return Steps(NOMINAL.space, steps)
 
 
 def logged(number: int, target: tuple[float, float], next_state: tuple[float, float] | None) -> LoggedStep:
@@ -137,11 +137,11 @@ def test_the_noise_floor_is_the_noise_of_the_plant() -> None:
     reference = Reference.from_segments(("speed", "height"), [(1, (0.1, 0.55)), (2, (0.2, 0.58))], steps=600)
     plant = plant_of(REALITY)(np.random.default_rng(1))
     steps = list(deploy(Learner.start(NOMINAL, in_space([]), ALWAYS, 0), plant, reference, 0))
-    assert estimate_noise_floor(in_space(steps), reference).any_yaw == pytest.approx(NOISE, rel=0.05)
-    assert np.isnan(estimate_noise_floor(in_space(steps[:9]), reference).any_yaw).all(), (
+    assert estimate_noise_floor(in_space(steps), reference).any_phase == pytest.approx(NOISE, rel=0.05)
+    assert np.isnan(estimate_noise_floor(in_space(steps[:9]), reference).any_phase).all(), (
         "5 coefficients cannot be estimated from 4 steady steps"
     )
-    assert np.isnan(estimate_noise_floor(in_space([]), reference).any_yaw).all()
+    assert np.isnan(estimate_noise_floor(in_space([]), reference).any_phase).all()
 
 
 # Learning
@@ -150,7 +150,7 @@ def test_the_noise_floor_is_the_noise_of_the_plant() -> None:
 def test_every_model_is_learned_on_the_nominal_map_from_all_steps(gaussian: Path) -> None:
     log = read_step_log(gaussian / "steps.csv", NOMINAL.space)
     for iteration in (1, 2):
-        before = StepLog(log.space, [logged for logged in log if logged.iteration < iteration])
+        before = Steps(log.space, [logged for logged in log if logged.iteration < iteration])
         residual = residual_from_dict(json.loads((gaussian / "models" / f"iteration_{iteration}.json").read_text()))
         for column, regression in enumerate(residual.regressions):
             assert isinstance(regression, GaussianProcessRegression)

@@ -8,7 +8,7 @@ import pytest
 from stepgap.base.normal import std_interval_95
 from stepgap.control.reference import Reference
 from stepgap.experiment import noise_floor
-from stepgap.experiment.noise_floor import REPEATS, YAWS, _pooled, measure_noise_floor
+from stepgap.experiment.noise_floor import PHASES, REPEATS, _pooled, measure_noise_floor
 from stepgap.records.summary import NoiseFloor
 from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import CommandBounds, RobotParameters
@@ -31,32 +31,34 @@ def measured(gap: RealityGap, seed: int = 1, reference: Reference = REFERENCE) -
 
 def test_a_twin_without_noise_on_an_even_floor_repeats_itself() -> None:
     found = measured(SILENT, reference=ONE_TARGET)
-    np.testing.assert_allclose([found.any_yaw, found.same_yaw], 0, atol=1e-15)
+    np.testing.assert_allclose([found.any_phase, found.same_phase], 0, atol=1e-15)
 
 
 def test_noise_and_yaw_contribute_and_the_seed_determines_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
     noisy, tilted = replace(SILENT, torque_noise=0.02), replace(SILENT, boom_tilt=0.01)
     with_noise, with_tilt = measured(noisy), measured(tilted, reference=ONE_TARGET)
-    np.testing.assert_allclose(with_noise.same_yaw, with_noise.any_yaw, rtol=0.4)
-    assert with_noise.same_yaw[0] > 1e-3
-    assert with_tilt.any_yaw[0] > 1e-3
-    np.testing.assert_allclose(with_tilt.same_yaw, 0, atol=1e-15)
+    np.testing.assert_allclose(with_noise.same_phase, with_noise.any_phase, rtol=0.4)
+    assert with_noise.same_phase[0] > 1e-3
+    assert with_tilt.any_phase[0] > 1e-3
+    np.testing.assert_allclose(with_tilt.same_phase, 0, atol=1e-15)
     monkeypatch.setattr(noise_floor, "SETTLING", 1)
-    monkeypatch.setattr(noise_floor, "YAWS", 2)
-    first, again, other = (measured(noisy, seed, ONE_TARGET).any_yaw.tolist() for seed in (1, 1, 2))
+    monkeypatch.setattr(noise_floor, "PHASES", 2)
+    first, again, other = (measured(noisy, seed, ONE_TARGET).any_phase.tolist() for seed in (1, 1, 2))
     assert first == again != other
 
 
 def test_components_of_variance_are_recovered() -> None:
     rng, yaw_std, noise_std = np.random.default_rng(3), np.array([0.02, 0.001]), np.array([0.01, 0.003])
     groups = [
-        rng.normal(size=2) + yaw_std * rng.normal(size=(YAWS, 1, 2)) + noise_std * rng.normal(size=(YAWS, REPEATS, 2))
+        rng.normal(size=2)
+        + yaw_std * rng.normal(size=(PHASES, 1, 2))
+        + noise_std * rng.normal(size=(PHASES, REPEATS, 2))
         for _ in range(2000)
     ]
     found = _pooled(groups, 2)
-    np.testing.assert_allclose(found.same_yaw, noise_std, rtol=0.03)
-    np.testing.assert_allclose(found.any_yaw, np.hypot(yaw_std, noise_std), rtol=0.03)
-    assert found.steps == 2000 * YAWS * REPEATS
+    np.testing.assert_allclose(found.same_phase, noise_std, rtol=0.03)
+    np.testing.assert_allclose(found.any_phase, np.hypot(yaw_std, noise_std), rtol=0.03)
+    assert found.steps == 2000 * PHASES * REPEATS
 
 
 @pytest.mark.parametrize("ratio", [1.0, 5.0])
@@ -66,11 +68,11 @@ def test_intervals_contain_the_noise_floor_as_often_as_they_say(ratio: float) ->
     factors = np.where(np.arange(targets) % 2, ratio, 1.0)
     inside = np.zeros(2)
     for _ in range(runs):
-        yaw, noise = rng.normal(size=(targets, YAWS, 1, 1)), rng.normal(size=(targets, YAWS, REPEATS, 1))
+        yaw, noise = rng.normal(size=(targets, PHASES, 1, 1)), rng.normal(size=(targets, PHASES, REPEATS, 1))
         found = _pooled([*(factors[:, None, None, None] * (yaw_std * yaw + noise_std * noise))], 1)
         true = np.sqrt(np.mean(factors**2)) * np.array([np.hypot(yaw_std, noise_std), noise_std])
         for row, (std, freedom) in enumerate(
-            [(found.any_yaw, found.any_yaw_freedom), (found.same_yaw, found.same_yaw_freedom)]
+            [(found.any_phase, found.any_phase_freedom), (found.same_phase, found.same_phase_freedom)]
         ):
             low, high = std_interval_95(std, freedom)[:, 0]
             inside[row] += low <= true[row] <= high
@@ -78,7 +80,9 @@ def test_intervals_contain_the_noise_floor_as_often_as_they_say(ratio: float) ->
 
 
 def test_the_noise_floor_is_proportional_to_the_noise() -> None:
-    floors = [measured(replace(SILENT, torque_noise=noise), reference=ONE_TARGET).same_yaw for noise in (0.004, 0.012)]
+    floors = [
+        measured(replace(SILENT, torque_noise=noise), reference=ONE_TARGET).same_phase for noise in (0.004, 0.012)
+    ]
     assert floors[1][0] / floors[0][0] == pytest.approx(3, rel=0.2)
 
 
@@ -86,5 +90,5 @@ def test_a_robot_that_cannot_hop_has_no_noise_floor() -> None:
     twin = Twin(ROBOT, SILENT, np.random.default_rng(0))
     plant = TwinPlant(twin, Hopper(command=CommandBounds(fy_lower=-200, fy_upper=-190)).control())
     found = measure_noise_floor(plant, NeverWorks(), REFERENCE, np.random.default_rng(0))
-    assert np.isnan([found.any_yaw, found.same_yaw]).all()
+    assert np.isnan([found.any_phase, found.same_phase]).all()
     assert found.steps == 0

@@ -18,7 +18,7 @@ from stepgap.experiment.outcome import (
 )
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.paper import paper_reference
@@ -32,7 +32,7 @@ MAP = LossyHopper()
 LOW, HIGH, FAR = (0.1, 0.56), (0.2, 0.6), (0.2, 0.9)
 
 
-def log_of(targets: Array, error: Array, true_error: Array, removed: Array) -> StepLog:
+def log_of(targets: Array, error: Array, true_error: Array, removed: Array) -> Steps:
     """Steps with these errors; their applied commands lack the removed parts."""
     rows = zip(targets, error, true_error, removed, strict=True)
     steps = [
@@ -41,7 +41,7 @@ def log_of(targets: Array, error: Array, true_error: Array, removed: Array) -> S
         ))
         for number, (target, off, true_off, cut) in enumerate(rows, 1)
     ]  # fmt: skip
-    return StepLog(MAP.space, steps)
+    return Steps(MAP.space, steps)
 
 
 def test_true_errors_and_cut_commands_by_hand() -> None:
@@ -77,13 +77,13 @@ def test_missed_targets_are_reachable_but_have_an_error_of_more_than_three_noise
     error[80:] += [0.08, 0.0]
     steps = log_of(targets, error, error, np.zeros_like(error))
     # A constant error cannot be distinguished from an effect of the state, so both shifted targets are missed.
-    floor = estimate_noise_floor(steps, reference).any_yaw
+    floor = estimate_noise_floor(steps, reference).any_phase
     np.testing.assert_array_equal(missed_targets(steps, reference, np.empty((0, 2)), floor), [HIGH, FAR])
     np.testing.assert_array_equal(missed_targets(steps, reference, np.array([FAR]), floor), [HIGH])
     np.testing.assert_array_equal(summarise(steps, reference, "none", MAP, floor).missed, [HIGH])
     np.testing.assert_array_equal(summarise(steps, reference, "none", MAP).missed, [HIGH])
     few = replace(reference, targets=targets[:3])
-    assert missed_targets(StepLog(MAP.space, list(steps)[:3]), few, np.empty((0, 2)), floor).shape == (0, 2)
+    assert missed_targets(Steps(MAP.space, list(steps)[:3]), few, np.empty((0, 2)), floor).shape == (0, 2)
 
 
 def test_what_torque_limits_remove_is_learned() -> None:
@@ -92,14 +92,14 @@ def test_what_torque_limits_remove_is_learned() -> None:
     reference = Reference(nominal.space.state_names, paper_reference().targets[80:120])
     gap = RealityGap(torque_limit=13.0)
 
-    def deployed(log: StepLog, iteration: int) -> StepLog:
+    def deployed(log: Steps, iteration: int) -> Steps:
         learner = Learner.start(nominal, log, LearningSettings(), iteration)
         twin = Twin(nominal.robot, gap, random_stream(5, iteration))
         plant = RigPlant(twin, HopperControl(nominal.robot, nominal.gains, nominal.bounds))
         with closing(deploy(learner, plant, reference, iteration)) as steps:
-            return StepLog(nominal.space, steps)
+            return Steps(nominal.space, steps)
 
-    first = deployed(StepLog(nominal.space), 0)
+    first = deployed(Steps(nominal.space), 0)
     second = deployed(first, 1)
     before, after = (summarise(log, reference, "") for log in (first, second))
     assert before.cut > 37

@@ -2,7 +2,6 @@
 
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from stepgap.experiment.loop import deployment_generator
 from stepgap.experiment.plants import simulation_of
 from stepgap.experiment.replay import logged_ticks, replay, replayed_steps
 from stepgap.experiment.settings import Experiment, read_experiment
-from stepgap.learning.step_log import LoggedStep
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog
@@ -155,8 +154,8 @@ def write_log(run: Path, replayed: TickTable, iteration: int) -> None:
         log.append(np.concatenate(rows))
 
 
-def steps_of(run: Path, iteration: int) -> list[LoggedStep]:
-    return list(read_step_log(run / "steps.csv", CommandBounds().space()).of_iteration(iteration))
+def steps_of(run: Path, iteration: int) -> Steps:
+    return read_step_log(run / "steps.csv", CommandBounds().space()).of_iteration(iteration)
 
 
 def test_ticks_of_a_rigs_log_are_separated_at_apexes(copy: Path, replayed: TickTable) -> None:
@@ -172,8 +171,7 @@ def test_ticks_of_a_rigs_log_are_separated_at_apexes(copy: Path, replayed: TickT
 def test_the_ticks_of_a_rig_that_fell_end_when_it_rests(copy: Path, replayed: TickTable) -> None:
     fallen = TickTable(replayed.units, replayed.rows[replayed["step"] <= 2][:-100])
     write_log(copy, fallen, 1)
-    first, second = steps_of(copy, 1)[:2]
-    fallen_steps = [first, replace(second, record=replace(second.record, status=StepStatus.FELL))]
+    fallen_steps = steps_of(copy, 1).selected(slice(2)).with_columns(status=[StepStatus.OK, StepStatus.FELL])
     ticks = logged_ticks(copy, fallen_steps, Experiment())
     assert ticks["step"][-1] == 2
     assert np.count_nonzero(ticks["state"] == RigState.STOP) == 700

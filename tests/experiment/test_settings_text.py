@@ -8,6 +8,7 @@ import pytest
 from stepgap.experiment.settings import Experiment, experiment_table, read_experiment
 from stepgap.experiment.settings_text import described_settings, experiment_toml, meanings, settings_page
 from stepgap.robots.entry_points import load_robot
+from stepgap.step import ContextQuantity
 from tests.cli.command_line import Command
 
 PAGE = Path(__file__).parents[2] / "docs" / "settings.md"
@@ -66,3 +67,20 @@ def test_a_robot_described_in_toml_has_its_quantities(stepgap: Command) -> None:
     assert result.code == 0, result.err
     Path("again.toml").write_text(result.out)
     assert read_experiment(Path("again.toml")).robot == read_experiment(Path("custom.toml")).robot
+
+
+def test_a_robot_described_in_toml_may_have_context(stepgap: Command) -> None:
+    from tests.robots.plug_in import CUSTOM_TOML
+
+    context = "".join(
+        f"\n[[quantities.context]]\nname = '{name}'\n{rest}\n"
+        for name, rest in (("ground", "unit = 'm'"), ("track", "unit = 'm'\nperiod = 8"))
+    )
+    Path("custom.toml").write_text(CUSTOM_TOML + context)
+    space = read_experiment(Path("custom.toml")).robot.space
+    assert space.context_names == ("ground", "track")
+    assert space.periodic == ContextQuantity("track", "m", 8.0)
+    Path("again.toml").write_text(stepgap("settings", "custom.toml").out)
+    assert read_experiment(Path("again.toml")).robot.space == space
+    Path("custom.toml").write_text(CUSTOM_TOML + context.replace("'track'", "'ground'"))
+    assert "but it must have different names" in stepgap("settings", "custom.toml").err

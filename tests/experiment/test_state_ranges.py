@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 
 from stepgap.experiment.state_ranges import far_states
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import Array, Quantity, StepRecord, StepSpace, StepStatus
 
 SPACE = StepSpace((Quantity("angle", "rad", -0.3, 0.3), Quantity("height", "m", 0.5, 0.7)), (Quantity("u", "", 0, 1),))
 
 
-def log(*states: tuple[float, float], iteration: int = 0) -> StepLog:
+def log(*states: tuple[float, float], iteration: int = 0) -> Steps:
     """Steps that start in these states."""
 
     def step(number: int, state: Array) -> LoggedStep:
         record = StepRecord(state, np.zeros(1), np.zeros(1), state, StepStatus.OK)
         return LoggedStep(iteration, number, state, state, np.zeros(2), record)
 
-    return StepLog(SPACE, (step(number, np.array(state)) for number, state in enumerate(states, 1)))
+    return Steps(SPACE, (step(number, np.array(state)) for number, state in enumerate(states, 1)))
 
 
 @pytest.mark.parametrize("angles", [[0.2, -0.25, 0.1, -0.3, 0.2], [2.0, 2.0, 0.1, -2.0, 2.0], [90, -90, 0.1, 0.2, 0.3]])

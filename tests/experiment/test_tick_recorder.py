@@ -8,7 +8,7 @@ from stepgap.experiment.loop import Observer, deployment_generator
 from stepgap.experiment.plants import simulation_of
 from stepgap.experiment.settings import read_experiment
 from stepgap.experiment.tick_recorder import TickRecorder
-from stepgap.learning.step_log import LoggedStep
+from stepgap.learning.steps import LoggedStep
 from stepgap.plants.compiled_rig import Rows
 from stepgap.records.summary import Deployment
 from stepgap.step import StepRecord, StepStatus

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stepgap.learning.disturbance import LEAST_EVIDENCE, RATES, STRENGTHS, DisturbanceFilter, without_yaw_dependence
+from stepgap.learning.disturbance import LEAST_EVIDENCE, RATES, STRENGTHS, DisturbanceFilter, without_periodic_part
 from stepgap.learning.observations import Observations
 from stepgap.learning.polynomial import PRIOR_COUNT, PRIOR_STD, monomials
-from stepgap.learning.step_table import Labels
+from stepgap.learning.steps import Labels
 from stepgap.step import Array
 from tests.learning.test_corrected_map import SPACE
 
@@ -169,7 +169,7 @@ def recorded(strength: Array, seed: int = 0) -> Recorded:
 def test_the_yaw_dependent_part_is_removed() -> None:
     for seed in range(5):
         observations, _, _, added = recorded(np.array([0.015, 0.0]), seed)
-        removed = observations.error - without_yaw_dependence(observations, 3).error
+        removed = observations.error - without_periodic_part(observations, 3).error
         assert np.std(removed[:, 0] - added[:, 0]) < 0.25 * np.std(added[:, 0])
         assert np.std(removed[:, 1]) < 0.2 * NOISE[1]
 
@@ -178,17 +178,17 @@ def test_nothing_is_removed_where_nothing_was_added() -> None:
     removed = []
     for seed in range(20):
         observations = recorded(np.zeros(2), seed).observations
-        removed.append(observations.error - without_yaw_dependence(observations, 3).error)
+        removed.append(observations.error - without_periodic_part(observations, 3).error)
     assert (np.sqrt(np.mean(np.square(removed), axis=(0, 1))) < 0.05 * NOISE).all()
 
 
 def test_a_constant_of_each_deployment_is_not_removed() -> None:
     for seed in range(5):
         observations, yaw, deployment, _ = recorded(np.zeros(2), seed)
-        half_round = replace(observations, yaw=np.pi * (yaw - yaw.min()) / np.ptp(yaw))
+        half_round = replace(observations, phase=np.pi * (yaw - yaw.min()) / np.ptp(yaw))
         shifts = np.random.default_rng(seed).normal(0, NOISE, (3, 2))
         shifted = replace(half_round, error=half_round.error + shifts[deployment])
-        removed = shifted.error - without_yaw_dependence(shifted, 3).error
+        removed = shifted.error - without_periodic_part(shifted, 3).error
         assert (np.sqrt(np.mean(removed**2, axis=0)) < 0.3 * NOISE).all()
 
 
@@ -213,30 +213,30 @@ def test_the_removal_is_the_regression_of_all_steps_at_once() -> None:
             evidence -= LEAST_EVIDENCE if strength else 0.0
             candidates.append((evidence, strength**2 * waves @ (waves.T @ weights)))
         expected = max(candidates, key=lambda candidate: candidate[0])[1]
-        removed = error - without_yaw_dependence(observations, 3).error[:, column]
+        removed = error - without_periodic_part(observations, 3).error[:, column]
         np.testing.assert_allclose(removed, expected, atol=1e-9)
 
 
 def test_the_zero_of_the_yaw_does_not_matter() -> None:
     observations, yaw, deployment, _ = recorded(np.array([0.015, 0.003]))
-    turned = replace(observations, yaw=yaw + 1.234 + 2 * np.pi * deployment)
-    there, here = without_yaw_dependence(turned, 3), without_yaw_dependence(observations, 3)
+    turned = replace(observations, phase=yaw + 1.234 + 2 * np.pi * deployment)
+    there, here = without_periodic_part(turned, 3), without_periodic_part(observations, 3)
     np.testing.assert_allclose(there.error, here.error, atol=1e-12)
 
 
 def test_the_running_deployment_and_steps_without_a_yaw_do_not_change() -> None:
     observations, yaw, deployment, _ = recorded(np.array([0.015, 0.003]))
-    known = replace(observations, yaw=np.where(np.arange(len(observations)) % 7, yaw, np.nan))
-    changed = (without_yaw_dependence(known, 2).error != observations.error).any(axis=1)
+    known = replace(observations, phase=np.where(np.arange(len(observations)) % 7, yaw, np.nan))
+    changed = (without_periodic_part(known, 2).error != observations.error).any(axis=1)
     np.testing.assert_array_equal(changed, (deployment < 2) & (np.arange(len(observations)) % 7 > 0))
 
 
 def test_without_yaws_nothing_is_removed() -> None:
     observations = recorded(np.array([0.015, 0.003])).observations
-    nowhere = replace(observations, yaw=np.full(len(observations), np.nan))
-    for unknown in (nowhere, replace(observations, yaw=None), replace(observations, deployment=None)):
-        assert without_yaw_dependence(unknown, 3) is unknown
-    assert without_yaw_dependence(observations, 0) is observations
+    nowhere = replace(observations, phase=np.full(len(observations), np.nan))
+    for unknown in (nowhere, replace(observations, phase=None), replace(observations, deployment=None)):
+        assert without_periodic_part(unknown, 3) is unknown
+    assert without_periodic_part(observations, 0) is observations
 
 
 def test_the_removal_works_for_one_step_or_equal_steps() -> None:
@@ -247,7 +247,7 @@ def test_the_removal_works_for_one_step_or_equal_steps() -> None:
             observations.state[rows],
             observations.command[rows],
             observations.error[rows],
-            yaw=yaw[rows],
+            phase=yaw[rows],
             deployment=deployment[rows],
         )
-        assert np.isfinite(without_yaw_dependence(few, 1).error).all()
+        assert np.isfinite(without_periodic_part(few, 1).error).all()

@@ -11,7 +11,7 @@ from stepgap.learning.learner import MONITORED_STEPS, Learner
 from stepgap.learning.observations import observe
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import Array, StepMap, StepRecord, StepStatus
 from tests.control.maps import LossyHopper
 
@@ -35,8 +35,8 @@ def hops(reality: StepMap, count: int, seed: int, iteration: int = 0, first: int
 DEFAULT = LearningSettings().residual
 
 
-def log_of(steps: list[LoggedStep]) -> StepLog:
-    return StepLog(NOMINAL.space, steps)
+def log_of(steps: list[LoggedStep]) -> Steps:
+    return Steps(NOMINAL.space, steps)
 
 
 def after(learner: Learner, steps: list[LoggedStep]) -> Learner:
@@ -183,7 +183,7 @@ def leaning(reality: StepMap, seed: int, iteration: int) -> list[LoggedStep]:
     for logged in hops(reality, 200, seed=seed, iteration=iteration):
         added = np.array([0.02 * np.sin(yaw), 0.0])
         yaw += rng.uniform(0.05, 0.35)
-        record = replace(logged.record, next_state=logged.record.next_state + added, yaw_after=yaw)
+        record = replace(logged.record, next_state=logged.record.next_state + added, context={"yaw": yaw})
         steps.append(replace(logged, record=record))
     return steps
 

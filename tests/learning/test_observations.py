@@ -6,14 +6,14 @@ import pytest
 from stepgap.learning.learner import Learner
 from stepgap.learning.observations import Observations, next_history, observe
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import Array, StepRecord, StepStatus
 from tests.learning.test_corrected_map import NOMINAL, SPACE, actual, apexes
 
 
-def log_of(*deployments: int, fallen: bool = False) -> StepLog:
+def log_of(*deployments: int, fallen: bool = False) -> Steps:
     """Deployments with the given numbers of steps; the last step of the last one may be a fall."""
-    log, (state, command) = StepLog(SPACE), apexes(sum(deployments), seed=1)
+    log, (state, command) = Steps(SPACE), apexes(sum(deployments), seed=1)
     for iteration, size in enumerate(deployments):
         for number in range(1, size + 1):
             row = len(log)
@@ -56,13 +56,13 @@ def test_history_is_the_step_before_in_half_ranges() -> None:
 def test_the_first_step_of_a_warm_start_has_no_history() -> None:
     """Steps that were known before are those of deployments before number 0."""
     for first in (-1, -2):
-        known = StepLog(SPACE, [replace(step, iteration=step.iteration + first) for step in log_of(4, 3)])
+        known = Steps(SPACE, [replace(step, iteration=step.iteration + first) for step in log_of(4, 3)])
         np.testing.assert_array_equal(history_of(observe(known, NOMINAL)), history_of(observe(log_of(4, 3), NOMINAL)))
 
 
 def test_an_omitted_step_is_not_in_a_history() -> None:
     steps = list(log_of(5))
-    observations = observe(StepLog(SPACE, [steps[0], *steps[2:]]), NOMINAL)
+    observations = observe(Steps(SPACE, [steps[0], *steps[2:]]), NOMINAL)
     np.testing.assert_array_equal(history_of(observations)[1], [0, 0, 0, 0, 0, 1])
 
 
@@ -71,7 +71,7 @@ def test_the_next_step_gets_the_history_that_it_will_be_learned_with() -> None:
     history = history_of(observe(log, NOMINAL))
     steps = list(log)
     for row, logged in enumerate(steps):
-        before = StepLog(SPACE, steps[:row])
+        before = Steps(SPACE, steps[:row])
         np.testing.assert_allclose(next_history(before, NOMINAL, logged.iteration), history[row], rtol=1e-12)
 
 
@@ -81,10 +81,10 @@ def test_a_step_that_fails_on_the_nominal_map_has_no_error() -> None:
     steps = list(log)
     fast = StepRecord(np.array([0.35, 0.58]), np.zeros(1), np.zeros(1), np.array([0.2, 0.58]), StepStatus.OK)
     steps[1] = LoggedStep(0, 2, steps[1].target, steps[1].predicted, np.zeros(2), fast)
-    observations = observe(StepLog(SPACE, steps), NOMINAL)
+    observations = observe(Steps(SPACE, steps), NOMINAL)
     np.testing.assert_array_equal(observations.state, [steps[0].record.state, steps[2].record.state])
     np.testing.assert_allclose(history_of(observations)[1], [0, 0, 0, 0.75, 0, 2], atol=1e-12)
-    np.testing.assert_allclose(next_history(StepLog(SPACE, steps[:2]), NOMINAL, 0), history_of(observations)[1])
+    np.testing.assert_allclose(next_history(Steps(SPACE, steps[:2]), NOMINAL, 0), history_of(observations)[1])
 
 
 def test_a_step_with_a_doubtful_sensor_and_the_one_before_it_are_not_learned_from() -> None:
@@ -94,7 +94,7 @@ def test_a_step_with_a_doubtful_sensor_and_the_one_before_it_are_not_learned_fro
     doubtful = replace(steps[-1].record, status=StepStatus.DOUBTFUL)
     first = replace(steps[3].record, next_state=np.full(2, np.nan), status=StepStatus.DOUBTFUL)
     steps[-1], steps[3] = replace(steps[-1], record=doubtful), replace(steps[3], record=first)
-    marked = StepLog(SPACE, steps)
+    marked = Steps(SPACE, steps)
     assert marked.doubtful.tolist() == [False] * 3 + [True] + [False] * 3 + [True, True]
     observations = observe(marked, NOMINAL)
     np.testing.assert_array_equal(observations.state, marked.state[[0, 1, 2, 4, 5, 6]])
@@ -106,8 +106,8 @@ def test_a_step_with_a_doubtful_sensor_and_the_one_before_it_are_not_learned_fro
 
 
 def test_an_empty_log_has_no_observations() -> None:
-    assert len(observe(StepLog(SPACE), NOMINAL)) == 0
-    np.testing.assert_array_equal(next_history(StepLog(SPACE), NOMINAL, 0), np.zeros(6))
+    assert len(observe(Steps(SPACE), NOMINAL)) == 0
+    np.testing.assert_array_equal(next_history(Steps(SPACE), NOMINAL, 0), np.zeros(6))
 
 
 class TestRefused:
@@ -135,7 +135,7 @@ class TestRefused:
         with pytest.raises(ValueError, match="must have one length"):
             observed_with(right[1:])
 
-    @pytest.mark.parametrize("named", ["yaw", "deployment"])
-    def test_yaws_or_deployments_of_other_steps(self, named: str) -> None:
+    @pytest.mark.parametrize("named", ["phase", "deployment"])
+    def test_phases_or_deployments_of_other_steps(self, named: str) -> None:
         with pytest.raises(ValueError, match="must have one length"):
             replace(Observations(SPACE, *self.DATA), **{named: np.zeros(3, np.intp)})

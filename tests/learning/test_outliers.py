@@ -11,7 +11,7 @@ from stepgap.learning.observations import observe
 from stepgap.learning.outliers import IMPROBABLE, LEAST_KNOWN, OUTLIER_PROBABILITY, OUTLIER_WIDTH, outliers_among
 from stepgap.learning.residual_fit import learned_residual, residual_from_dict
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import Array, StepRecord, StepStatus
 from tests.control.maps import LossyHopper
 
@@ -33,8 +33,8 @@ def hops(count: int, seed: int, pushes: dict[int, float], iteration: int = 0) ->
     return steps
 
 
-def log_of(steps: list[LoggedStep]) -> StepLog:
-    return StepLog(NOMINAL.space, steps)
+def log_of(steps: list[LoggedStep]) -> Steps:
+    return Steps(NOMINAL.space, steps)
 
 
 def error_of(residual, points: Array) -> float:

@@ -22,7 +22,7 @@ from stepgap.learning.residual import Residual
 from stepgap.learning.residual_check import ResidualError
 from stepgap.learning.residual_fit import fit_residual, residual_from_dict
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.logs.fits.validation import contiguous_folds, validate, validate_on
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.records.model_files import MAP, NominalSource, saved_model_text
@@ -129,7 +129,7 @@ def test_no_motor_gets_the_command_of_a_residual_without_a_prediction(method: st
         next(deploy(learner, plant, reference, 1))
 
 
-def sparse(method: str) -> tuple[StepLog, Residual]:
+def sparse(method: str) -> tuple[Steps, Residual]:
     """Some steps, and a residual that predicts nothing for other commands."""
     known = log_of(hops(REALITY, 12, seed=0))
 

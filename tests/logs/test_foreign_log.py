@@ -12,17 +12,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stepgap.learning.step_table import StepTable
 from stepgap.logs import foreign_log
 from stepgap.logs.columns import Columns, read_columns
-from stepgap.logs.foreign_log import read_foreign_logs, step_log_of
+from stepgap.logs.foreign_log import FoundSteps, read_foreign_logs, step_log_of
 from stepgap.records.steps_csv import RecordError
 
 NUMBERS = st.floats(-1e12, 1e12) | st.just(float("nan"))
 WHOLE = Columns(state=("v", "y"), next=("v2", "y2"), command=("f",))
 
 
-def read(text: str | bytes, columns: Columns) -> StepTable:
+def read(text: str | bytes, columns: Columns) -> FoundSteps:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "log.csv"
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
@@ -48,10 +47,10 @@ def test_every_number_is_read(rows: list[tuple[float, ...]], names: list[str], d
         with pytest.raises(RecordError, match="no row holds a complete step"):
             read(text, WHOLE)
         return
-    steps = read(text, WHOLE)
+    steps, _, left_out = read(text, WHOLE)
     found = np.hstack([steps.state, steps.next_state, steps.command])
     np.testing.assert_array_equal(found, table[whole][:, used])
-    assert sum(steps.left_out.values()) == len(rows) - whole.sum()
+    assert sum(left_out.values()) == len(rows) - whole.sum()
     for quantity, values in zip((*steps.space.state, *steps.space.command), found[:, [0, 1, 4]].T, strict=True):
         assert quantity.lower <= values.min()
         assert values.max() <= quantity.upper
@@ -80,9 +79,9 @@ def test_rows_chain_as_if_the_next_state_were_written(rows: list[tuple[int, bool
             with pytest.raises(RecordError, match="no row holds a complete step"):
                 read(text, columns)
             continue
-        steps = read(text, columns)
+        steps, _, left_out = read(text, columns)
         np.testing.assert_array_equal(np.hstack([steps.state, steps.command, steps.next_state]), expected)
-        assert steps.left_out.get("at the end of a chain", 0) == len(rows) - sum(follows)
+        assert left_out.get("at the end of a chain", 0) == len(rows) - sum(follows)
 
 
 @settings(max_examples=80, deadline=None)
@@ -90,7 +89,7 @@ def test_rows_chain_as_if_the_next_state_were_written(rows: list[tuple[int, bool
 def test_any_content_of_a_file_gives_one_kind_of_error(content: bytes) -> None:
     steps, message = None, ""
     try:
-        steps = read(content, WHOLE)
+        steps = read(content, WHOLE).steps
     except RecordError as error:
         message = str(error)
     if steps is None:
@@ -108,15 +107,14 @@ def test_units_factors_names_and_targets() -> None:
         factors={"v_mm": 1e-3, "v_ref": 1e-3},
     )
     text = "\ufeff" + written(["v_mm", "y", "v_ref", "y_ref"], [(100, 0.5, 200, 0.6), (150, 0.55, 200, 0.6)])
-    steps = read(text, columns)
+    steps = read(text, columns).steps
     assert [(q.name, q.unit) for q in steps.space.state] == [("speed", "m/s"), ("height", "m")]
     assert steps.space.command_names == ("v_ref", "y_ref")
     np.testing.assert_allclose(steps.state, [[0.1, 0.5]])
     np.testing.assert_allclose(steps.next_state, [[0.15, 0.55]])
     np.testing.assert_allclose(steps.command, [[0.2, 0.6]])
-    assert steps.target is not None
     np.testing.assert_array_equal(steps.target, steps.command)
-    assert steps.predicted is None
+    assert np.isnan(steps.predicted).all()
     for quantity in steps.space.command:
         assert quantity.lower < quantity.upper, "although its values are all equal"
 
@@ -125,9 +123,9 @@ def test_each_file_is_a_deployment(tmp_path: Path) -> None:
     for name in "ab":
         (tmp_path / name).write_text(written(["v", "f", "trial"], [(1, 0, 1), (2, 0, 1), (3, 0, 2), (4, 0, 2)]))
     columns = Columns(state=("v",), command=("f",), deployment="trial")
-    steps = read_foreign_logs([tmp_path / "a", tmp_path / "b"], columns)
-    np.testing.assert_array_equal(steps.deployment, [0, 1, 2, 3])
-    assert steps.left_out == {"at the end of a chain": 4}
+    steps, _, left_out = read_foreign_logs([tmp_path / "a", tmp_path / "b"], columns)
+    np.testing.assert_array_equal(steps.iteration, [0, 1, 2, 3])
+    assert left_out == {"at the end of a chain": 4}
 
 
 @pytest.mark.parametrize(
@@ -234,18 +232,16 @@ def test_names_on_the_command_line_must_not_be_empty() -> None:
 def test_a_yaw_belongs_to_the_start_of_a_step_and_may_be_missing(columns: Columns) -> None:
     rows = [(0.1 * row, 1, "" if row == 2 else 10 * row) for row in range(5)]
     text = written(("v", "f", "psi"), rows)
-    steps = read(text, replace(columns, yaw="psi", factors={"psi": 0.1}))
-    np.testing.assert_allclose(steps.state[:, 0], [0, 0.1, 0.2, 0.3])
-    assert steps.yaw is not None
-    np.testing.assert_allclose(steps.yaw, [0, 1, np.nan, 3])
-    assert read(text, columns).yaw is None
+    found = read(text, replace(columns, yaw="psi", factors={"psi": 0.1}))
+    np.testing.assert_allclose(found.steps.state[:, 0], [0, 0.1, 0.2, 0.3])
+    np.testing.assert_allclose(found.phase, [0, 1, np.nan, 3])
+    assert np.isnan(read(text, columns).phase).all()
 
 
 def test_a_yaw_is_left_out_with_its_row() -> None:
     columns = Columns(state=("a",), next=("b",), command=("f",), yaw="psi")
-    steps = read(written(("a", "b", "f", "psi"), [(0, 1, 2, 3), (1, "", 2, 4), (1, 1, 1, 5)]), columns)
-    assert steps.yaw is not None
-    assert steps.yaw.tolist() == [3, 5]
+    found = read(written(("a", "b", "f", "psi"), [(0, 1, 2, 3), (1, "", 2, 4), (1, 1, 1, 5)]), columns)
+    assert found.phase.tolist() == [3, 5]
 
 
 def test_the_yaw_after_a_step_is_that_at_the_start_of_the_next_one() -> None:
@@ -263,7 +259,7 @@ def test_the_yaw_after_a_step_is_that_at_the_start_of_the_next_one() -> None:
     log = step_log_of(read(text, columns))
     assert [(logged.iteration, logged.step) for logged in log] == [(0, 1), (0, 2), (1, 1), (1, 2), (1, 3), (2, 1)]
     nan = np.nan
-    np.testing.assert_array_equal([logged.record.yaw_after for logged in log], [0.2, nan, 0.4, nan, nan, nan])
-    np.testing.assert_array_equal(log.yaw, [nan, 0.2, nan, 0.4, nan, nan], "but for the first step of a deployment")
+    np.testing.assert_array_equal(log.context[:, 0], [0.2, nan, 0.4, nan, nan, nan])
+    np.testing.assert_array_equal(log.phase, [nan, 0.2, nan, 0.4, nan, nan], "but for the first step of a deployment")
     without = step_log_of(read(text, replace(columns, yaw="")))
-    assert np.isnan([logged.record.yaw_after for logged in without]).all()
+    assert without.context.shape == (6, 0)

@@ -53,7 +53,7 @@ def test_the_yaw_after_a_step_is_that_of_the_boom():
     with RigPlant(twin, CONTROL) as plant:
         plant.start()
         for _ in range(3):
-            yaw = plant.take_step(COMMAND).yaw_after
+            yaw = plant.take_step(COMMAND).context["yaw"]
             assert abs(yaw - twin.true_state().boom[0]) < 2 * np.pi / 5000 + 1e-3  # a count, and a tick's way
             assert yaw > 0.1
 
@@ -61,10 +61,10 @@ def test_the_yaw_after_a_step_is_that_of_the_boom():
 def test_a_step_without_an_apex_and_a_map_have_no_yaw():
     with model_plant(0) as plant:
         plant.start()
-        assert np.isnan(plant.take_step(COMMAND).yaw_after)
+        assert not plant.take_step(COMMAND).context
     with twin_plant(0) as plant:
         plant.start()
-        assert np.isnan(plant.take_step(np.array([np.nan, 0.0])).yaw_after)
+        assert not plant.take_step(np.array([np.nan, 0.0])).context
 
 
 def test_same_seed_same_steps(make_plant):

@@ -17,9 +17,10 @@ from stepgap.base.errors import InputError
 from stepgap.learning.entry_points import load_residual_model
 from stepgap.learning.exact_gaussian_process import condition
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
+from stepgap.learning.observations import Observations
 from stepgap.learning.residual import Residual, no_residual
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_table import StepTable
+from stepgap.learning.steps import Steps
 from stepgap.logs.fits.fit import FitData
 from stepgap.logs.fits.model_application import apply_model
 from stepgap.records.model_files import MAP, NominalSource, saved_model_text
@@ -34,9 +35,11 @@ LARGEST_MEMORY = 2**26
 def steps() -> FitData:
     """Four steps of the space of the models."""
     points = CENTRE + SCALE * np.random.default_rng(1).uniform(-1, 1, (4, 4))
-    predicted = NOMINAL.evaluate(points[:, :2], points[:, 2:]).next_state
-    table = StepTable(SPACE, points[:, :2], points[:, 2:], predicted + 0.01, None, predicted, np.zeros(4, np.intp))
-    return FitData(table, "a map", SOURCE, LearningSettings())
+    state, command = points[:, :2], points[:, 2:]
+    predicted = NOMINAL.evaluate(state, command).next_state
+    steps = Steps.of_columns(SPACE, state=state, command=command, next_state=predicted + 0.01, predicted=predicted)
+    observed = Observations(SPACE, state, command, steps.next_state - predicted)
+    return FitData(steps, observed, {}, "a map", SOURCE, LearningSettings())
 
 
 def model(kind: str) -> dict[str, Any]:

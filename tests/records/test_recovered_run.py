@@ -11,7 +11,7 @@ from stepgap.base.errors import InputError
 from stepgap.experiment.loop import run_experiment
 from stepgap.experiment.resume import Recording
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.records import recovery
 from stepgap.records.model_files import read_model
 from stepgap.records.recovery import recover_file
@@ -134,5 +134,5 @@ def test_a_summary_of_another_version_is_neither_used_nor_replaced(whole: Path, 
     (folder / "summary.json").write_text(json.dumps({**summary, "schema": 99}))
     before = record(folder)
     with pytest.raises(RecordError, match=r"schema is 99, .* continue with the version of StepGap that wrote it"):
-        Recording(folder, NOMINAL.space, 3, StepLog(NOMINAL.space), replays=True)
+        Recording(folder, NOMINAL.space, 3, Steps(NOMINAL.space), replays=True)
     assert record(folder) == before

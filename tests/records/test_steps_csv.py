@@ -11,15 +11,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stepgap.learning.step_log import LoggedStep
+from stepgap.learning.steps import LoggedStep
 from stepgap.records import steps_csv
 from stepgap.records.steps_csv import RecordError, StepWriter, column_names, digest, read_step_log, row_of
 from stepgap.step import Quantity, StepRecord, StepSpace, StepStatus
+from tests.control.maps import YAW
 from tests.full_disk import FILE_TOO_LARGE, largest_file
 
 SPACE = StepSpace(
     (Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.5, 0.6)),
     (Quantity("fx", "N", -15, 15), Quantity("fy", "N", -20, 20)),
+    (YAW,),
 )
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 PAIR = st.tuples(FINITE, FINITE).map(np.array)
@@ -46,7 +48,7 @@ def any_step(draw: st.DrawFn) -> LoggedStep:
     yaw = draw(st.one_of(FINITE, st.just(math.nan)))
     true_state = draw(st.one_of(PAIR, st.just(NO_STATE)))
     applied = draw(PAIR if status == StepStatus.OK else st.one_of(PAIR, st.just(NO_STATE)))
-    record = StepRecord(draw(PAIR), draw(PAIR), applied, next_state, status, yaw, draw(PAIR), true_state)
+    record = StepRecord(draw(PAIR), draw(PAIR), applied, next_state, status, {"yaw": yaw}, draw(PAIR), true_state)
     return LoggedStep(0, 1, draw(PAIR), predicted, draw(PAIR), record)
 
 
@@ -54,7 +56,7 @@ def numbers_of(logged: LoggedStep) -> bytes:
     record = logged.record
     commands = (record.command, record.requested, record.applied)
     arrays = (record.state, logged.target, *commands, record.next_state, record.true_next_state)
-    return np.concatenate([*arrays, logged.predicted, logged.std, [record.yaw_after]]).tobytes()
+    return np.concatenate([*arrays, logged.predicted, logged.std, [record.context["yaw"]]]).tobytes()
 
 
 @given(logged=any_step())
@@ -64,7 +66,7 @@ def test_a_step_is_read_back_exactly(tmp_path_factory: pytest.TempPathFactory, l
     (read,) = read_step_log(path, SPACE)
     assert (read.iteration, read.step, read.record.status) == (0, 1, logged.record.status)
     assert numbers_of(read) == numbers_of(logged)
-    assert row_of(read) == row_of(logged)
+    assert row_of(read, SPACE) == row_of(logged, SPACE)
 
 
 def test_the_columns_are_the_contract(tmp_path: Path) -> None:
@@ -79,10 +81,10 @@ def test_the_columns_are_the_contract(tmp_path: Path) -> None:
     assert rows[1] == "0,2,0.1,0.55,0.2,0.58,1.0,-2.0,1.0,-2.0,0.5,-2.0,nan,nan,nan,nan,0.2,0.58,0.0,0.0,nan,fell"
 
 
-def test_an_infinite_yaw_is_refused() -> None:
+def test_an_infinite_context_is_refused() -> None:
     record = step().record
-    with pytest.raises(ValueError, match="yaw_after = inf, but it must be an angle, or NaN where it is not known"):
-        replace(record, yaw_after=math.inf)
+    with pytest.raises(ValueError, match=r"context\.yaw = inf, but it must be a finite number, or NaN where it is not"):
+        replace(record, context={"yaw": math.inf})
 
 
 @pytest.mark.parametrize(
@@ -95,6 +97,10 @@ def test_an_infinite_yaw_is_refused() -> None:
         ({"next_state": np.zeros(3)}, "the next state of the plant has shape (3,) instead of (2,)"),
         ({"true_next_state": np.float64(0.5)}, "the true next state of the plant has shape () instead of (2,)"),
         ({"std": NO_STATE}, "the standard deviation of nominal map and residual is not finite: nan, nan"),
+        (
+            {"context": {"ground": 0.1}},
+            "the context ground of the plant is not declared by the robot, in StepSpace.context",
+        ),
         ({"predicted": np.zeros(1)}, "the predicted state of nominal map and residual has shape (1,) instead of (2,)"),
     ],
 )
@@ -134,7 +140,7 @@ def test_names_that_could_not_be_read_are_refused_before_the_first_step(
 ) -> None:
     coordinates = [tuple(Quantity(name, "", -1.0, 1.0) for name in names) for names in (state, command)]
     with pytest.raises(RecordError, match=message):
-        StepWriter(tmp_path / "steps.csv", StepSpace(*coordinates))
+        StepWriter(tmp_path / "steps.csv", StepSpace(coordinates[0], coordinates[1], (YAW,)))
     assert not (tmp_path / "steps.csv").exists()
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from stepgap.control.reference import Reference
 from stepgap.experiment.loop import run_experiment
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep
+from stepgap.learning.steps import LoggedStep
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.records.steps_csv import column_names, row_of
 from stepgap.records.summary import MEASURES
@@ -18,7 +18,7 @@ from stepgap.report.motion import INTERVAL
 from stepgap.robots.published_result import PublishedResult
 from stepgap.robots.scene import Link, Motion, Scene
 from stepgap.step import Array, Quantity, StepMap, StepRecord, StepSpace, StepStatus
-from tests.control.maps import LossyHopper
+from tests.control.maps import YAW, LossyHopper
 
 TARGETS = Reference.from_segments(
     ("speed", "height"), [(1, (0.1, 0.56)), (11, (0.2, 0.58)), (21, (0.3, 0.6)), (31, (0.15, 0.57))], 40
@@ -79,13 +79,13 @@ def write_run(
 ) -> Path:
     """Writes a synthetic run of a robot with these state coordinates and one command."""
     folder.mkdir()
-    space = StepSpace(tuple(Quantity(name, "", -1, 1) for name in names), (Quantity("push", "N", -1, 1),))
+    space = StepSpace(tuple(Quantity(name, "", -1, 1) for name in names), (Quantity("push", "N", -1, 1),), (YAW,))
     rng = np.random.default_rng(0)
     wanted = rng.normal(size=(steps, len(names))) if targets is None else targets
     lines = [",".join(column_names(space))]
     for iteration in range(iterations):
         rows = zip(rng.normal(size=wanted.shape), wanted, strict=True)
-        lines += [row_of(logged(iteration, step, *row)) for step, row in enumerate(rows, start=1)]
+        lines += [row_of(logged(iteration, step, *row), space) for step, row in enumerate(rows, start=1)]
     (folder / "steps.csv").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
     write_summary(folder, names, steps, iterations, residual)
     return folder

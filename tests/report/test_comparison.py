@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.records.summary import parse_summary
 from stepgap.report import comparison_html, read_run_folder
 from stepgap.report.comparison import run_names
@@ -87,7 +87,7 @@ def test_exploratory_steps_are_no_other_reference(folders: list[Path], tmp_path:
     """Their targets are the predicted states, as in a run with `--explore`."""
     record = read_run_folder(folders[0])
     first = next(iter(record.steps))
-    steps = StepLog(record.space, [replace(first, step=0, target=first.predicted), *record.steps])
+    steps = Steps(record.space, [replace(first, step=0, target=first.predicted), *record.steps])
     explored = replace(record, folder=tmp_path, steps=steps)
     assert "All runs tracked the same reference." in comparison_html([record, explored])
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord, read_run_folder
 from stepgap.report.diagnosis_sentences import diagnosis_sentences
@@ -47,7 +47,7 @@ def test_a_weak_command_and_one_at_its_bound_are_named(record: RunRecord) -> Non
         )
         for one in steps_of(200, 1, plain)
     ]
-    text = "\n".join(diagnosis_sentences(replace(record, space=SPACE, steps=StepLog(SPACE, steps)), NOMINAL))
+    text = "\n".join(diagnosis_sentences(replace(record, space=SPACE, steps=Steps(SPACE, steps)), NOMINAL))
     assert "the commands move height by only" in text
     assert "but its target changes by 2.00 m." in text
     assert "fx was at a bound in 100 % of the steps of deployment 0" in text
@@ -57,7 +57,7 @@ def test_a_state_in_the_wrong_unit_is_named_even_without_a_nominal_map(record: R
     steps = [
         replace(one, record=replace(one.record, state=one.record.state * [1, 1000])) for one in steps_of(20, 1, plain)
     ]
-    named, rest = diagnosis_sentences(replace(record, space=SPACE, steps=StepLog(SPACE, steps)), Missing("no map"))
+    named, rest = diagnosis_sentences(replace(record, space=SPACE, steps=Steps(SPACE, steps)), Missing("no map"))
     assert named.startswith("In the first 5 steps of deployment 0, height was about 5")
     assert rest == "Not available: no map."
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.report.measured_loop import measured_loop
 from stepgap.step import Array, Quantity, StepRecord, StepSpace, StepStatus
 
 SPACE = StepSpace((Quantity("speed", "m/s", -1, 1), Quantity("height", "m", 0, 1)), (Quantity("push", "N", -1, 1),))
 
 
-def recorded(matrix: Array, rng: np.random.Generator, visits: int = 19, length: int = 12) -> StepLog:
+def recorded(matrix: Array, rng: np.random.Generator, visits: int = 19, length: int = 12) -> Steps:
     """Steps whose error of the state is multiplied by a matrix, with an offset for each target, and noise."""
     state, steps = np.array([0.0, 0.5]), list[LoggedStep]()
     for visit in range(visits):
@@ -20,7 +20,7 @@ def recorded(matrix: Array, rng: np.random.Generator, visits: int = 19, length: 
             record = StepRecord(state, np.zeros(1), np.zeros(1), reached, StepStatus.OK)
             steps.append(LoggedStep(3, len(steps) + 1, target, target, np.zeros(2), record))
             state = reached
-    return StepLog(SPACE, steps)
+    return Steps(SPACE, steps)
 
 
 @pytest.mark.parametrize("matrix", [[[0.4, 0.0], [0.0, -0.2]], [[0.8, 0.0], [0.01, 0.3]], [[0.2, -5.0], [0.04, 0.2]]])

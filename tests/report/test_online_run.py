@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from stepgap.experiment.bands import steps_to_band
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
 from stepgap.report import RunContext, read_run_folder, write_report
@@ -70,7 +70,7 @@ def test_a_model_that_is_not_known_is_not_denied(record: RunRecord) -> None:
 def test_an_unfinished_deployment_that_learns_did_not_use_the_nominal_map(record: RunRecord) -> None:
     running = replace(record, summary=replace(record.summary, deployments=()))
     assert running.residual_of(0) is None
-    first = StepLog(record.space, list(record.steps)[:1])
+    first = Steps(record.space, list(record.steps)[:1])
     assert replace(running, steps=first).residual_of(0) == "none", "nothing was learned before the first step"
     learned = described_residual(running, Missing("it is still learned"))
     assert learned == Missing(

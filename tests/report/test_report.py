@@ -13,7 +13,6 @@ from matplotlib.image import imread
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from stepgap.experiment.bands import interval_coverage
-from stepgap.learning.step_log import StepLog
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURED, MEASURES, NoiseFloor
 from stepgap.report import RunContext, read_run_folder
@@ -24,7 +23,7 @@ from stepgap.report.page import captions
 from stepgap.report.run_figures import draw_run_figures
 from stepgap.robots.hopper.paper import STATE_NAMES, paper_reference, paper_result
 from stepgap.step import Quantity, StepSpace
-from tests.control.maps import LossyHopper
+from tests.control.maps import YAW, LossyHopper
 from tests.quick_runs import leave_out_files_of_figures
 from tests.report.pages import Page, check_alone, check_same_files
 from tests.report.runs import make_run, report_of, write_run, write_summary
@@ -287,6 +286,6 @@ def test_jumps_of_the_standard_deviation_are_explained_where_the_yaw_is_known(wr
     record = read_run_folder(written)
     assert "It is larger where state and command are farther" in captions(record)["map_0"]
     assert "It jumps where the estimate" not in captions(record)["map_0"]
-    steps = [replace(logged, record=replace(logged.record, yaw_after=0.1)) for logged in record.steps]
-    with_yaw = replace(record, steps=StepLog(record.space, steps))
+    steps = record.steps.in_space(replace(record.space, context=(YAW,))).with_columns(context=0.1)
+    with_yaw = replace(record, steps=steps)
     assert "It jumps where the estimate" in captions(with_yaw)["map_0"]

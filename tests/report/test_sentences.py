@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.records.run_folder import RunRecord, read_run_folder
 from stepgap.records.summary import parse_summary
 from stepgap.report.intervals import rmse_interval
@@ -63,7 +63,7 @@ def test_intervals_contain_the_rmse_about_as_often_as_they_say(memory: float) ->
     for row in errors:
         # `logged` makes a step whose next state is 1.1 times its target, so its error is a tenth of the target.
         steps = [logged(0, step, np.zeros(1), np.array([10 * error])) for step, error in enumerate(row, start=1)]
-        low, high = rmse_interval(StepLog(space, steps))[:, 0]
+        low, high = rmse_interval(Steps(space, steps))[:, 0]
         inside += low <= 1 <= high
     assert 0.88 <= inside / runs <= 0.99
 

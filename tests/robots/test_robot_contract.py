@@ -17,7 +17,7 @@ from stepgap.cli.app import main
 from stepgap.experiment.inputs import load_reference, write_experiment
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import Experiment, experiment_table, read_experiment
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.robots.entry_points import load_robot, robot_names
 from stepgap.robots.robot import Robot, Simulation
 from stepgap.step import StepRecord, StepStatus
@@ -316,7 +316,7 @@ def test_a_log_of_too_few_steps_is_refused(package: Path, tmp_path: Path) -> Non
     from stepgap.records.steps_csv import text_of
 
     robot = load_robot("ball")
-    (tmp_path / "steps.csv").write_text(text_of(StepLog(robot.space)))
+    (tmp_path / "steps.csv").write_text(text_of(Steps(robot.space)))
     settings = read_experiment(
         None, [("robot", "ball"), ("nominal.kind", "log"), ("nominal.file", str(tmp_path / "steps.csv"))]
     )

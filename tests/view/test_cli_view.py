@@ -16,7 +16,7 @@ from time import sleep
 import pytest
 
 from stepgap.experiment.loop import Observer
-from stepgap.learning.step_log import LoggedStep
+from stepgap.learning.steps import LoggedStep
 from stepgap.view.live import LiveView
 from stepgap.view.watch import HERE
 from tests.cli.command_line import Command, refused

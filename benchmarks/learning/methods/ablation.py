@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 from benchmarks.learning.trial import Method, Trial
 from stepgap.control.settings import ALL_RULES
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 
 LEARNING_RULES = ("drift", "remove_yaw_dependence", "monitor")
 """Rules that are fields of `LearningSettings`."""
@@ -34,6 +34,6 @@ ABLATIONS = {
 """Rules that can be switched off, by the name of their setting; and all of them together."""
 
 
-def ablated(trial: Trial, method: Method, ablation: Ablation) -> Sequence[StepLog]:
+def ablated(trial: Trial, method: Method, ablation: Ablation) -> Sequence[Steps]:
     """The deployments of a method without some rules."""
     return method(replace(trial, learning=ablation.learning, control=replace(ALL_RULES, **ablation.control)))

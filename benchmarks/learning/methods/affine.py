@@ -16,7 +16,7 @@ from benchmarks.learning.trial import Trial
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.step import Array, StepMap
 
@@ -60,31 +60,31 @@ def one_digit(values: Array) -> Array:
     return np.array([float(f"{value:.0e}") for value in values.ravel()]).reshape(values.shape)
 
 
-def template_uncorrected(trial: Trial) -> Sequence[StepLog]:
+def template_uncorrected(trial: Trial) -> Sequence[Steps]:
     """Deployment 0 with the template alone."""
     return [trial.measure(trial.uncorrected(template(trial.nominal, trial.task.reference)), 0)]
 
 
-def template_residual(trial: Trial, kind: str) -> Sequence[StepLog]:
+def template_residual(trial: Trial, kind: str) -> Sequence[Steps]:
     """A redeployment with a residual of the template, learned from a deployment 0 with the template alone."""
     nominal, first = template_start(trial)
     return redeployed(trial, nominal, [first], LearningSettings(residual=kind))
 
 
-def template_online(trial: Trial) -> Sequence[StepLog]:
+def template_online(trial: Trial) -> Sequence[Steps]:
     """Deployment 0 with the template and the default residual, learned after every hop."""
     nominal = template(trial.nominal, trial.task.reference)
     return from_the_first_hop(trial, LearningSettings(online=True), nominal)
 
 
 @lru_cache(maxsize=1)
-def template_start(trial: Trial) -> tuple[AffineMap, StepLog]:
+def template_start(trial: Trial) -> tuple[AffineMap, Steps]:
     """The template, and the deployment with it alone that the residuals of the template are learned from."""
     nominal = template(trial.nominal, trial.task.reference)
     return nominal, trial.deploy(trial.uncorrected(nominal), 0)
 
 
-def rls(trial: Trial, forgetting: float = RLS_FORGETTING) -> Sequence[StepLog]:
+def rls(trial: Trial, forgetting: float = RLS_FORGETTING) -> Sequence[Steps]:
     """Adaptive linear step-to-step dynamics next = A x + B u + c, with the disturbance filter.
 
     A, B and c start from the linearised nominal map and are updated after every step by recursive least squares with
@@ -95,8 +95,8 @@ def rls(trial: Trial, forgetting: float = RLS_FORGETTING) -> Sequence[StepLog]:
     return _redeployed_rls(trial, rls_settings(forgetting))
 
 
-def rls_plain(trial: Trial, forgetting: float = PLAIN_RLS_FORGETTING) -> Sequence[StepLog]:
-    """As `rls`, without the disturbance filter and the removal of the yaw-dependent part."""
+def rls_plain(trial: Trial, forgetting: float = PLAIN_RLS_FORGETTING) -> Sequence[Steps]:
+    """As `rls`, without the disturbance filter and the removal of the periodic part."""
     return _redeployed_rls(trial, replace(rls_settings(forgetting), drift=False, remove_yaw_dependence=False))
 
 
@@ -105,6 +105,6 @@ def rls_settings(forgetting: float) -> LearningSettings:
     return LearningSettings(residual="linear", online=True, forgetting_time=-1 / log(forgetting))
 
 
-def _redeployed_rls(trial: Trial, settings: LearningSettings) -> Sequence[StepLog]:
+def _redeployed_rls(trial: Trial, settings: LearningSettings) -> Sequence[Steps]:
     nominal = linearised(trial.nominal, trial.task.reference)
     return redeployed(trial, nominal, [trial.first], settings)

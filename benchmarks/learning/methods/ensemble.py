@@ -20,7 +20,7 @@ from stepgap.learning.polynomial import NOISE_SCALE
 from stepgap.learning.regression import BatchRegression, Regression, ResidualModel, TrainingData
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.step import Array
 
 SKLEARN_MISSING = "" if find_spec("sklearn") else "needs the package scikit-learn"
@@ -168,7 +168,7 @@ ENSEMBLE = ResidualModel("ensemble", "an ensemble of neural networks", _fit, _fr
 """The residual `ensemble`; it is not installed, so no run can select it."""
 
 
-def ensemble(trial: Trial) -> Sequence[StepLog]:
+def ensemble(trial: Trial) -> Sequence[Steps]:
     """A redeployment with the ensemble as the residual, with everything else of the default learner."""
     learner = trial.learner(trial.nominal, trial.first, LearningSettings(residual="constant"), 1)
     residual = fit_residual(ENSEMBLE, trial.cleaned_errors())

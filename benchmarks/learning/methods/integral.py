@@ -3,7 +3,7 @@
 b is the mean of the errors, in which an error counts less by the factor 1 − k after every step. So the residual
 `constant`, updated online and with the forgetting time −1 / log(1 − k), is this integral, too, but for its weak prior.
 As a residual of a `Learner` it has what the default learner has: the disturbance filter, and the removal of the
-yaw-dependent part from earlier deployments.
+periodic part from earlier deployments.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.observations import error_of
 from stepgap.learning.residual import Residual, no_residual
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import Array, StepMap
 
 INTEGRAL_GAIN = 0.5
@@ -35,12 +35,12 @@ def integral_settings(gain: float) -> LearningSettings:
     return LearningSettings(residual="constant", online=True, forgetting_time=-1 / log(1 - gain))
 
 
-def integral(trial: Trial, gain: float = INTEGRAL_GAIN) -> Sequence[StepLog]:
+def integral(trial: Trial, gain: float = INTEGRAL_GAIN) -> Sequence[Steps]:
     """A redeployment by a learner with the integral as its residual."""
     return corrected(trial, integral_settings(gain))
 
 
-def integral_plain(trial: Trial, gain: float = PLAIN_INTEGRAL_GAIN) -> Sequence[StepLog]:
+def integral_plain(trial: Trial, gain: float = PLAIN_INTEGRAL_GAIN) -> Sequence[Steps]:
     """A redeployment with the integral alone."""
     return [trial.first, trial.measure(IntegralCorrection.start(trial.nominal, trial.first, gain), 1)]
 
@@ -61,7 +61,7 @@ class IntegralCorrection:
     shift: Array
 
     @classmethod
-    def start(cls, nominal: StepMap, log: StepLog, gain: float) -> Self:
+    def start(cls, nominal: StepMap, log: Steps, gain: float) -> Self:
         """The correction before a deployment, with b after the steps of a log."""
         correction = cls(nominal, gain, np.zeros(len(nominal.space.state)))
         for logged in log.completed():

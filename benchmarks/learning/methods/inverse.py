@@ -6,7 +6,7 @@ to the inverse at the target.
 
 `InverseMap` is the inverse as a `StepMap` whose command is y and whose next state is the command, in units of the
 state. So a `Learner` learns the command's error as it learns any error: with the same regression, disturbance filter
-and removal of the yaw-dependent part. Only the deployment has an own loop, because a command is computed directly, and
+and removal of the periodic part. Only the deployment has an own loop, because a command is computed directly, and
 not found by a controller on a map. The controller's cautious rules need a prediction of the next state, and do not
 apply.
 """
@@ -23,10 +23,10 @@ from benchmarks.learning.trial import Trial
 from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
-from stepgap.experiment.deployment import Steps, tracking_plan
+from stepgap.experiment.deployment import ExecutedSteps, tracking_plan
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.plants.plant import Plant
 from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import CommandBounds
@@ -85,7 +85,7 @@ class InverseMap(StepMap):
         """A completed step as one of the inverse map, whose command is where it led."""
         record = logged.record
         used, led_to = self.as_state(record.requested), record.next_state
-        backwards = StepRecord(record.state, led_to, led_to, used, record.status, record.yaw_after)
+        backwards = StepRecord(record.state, led_to, led_to, used, record.status, record.context)
         return replace(logged, record=backwards)
 
     def _command(self, before: Array, after: Array) -> Array:
@@ -109,16 +109,18 @@ def inverse_of(nominal: ApexMap) -> InverseMap:
     return InverseMap(replace(nominal, bounds=wider), nominal.space)
 
 
-def delta_command(trial: Trial) -> Sequence[StepLog]:
+def delta_command(trial: Trial) -> Sequence[Steps]:
     """A redeployment with the error of the command learned from deployment 0, with the default regression."""
     inverse = inverse_of(trial.nominal)
-    known = StepLog(inverse.space, map(inverse.read_backwards, trial.first.completed()))
+    known = Steps(inverse.space, map(inverse.read_backwards, trial.first.completed()))
     learner = trial.learner(inverse, known, LearningSettings(), 1)
     track = partial(_track, learner, inverse, trial.nominal, reference=trial.task.reference)
     return [trial.first, trial.measure_steps(track, 1)]
 
 
-def _track(learner: Learner, inverse: InverseMap, nominal: StepMap, plant: Plant, reference: Reference) -> Steps:
+def _track(
+    learner: Learner, inverse: InverseMap, nominal: StepMap, plant: Plant, reference: Reference
+) -> ExecutedSteps:
     """Tracks a reference with the command of the model plus its learned error; the predicted state is the target."""
     fallback = CautiousController(nominal, nominal, learner.failures)
     with plant:

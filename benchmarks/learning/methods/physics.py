@@ -2,7 +2,7 @@
 
 They are compared fairly only if they have all that the default learner has besides its residual. So the identified map
 is the nominal map of a `Learner` whose residual is a constant: the learner then estimates the disturbance during the
-deployment, and the yaw-dependent part is removed from the errors of deployment 0. The constant itself has little to do,
+deployment, and the periodic part is removed from the errors of deployment 0. The constant itself has little to do,
 since the parameters were fitted to the same steps. The plain variants have neither.
 """
 
@@ -16,7 +16,7 @@ from benchmarks.learning.methods.redeployment import redeployed
 from benchmarks.learning.trial import UNCORRECTED_LEARNING, Trial
 from stepgap.learning.observations import observe
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.robots.hopper.tick.tick_row import Tick
 from stepgap.step import StepMap
 
@@ -27,25 +27,25 @@ SYSID_MISSING = "" if hasattr(mujoco.sysid, "optimize") else "needs the packages
 """Why `sysid` cannot be used; empty if it can."""
 
 
-def identified(trial: Trial, settings: LearningSettings) -> Sequence[StepLog]:
-    """A redeployment with the model identified from the steps of deployment 0 less their yaw-dependent part."""
+def identified(trial: Trial, settings: LearningSettings) -> Sequence[Steps]:
+    """A redeployment with the model identified from the steps of deployment 0 less their periodic part."""
     return redeployed(trial, identified_map(trial), [trial.first], settings)
 
 
-def identified_plain(trial: Trial) -> Sequence[StepLog]:
+def identified_plain(trial: Trial) -> Sequence[Steps]:
     """A redeployment with the model identified from the steps of deployment 0 as they are, and nothing else."""
     found = identify(trial.nominal, observe(trial.first, trial.nominal))
     return redeployed(trial, found, [trial.first], UNCORRECTED_LEARNING)
 
 
-def sysid(trial: Trial, settings: LearningSettings) -> Sequence[StepLog]:
+def sysid(trial: Trial, settings: LearningSettings) -> Sequence[Steps]:
     """A redeployment with the model identified from all ticks of deployment 0."""
     return redeployed(trial, map_from_ticks(trial), [trial.first], settings)
 
 
 @lru_cache(maxsize=1)
 def identified_map(trial: Trial) -> AdjustedMap:
-    """The model identified from the steps of deployment 0 less their yaw-dependent part."""
+    """The model identified from the steps of deployment 0 less their periodic part."""
     return identify(trial.nominal, trial.cleaned_errors())
 
 

@@ -4,7 +4,7 @@
  *     mkoctfile --mex -I. examples/c_controller/octave/step_controller.c controller.c     (in MATLAB: mex …)
  *
  *     step_controller()                                        % before each deployment
- *     [command, status] = step_controller(state, target, yaw)  % once per section; yaw [rad] may be NaN
+ *     [command, status] = step_controller(state, target, phase)  % once per section; phase [rad] may be NaN
  *
  * From the second section of a deployment on, the online filter is updated by the step that ends there.
  */
@@ -25,9 +25,9 @@ static void read_numbers(const mxArray *given, const char *name, int count, cont
 void mexFunction(int results, mxArray *result[], int arguments, const mxArray *argument[])
 {
     static controller_filter filter;
-    static controller_real before[STATES], command[COMMANDS], yaw_before;
+    static controller_real before[STATES], command[COMMANDS], phase_before;
     static int steps = 0;
-    controller_real state[STATES], target[STATES], yaw;
+    controller_real state[STATES], target[STATES], phase;
     int status;
 
     if (arguments == 0) {
@@ -35,18 +35,18 @@ void mexFunction(int results, mxArray *result[], int arguments, const mxArray *a
         return;
     }
     if (arguments != 3)
-        mexErrMsgIdAndTxt("step_controller:arguments", "it takes state, target and yaw; or nothing, to start");
+        mexErrMsgIdAndTxt("step_controller:arguments", "it takes state, target and phase; or nothing, to start");
     read_numbers(argument[0], "state", STATES, state);
     read_numbers(argument[1], "target", STATES, target);
-    read_numbers(argument[2], "yaw", 1, &yaw);
+    read_numbers(argument[2], "phase", 1, &phase);
     if (steps == 0)
         controller_filter_init(&filter);
     else
-        controller_filter_update(&filter, before, command, state, yaw_before);
-    status = controller_plan(&filter, state, target, steps ? command : NULL, yaw, command, NULL, NULL);
+        controller_filter_update(&filter, before, command, state, phase_before);
+    status = controller_plan(&filter, state, target, steps ? command : NULL, phase, command, NULL, NULL);
     for (int i = 0; i < STATES; i++)
         before[i] = state[i];
-    yaw_before = yaw;
+    phase_before = phase;
     steps++;
     result[0] = mxCreateDoubleMatrix(1, COMMANDS, mxREAL);
     for (int i = 0; i < COMMANDS; i++)

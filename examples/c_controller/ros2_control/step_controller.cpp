@@ -14,7 +14,7 @@ using controller_interface::return_type;
 
 CallbackReturn StepController::on_init()
 {
-    auto_declare<std::vector<std::string>>("state_interfaces", {});    // the state, the yaw, the number of the section
+    auto_declare<std::vector<std::string>>("state_interfaces", {});    // the state, the phase, the number of the section
     auto_declare<std::vector<std::string>>("command_interfaces", {});  // the command
     auto_declare<std::vector<double>>("target", {});                   // of the next section
     return CallbackReturn::SUCCESS;
@@ -66,14 +66,14 @@ return_type StepController::update(const rclcpp::Time &, const rclcpp::Duration 
         state[i] = static_cast<controller_real>(state_interfaces_[i].get_value());
         target[i] = static_cast<controller_real>(target_[i]);
     }
-    const auto yaw = static_cast<controller_real>(state_interfaces_[controller_STATES].get_value());
+    const auto phase = static_cast<controller_real>(state_interfaces_[controller_STATES].get_value());
     if (steps_ > 0 && step == step_ + 1)  // a section that was missed teaches nothing
-        controller_filter_update(&filter_, before_, command_, state, yaw_before_);
-    const int status = controller_plan(&filter_, state, target, steps_ > 0 ? command_ : nullptr, yaw, command_, nullptr,
+        controller_filter_update(&filter_, before_, command_, state, phase_before_);
+    const int status = controller_plan(&filter_, state, target, steps_ > 0 ? command_ : nullptr, phase, command_, nullptr,
                                        nullptr);
     for (int i = 0; i < controller_STATES; i++)
         before_[i] = state[i];
-    yaw_before_ = yaw;
+    phase_before_ = phase;
     step_ = step;
     steps_++;
     for (int i = 0; i < controller_COMMANDS; i++)

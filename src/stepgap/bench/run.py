@@ -45,7 +45,7 @@ PARTS = (
     (HOPPING, ("stepgap/plants/", "stepgap/robots/hopper/twin/twin")),
     ("learning", ("stepgap/learning/learner",)),
     ("planning", ("stepgap/control/",)),
-    ("files", ("stepgap/learning/step_log", "stepgap/records/", "stepgap/base/files", "stepgap/base/output_files")),
+    ("files", ("stepgap/learning/steps", "stepgap/records/", "stepgap/base/files", "stepgap/base/output_files")),
     ("learning", ("stepgap/learning/",)),
 )
 """Parts of a run, with patterns of the files whose functions belong to them, in order of precedence."""

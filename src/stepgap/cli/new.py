@@ -22,7 +22,7 @@ from stepgap.cli.terminal import warn
 if TYPE_CHECKING:  # slow imports are made where they are used
     from collections.abc import Sequence
 
-    from stepgap.learning.step_log import StepLog
+    from stepgap.learning.steps import Steps
     from stepgap.step import Array, Quantity, StepSpace
 
 
@@ -146,7 +146,7 @@ def _package(name: str, starter: Starter, model: Path | None) -> dict[str, str]:
     return {f"{name}.py": code, **filled, **extra}
 
 
-def _program(name: str, log: "StepLog | None") -> dict[str, str]:
+def _program(name: str, log: "Steps | None") -> dict[str, str]:
     """Files of a robot that is a program, with a template or with recorded steps."""
     from stepgap.records.steps_csv import text_of
     from stepgap.robots.hopper.parameters import CommandBounds
@@ -201,12 +201,12 @@ def _parts_of(model: Path) -> str:
     return "The model has the " + "; ".join(lines) + "."
 
 
-def _read_log(path: Path, columns: Path | None, names: ColumnNames) -> "StepLog":
+def _read_log(path: Path, columns: Path | None, names: ColumnNames) -> "Steps":
     """Recorded steps; their ranges are those of the run, if it is one, or those that the steps cover.
 
     Effects that the steps do not show are warned of.
     """
-    from stepgap.learning.step_log import StepLog
+    from stepgap.learning.steps import Steps
     from stepgap.robots.nominal_maps.log_map import fit_log_map
 
     foreign = columns or names.given()
@@ -214,13 +214,13 @@ def _read_log(path: Path, columns: Path | None, names: ColumnNames) -> "StepLog"
     least = len(steps.space.state) + len(steps.space.command) + 2
     if len(steps.completed()) < least:
         raise InputError(f"--from {path}: fewer than {least} completed steps; record some more")
-    log = StepLog(space or _covered_space(steps), steps)
+    log = Steps(space or _covered_space(steps), steps)
     for gap in fit_log_map(log).gaps:
         warn(f"--from {path}: {gap}")
     return log
 
 
-def _steps_of_run(path: Path) -> "tuple[StepLog, StepSpace | None]":
+def _steps_of_run(path: Path) -> "tuple[Steps, StepSpace | None]":
     """Steps of a run or of a `steps.csv`, with the ranges of its settings if they are known."""
     from stepgap.experiment.inputs import recorded_robot
     from stepgap.records.steps_csv import RecordError, read_step_log, space_of_header
@@ -234,11 +234,11 @@ def _steps_of_run(path: Path) -> "tuple[StepLog, StepSpace | None]":
         raise InputError(f"--from: {message_of(error)}; {hint}") from None
 
 
-def _steps_of_others(path: Path, columns: Path | None, names: ColumnNames) -> "StepLog":
+def _steps_of_others(path: Path, columns: Path | None, names: ColumnNames) -> "Steps":
     """Steps of a log of any origin, which a plug-in reads."""
     wanted = "callable with (path, columns, names)"
     read = load_plugin(IMPORTERS, "importer of steps", "columns", callable, wanted)
-    steps: StepLog = read(path, columns, names.given())
+    steps: Steps = read(path, columns, names.given())
     for name in steps.space.names:
         if not name.isidentifier():
             rule = "a name consists of letters, digits and underscores; rename it by NAME=COLUMN"
@@ -246,7 +246,7 @@ def _steps_of_others(path: Path, columns: Path | None, names: ColumnNames) -> "S
     return steps
 
 
-def _covered_space(log: "StepLog") -> "StepSpace":
+def _covered_space(log: "Steps") -> "StepSpace":
     """Names and units of a log, with the ranges that its steps cover, rounded to a hundredth of their widths."""
     from dataclasses import replace
     from math import floor, log10
@@ -263,11 +263,13 @@ def _covered_space(log: "StepLog") -> "StepSpace":
         return tuple(replace(one, lower=round(a, k), upper=round(b, k)) for one, a, b, k in ends)
 
     known = log.completed()
-    return StepSpace(covered(log.space.state, known.state), covered(log.space.command, known.requested))
+    return StepSpace(
+        covered(log.space.state, known.state), covered(log.space.command, known.requested), log.space.context
+    )
 
 
 def _quantities(space: "StepSpace") -> str:
-    """The tables of state and command of a custom robot."""
+    """The tables of state, command and context of a custom robot."""
     import tomli_w
 
     blocks = [
@@ -282,6 +284,9 @@ def _quantities(space: "StepSpace") -> str:
         )
         for kind in ("state", "command")
         for quantity in getattr(space, kind)
+    ] + [
+        f"\n[[quantities.context]]\n{tomli_w.dumps({'name': each.name, 'unit': each.unit, 'period': each.period})}"
+        for each in space.context
     ]
     return "".join(blocks)
 

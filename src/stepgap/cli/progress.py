@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from stepgap.cli.terminal import warn
 from stepgap.experiment.loop import Observer
 from stepgap.experiment.state_ranges import COMPARED_STEPS, far_states
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.records.steps_csv import values_of
 from stepgap.records.summary import Deployment, deployment_entry
 from stepgap.step import StepSpace, StepStatus, ending_of
@@ -87,7 +87,7 @@ class RunProgress:
 
     def _warn_of_far_states(self) -> None:
         if not self._quiet:
-            for sentence in far_states(StepLog(self._space, self._executed)):
+            for sentence in far_states(Steps(self._space, self._executed)):
                 warn(sentence)
 
     def _on_deployment(self, deployment: Deployment) -> None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.plants import Plants
     from stepgap.experiment.settings import Experiment
     from stepgap.experiment.tick_recorder import TickRecorder
-    from stepgap.learning.step_log import StepLog
+    from stepgap.learning.steps import Steps
     from stepgap.plants.compiled_rig import Rows
     from stepgap.plants.ticks.stream import OnTicks
     from stepgap.report import WrittenReport
@@ -107,7 +107,7 @@ class Prepared(NamedTuple):
     settings: "Experiment"
     nominal: "Nominal"
     reference: "Reference"
-    known: "StepLog"
+    known: "Steps"
 
 
 NO_SHORTHAND, NORMAL = Shorthand(), Display()

@@ -13,7 +13,7 @@ from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.replay import find_kinematics, logged_ticks, replay
 from stepgap.experiment.settings import Experiment, experiment_table, read_experiment
 from stepgap.learning.residual import Residual
-from stepgap.learning.step_log import as_past
+from stepgap.learning.steps import as_past
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
@@ -135,7 +135,7 @@ def _replay(
             elif settings.simulated:
                 ticks = replay(record.folder, iteration, kinematics.every(INTERVAL), progress)
             else:
-                steps = list(record.steps.of_iteration(iteration))
+                steps = record.steps.of_iteration(iteration)
                 ticks = logged_ticks(record.folder, steps, settings).resampled(1 / INTERVAL)
             return kinematics.motion(ticks.selected(measured))
 

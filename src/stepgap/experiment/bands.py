@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from stepgap.base.normal import INTERVAL_95
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.step import Array, Codes, StepStatus
 
 WINDOW: Final = 20
@@ -31,7 +31,7 @@ def steps_to_band(errors: Array, band: Array) -> int | None:
     return first + WINDOW if first < len(inside) else None
 
 
-def executed_steps_to_band(deployments: Sequence[StepLog], band: Array) -> int | None:
+def executed_steps_to_band(deployments: Sequence[Steps], band: Array) -> int | None:
     """Number of steps, from the very first one on, after which the RMSE of 20 tracking steps stays in a band.
 
     Exploratory and failed steps before the end of the 20 are counted, too, since the robot executed them.
@@ -46,9 +46,8 @@ def executed_steps_to_band(deployments: Sequence[StepLog], band: Array) -> int |
     steady = steps_to_band(np.concatenate([steps.tracking_errors() for steps in deployments]), band)
     if steady is None:
         return None
-    executed = (logged for steps in deployments for logged in steps)
-    tracked = [logged.step > 0 and logged.record.status == StepStatus.OK for logged in executed]
-    return int(np.flatnonzero(tracked)[steady - 1]) + 1
+    tracked = [(steps.number > 0) & (steps.status == StepStatus.OK) for steps in deployments]
+    return int(np.flatnonzero(np.concatenate(tracked))[steady - 1]) + 1
 
 
 def window_errors(errors: Array) -> Array:
@@ -57,7 +56,7 @@ def window_errors(errors: Array) -> Array:
     return np.sqrt(np.maximum(squares[WINDOW:] - squares[:-WINDOW], 0) / WINDOW)
 
 
-def interval_coverage(steps: StepLog) -> tuple[Codes, Codes]:
+def interval_coverage(steps: Steps) -> tuple[Codes, Codes]:
     """Number of next states within their 95 % prediction interval, and number of those with an interval; (n,) each."""
     known = steps.completed()
     error = np.abs(known.next_state - known.predicted)

@@ -17,11 +17,11 @@ from stepgap.learning.background import BackgroundThread, Deferred
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_check import check_prediction
-from stepgap.learning.step_log import LoggedStep
+from stepgap.learning.steps import LoggedStep
 from stepgap.plants.plant import Plant
 from stepgap.step import Array, StepFailed, StepMap, StepSpace, StepStatus
 
-Steps = Generator[LoggedStep, None, None]
+ExecutedSteps = Generator[LoggedStep, None, None]
 """Generator of steps as they are executed; closing it stops the plant."""
 
 
@@ -115,7 +115,7 @@ def deploy(
     iteration: int,
     exploration: int = 0,
     control: ControlSettings = ALL_RULES,
-) -> Steps:
+) -> ExecutedSteps:
     """Tracks the reference until its end or a failed step, at each step with the map as known then.
 
     Args:

@@ -8,7 +8,7 @@ from stepgap.base.files import read_bounded_text, write_whole
 from stepgap.control.reference import Reference, read_reference, reference_text
 from stepgap.experiment.settings import LARGEST_NOMINAL_FILE, Experiment, read_experiment
 from stepgap.experiment.settings_text import experiment_toml
-from stepgap.learning.step_log import StepLog, joined
+from stepgap.learning.steps import Steps, joined
 from stepgap.records.run_folder import RunRecord, read_run_folder
 from stepgap.records.steps_csv import RecordError, read_step_log, space_of_header, text_of
 from stepgap.robots.robot import Robot
@@ -40,14 +40,14 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
         raise InputError(str(error)) from None
 
 
-def load_known(experiment: Experiment, space: StepSpace) -> StepLog:
+def load_known(experiment: Experiment, space: StepSpace) -> Steps:
     """Reads the steps known before the first deployment: those of the run to start from, and those it started from.
 
     Raises:
         InputError: It is not a run, has another state or command, or has no step.
     """
     if not experiment.warm_start:
-        return StepLog(space)
+        return Steps(space)
     path, wanted = Path(experiment.warm_start), "a warm start needs the folder of a run, or its steps.csv"
     earlier = [path / WARM_START] if (path / WARM_START).is_file() else []
     files = [*earlier, path / "steps.csv"] if path.is_dir() else [path]
@@ -97,7 +97,7 @@ def robot_of_steps(folder: Path, experiment: Experiment) -> Robot | None:
 
 
 def experiment_files(
-    experiment: Experiment, reference: Reference, known: StepLog | None = None, surrogate: str = ""
+    experiment: Experiment, reference: Reference, known: Steps | None = None, surrogate: str = ""
 ) -> dict[str, str]:
     """Texts by file name of a folder with which an experiment can be repeated: all settings are in `experiment.toml`.
 
@@ -131,7 +131,7 @@ def experiment_files(
 
 
 def write_experiment(
-    folder: Path, experiment: Experiment, reference: Reference, known: StepLog | None = None, surrogate: str = ""
+    folder: Path, experiment: Experiment, reference: Reference, known: Steps | None = None, surrogate: str = ""
 ) -> None:
     """Writes the files of `experiment_files`."""
     for name, text in experiment_files(experiment, reference, known, surrogate).items():

@@ -11,7 +11,7 @@ from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.learner import Learner
-from stepgap.learning.step_log import StepLog, as_past
+from stepgap.learning.steps import Steps, as_past
 from stepgap.records.model_files import read_model
 from stepgap.records.steps_csv import read_step_log
 from stepgap.step import StepMap
@@ -33,8 +33,8 @@ class LoadedRun:
     folder: Path
     settings: Experiment
     nominal: StepMap
-    steps: StepLog
-    known: StepLog
+    steps: Steps
+    known: Steps
 
     def learner(self, iteration: int | None = None) -> Learner:
         """State of learning at the start of a deployment.
@@ -57,8 +57,7 @@ class LoadedRun:
             residual = read_model(self.folder, number, self.nominal.space, self.nominal)
         except (ValueError, OSError) as error:
             raise InputError(message_of(error)) from None
-        before = (logged for logged in self.steps if logged.iteration < number)
-        log = StepLog(self.nominal.space, [*self.known, *before])
+        log = Steps(self.steps.space) + self.known + self.steps.before(number)
         if residual is None and number < after and len(log):
             raise InputError(f"{self.folder}: there is no models/iteration_{number}.json, so the model is unknown")
         return Learner.start(self.nominal, log, self.settings.learning, number, residual)

@@ -17,12 +17,12 @@ from stepgap.base.random_streams import random_stream
 from stepgap.base.versions import versions_here
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ALL_RULES, ControlSettings
-from stepgap.experiment.deployment import Steps, deploy
+from stepgap.experiment.deployment import ExecutedSteps, deploy
 from stepgap.experiment.outcome import estimate_noise_floor, summarise
 from stepgap.experiment.resume import Recording, warm_start_of
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, StepLog, as_past
+from stepgap.learning.steps import LoggedStep, Steps, as_past
 from stepgap.plants.plant import Plant
 from stepgap.records.steps_csv import digest
 from stepgap.records.summary import Deployment, NoiseFloor, Summary
@@ -70,7 +70,7 @@ def run_experiment(
     observer: Observer = Observer(),
     measure_noise_floor: MeasureNoiseFloor | None = None,
     replays: bool = True,
-    known: StepLog | None = None,
+    known: Steps | None = None,
     control: ControlSettings = ALL_RULES,
 ) -> list[Deployment]:
     """Runs the experiment, or resumes one that was interrupted, and keeps its record in `folder`.
@@ -100,21 +100,23 @@ def run_experiment(
             cannot be recorded.
     """
     reference.check(nominal.space)
-    log, deployments = StepLog(nominal.space), list[Deployment]()
-    past, scale = as_past(known or log), nominal.space.state_scale
+    past, scale, deployments = as_past(known or Steps(nominal.space)), nominal.space.state_scale, list[Deployment]()
     with one_blas_thread(), Recording(folder, nominal.space, seed, past, replays) as recording:
+        log = Steps(recording.space)
         while True:
             iteration = len(deployments)
             observer.on_phase("learning", 0, 0)
-            learner = Learner.start(nominal, past + log, learning, iteration)
+            learner = Learner.start(nominal, Steps(recording.space) + past + log, learning, iteration)
             observer.on_outliers(len(learner.residual.outliers))
             if iteration > 0 or len(past):
                 recording.write_model(learner)
             execute = partial(_execute, learner, make_plant, reference, seed, observer, control)
-            steps = _observed(recording.steps(iteration, execute), nominal.space, observer)
+            steps = _observed(recording.steps(iteration, execute), recording.space, observer)
             log += steps
             floor = estimate_noise_floor(steps, reference)
-            deployments.append(summarise(steps, reference, _residual_name(learner), learner.step_map(), floor.any_yaw))
+            deployments.append(
+                summarise(steps, reference, _residual_name(learner), learner.step_map(), floor.any_phase)
+            )
             summary = _summary(deployments, log, floor, seed, past)
             recording.write_summary(summary)
             observer.on_deployment(deployments[-1])
@@ -139,7 +141,7 @@ def _execute(
     seed: int,
     observer: Observer,
     control: ControlSettings,
-) -> Steps:
+) -> ExecutedSteps:
     """Executes a deployment on a new plant, whose fault is reported at the end."""
     iteration = learner.iteration
     observer.on_execution()
@@ -150,16 +152,16 @@ def _execute(
         observer.on_fault(plant.fault)
 
 
-def _observed(steps: Steps, space: StepSpace, observer: Observer) -> StepLog:
+def _observed(steps: ExecutedSteps, space: StepSpace, observer: Observer) -> Steps:
     """All steps of a deployment, each reported when it happens; an error stops the plant immediately."""
 
-    def reported() -> Steps:
+    def reported() -> ExecutedSteps:
         for logged in steps:
             observer.on_step(logged)
             yield logged
 
     with closing(steps):
-        return StepLog(space, reported())
+        return Steps(space, reported())
 
 
 def _residual_name(learner: Learner) -> str:
@@ -167,9 +169,7 @@ def _residual_name(learner: Learner) -> str:
     return learner.settings.residual if learner.steps_to_learn else learner.residual.name
 
 
-def _summary(
-    deployments: Sequence[Deployment], log: StepLog, noise_floor: NoiseFloor, seed: int, past: StepLog
-) -> Summary:
+def _summary(deployments: Sequence[Deployment], log: Steps, noise_floor: NoiseFloor, seed: int, past: Steps) -> Summary:
     """Summary of the finished deployments; its digest verifies `steps.csv` when the run is resumed."""
     return Summary(
         seed,

@@ -1,7 +1,7 @@
 """The noise floor of a simulated plant: the standard deviation of the next state when a step is repeated.
 
-A controller that knows neither the noise nor the yaw cannot track better on average. A controller that estimates the
-disturbance (`learning.disturbance`) can, but not better than the standard deviation at one yaw.
+A controller that knows neither the noise nor the phase cannot track better on average. A controller that estimates the
+disturbance (`learning.disturbance`) can, but not better than the standard deviation at one phase.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,11 +23,11 @@ REPEATED_TARGETS = 20
 SETTLING = 6
 """Number of steps towards a target before the repeated one."""
 
-YAWS = 6
-"""Number of yaw angles at which a step is repeated."""
+PHASES = 6
+"""Number of phases of the periodic context, such as angles on a circle, at which a step is repeated."""
 
 REPEATS = 2
-"""Number of repetitions at each yaw, which differ in noise only."""
+"""Number of repetitions at each phase, which differ in noise only."""
 
 EXACT = ControlSettings(cautious=False, viability=False, avoid_failures=False, evaluations=10**6)
 """Settings with which Eq. 13 is solved as it is: no rule restricts the command, and no budget the search."""
@@ -44,8 +44,8 @@ def measure_noise_floor(
 
     The repetitions have the same command, the same true motion at the beginning of the step, and the same memory of the
     control, hence the same measured state. The noise, including its present value, is drawn again for each of them. The
-    yaw is drawn again for every second one: the world is turned by a random angle, because the yaw is not part of the
-    state. The variances within and between the yaw angles are the components of a one-way
+    phase is drawn again for every second one: the world is turned by a random angle, because the phase is not part of
+    the state. The variances within and between the phases are the components of a one-way
     analysis of variance with random effects (Searle, Casella, McCulloch, Variance Components, ch. 3).
 
     Args:
@@ -53,11 +53,11 @@ def measure_noise_floor(
         step_map: Map whose commands lead to the targets by Eq. 13, without the rules of a deployment, and each found
             from the middle of the bounds.
         reference: Reference whose targets are held.
-        rng: Draws noise and yaw of the repeated steps.
+        rng: Draws noise and phase of the repeated steps.
         progress: Called with the numbers of finished and of all targets.
 
     Returns:
-        NaN where no step could be repeated at two yaw angles.
+        NaN where no step could be repeated at two phases.
     """
     starts = np.unique([0, *reference.changes])
     chosen = starts[np.unique(np.linspace(0, len(starts) - 1, REPEATED_TARGETS).round().astype(int))]
@@ -74,14 +74,14 @@ def measure_noise_floor(
                 if record.status != StepStatus.OK:
                     return _pooled(groups, size)
             command = tracking_plan(controller, state, target, None).command
-            yaws = rng.uniform(0, tau, YAWS)
-            found = np.array([[plant.repeated(command, rng, yaw) for _ in range(REPEATS)] for yaw in yaws])
+            phases = rng.uniform(0, tau, PHASES)
+            found = np.array([[plant.repeated(command, rng, phase) for _ in range(REPEATS)] for phase in phases])
             groups.append(found[np.isfinite(found).all(axis=(1, 2))])
     return _pooled(groups, size)
 
 
 def _pooled(groups: Sequence[Array], size: int) -> NoiseFloor:
-    """Components of variance of repeated steps (yaws, repeats, n), one array for each target; n is the `size`."""
+    """Components of variance of repeated steps (phases, repeats, n), one array for each target; n is the `size`."""
     groups = [found for found in groups if len(found) > 1]
     if not groups:
         return NoiseFloor.unknown(size)
@@ -91,13 +91,13 @@ def _pooled(groups: Sequence[Array], size: int) -> NoiseFloor:
     counts = np.array([len(found) for found in groups])
     within_freedom, between_freedom = counts * (REPEATS - 1), counts - 1
     noise = within.sum(axis=0) / within_freedom.sum()
-    # The mean square between yaw angles is σ² of the noise + REPEATS · σ² of the yaw, which is not negative.
+    # The mean square between phases is σ² of the noise + REPEATS · σ² of the phase, which is not negative.
     varies = between.sum(axis=0) / between_freedom.sum() > noise
     shares = np.where(varies, 1 - 1 / REPEATS, 1.0) / within_freedom.sum(), varies / REPEATS / between_freedom.sum()
     terms = [(shares[0] * within, within_freedom), (shares[1] * between, between_freedom)]
-    any_yaw = np.sum([squares.sum(axis=0) for squares, _ in terms], axis=0)
+    any_phase = np.sum([squares.sum(axis=0) for squares, _ in terms], axis=0)
     freedoms = _effective_freedom(terms), _effective_freedom([(within, within_freedom)])
-    return NoiseFloor(np.sqrt(any_yaw), np.sqrt(noise), *freedoms, REPEATS * int(counts.sum()))
+    return NoiseFloor(np.sqrt(any_phase), np.sqrt(noise), *freedoms, REPEATS * int(counts.sum()))
 
 
 def _effective_freedom(terms: Sequence[tuple[Array, Array]]) -> Array:

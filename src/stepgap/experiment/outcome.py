@@ -5,7 +5,7 @@ import numpy as np
 from stepgap.control.gauss_newton import REACHED
 from stepgap.control.reference import Reference
 from stepgap.control.solve_many import solve_many
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.records.summary import Deployment, NoiseFloor
 from stepgap.step import Array, StepMap, StepStatus
 
@@ -17,7 +17,7 @@ TRACKED = 3.0
 
 
 def summarise(
-    steps: StepLog,
+    steps: Steps,
     reference: Reference,
     residual: str,
     step_map: StepMap | None = None,
@@ -33,11 +33,11 @@ def summarise(
         floor: Noise floor as `estimate_noise_floor` found it in these steps; by default it is estimated here.
     """
     tracked = steps.completed().tracking()
-    numbers = np.array([logged.step - 1 for logged in tracked], dtype=int)
+    numbers = tracked.number - 1
     error, true_error = tracked.next_state - tracked.target, tracked.true_next_state - tracked.target
     unreachable = unreachable_targets(step_map, reference) if step_map else np.empty((0, error.shape[1]))
 
-    floor = estimate_noise_floor(steps, reference).any_yaw if floor is None else floor
+    floor = estimate_noise_floor(steps, reference).any_phase if floor is None else floor
 
     def rms(rows: Array) -> Array:
         return np.sqrt(np.mean(rows**2, axis=0)) if len(rows) else np.full(error.shape[1], np.nan)
@@ -59,8 +59,8 @@ def summarise(
     )
 
 
-def estimate_noise_floor(steps: StepLog, reference: Reference) -> NoiseFloor:
-    """Noise floor estimated from the steady steps of one deployment [state units]; that at one yaw is not known.
+def estimate_noise_floor(steps: Steps, reference: Reference) -> NoiseFloor:
+    """Noise floor estimated from the steady steps of one deployment [state units]; that at one phase is not known.
 
     It is the residual standard error of a linear fit of the next state in state and command. Where the map is not
     linear, it is larger than the true noise. NaN where the steps are too few.
@@ -75,12 +75,12 @@ def estimate_noise_floor(steps: StepLog, reference: Reference) -> NoiseFloor:
     return NoiseFloor(floor, np.full_like(floor, np.nan), float(degrees_of_freedom), steps=len(steady))
 
 
-def cut_commands(steps: StepLog) -> np.ndarray:
+def cut_commands(steps: Steps) -> np.ndarray:
     """Whether limits removed more than `CUT` of each requested command; shape (N, m)."""
     return np.abs(steps.requested - steps.applied) / steps.space.command_scale > CUT
 
 
-def count_cut(steps: StepLog) -> int:
+def count_cut(steps: Steps) -> int:
     """Number of steps of whose requested command the limits removed more than `CUT`."""
     return int(cut_commands(steps).any(axis=1).sum())
 
@@ -98,7 +98,7 @@ def unreachable_targets(step_map: StepMap, reference: Reference) -> Array:
     return targets[~held]
 
 
-def missed_targets(steps: StepLog, reference: Reference, unreachable: Array, floor: Array) -> Array:
+def missed_targets(steps: Steps, reference: Reference, unreachable: Array, floor: Array) -> Array:
     """Distinct targets that were missed although they are reachable; shape (k, n).
 
     A target is missed if the RMSE of the steady steps with this target exceeds `TRACKED` noise floors (n,) in some
@@ -113,7 +113,7 @@ def missed_targets(steps: StepLog, reference: Reference, unreachable: Array, flo
     return np.array(missed).reshape(-1, len(reference.names))
 
 
-def _steady(steps: StepLog, reference: Reference) -> StepLog:
+def _steady(steps: Steps, reference: Reference) -> Steps:
     """The steady steps of a deployment that ended at their section."""
-    numbers = set((reference.steady + 1).tolist())
-    return StepLog(steps.space, (logged for logged in steps.completed() if logged.step in numbers))
+    done = steps.completed()
+    return done.selected(np.isin(done.number, reference.steady + 1))

@@ -1,6 +1,6 @@
 """The ticks of a recorded deployment: simulated again, or read from the tick log of a rig."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from stepgap.base.versions import versions_here
 from stepgap.experiment.loop import deployment_generator
 from stepgap.experiment.plants import simulation_of
 from stepgap.experiment.settings import PROCESS, Experiment, read_experiment
-from stepgap.learning.step_log import LoggedStep
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.stream import numbered
@@ -86,7 +86,7 @@ def tick_units_of(settings: Experiment) -> Mapping[str, str]:
     return {**kinematics.observed_units, "step": ""}
 
 
-def logged_ticks(folder: Path, steps: Sequence[LoggedStep], settings: Experiment) -> TickTable:
+def logged_ticks(folder: Path, steps: Steps, settings: Experiment) -> TickTable:
     """Reads the ticks of a rig's deployment from its log, with a column `step`; only ticks with sensor values are kept.
 
     They begin when torque is given, and end with the last step or, if it failed, when the robot is at rest. The ends of
@@ -100,7 +100,8 @@ def logged_ticks(folder: Path, steps: Sequence[LoggedStep], settings: Experiment
     Raises:
         InputError: The log does not exist, is incomplete, or has fewer steps than the deployment.
     """
-    path, control = folder / "ticks" / f"ticks-{steps[0].iteration}.mcap", settings.robot.control()
+    iteration, first = int(steps.iteration[0]), int(steps.number[0])
+    path, control = folder / "ticks" / f"ticks-{iteration}.mcap", settings.robot.control()
     if control is None:
         raise InputError(f"robot '{settings.robot.name}' has no control for a rig, so its ticks cannot be read")
     try:
@@ -111,53 +112,53 @@ def logged_ticks(folder: Path, steps: Sequence[LoggedStep], settings: Experiment
         raise InputError(str(error)) from None
     step = np.searchsorted(ends, np.arange(len(ticks)))  # the tick that ends a step belongs to it
     if len(ends) < len(steps):
-        number = steps[0].iteration
-        raise InputError(f"{path}: has fewer steps than deployment {number}, so ticks and steps cannot be matched")
+        raise InputError(f"{path}: has fewer steps than deployment {iteration}, so ticks and steps cannot be matched")
     kept = (ticks["state"] >= RigState.STAND) & (step <= len(steps)) & np.isfinite(ticks.rows).all(axis=1)
-    numbers = (step + steps[0].step - 1).astype(float)
+    numbers = (step + first - 1).astype(float)
     return TickTable({**ticks.units, "step": ""}, np.column_stack([ticks.rows, numbers])[kept])
 
 
-def _read(folder: Path, iteration: int) -> tuple[Experiment, list[LoggedStep]]:
+def _read(folder: Path, iteration: int) -> tuple[Experiment, Steps]:
     """Reads the settings of a run and the steps of one of its deployments."""
     settings, path = read_experiment(folder / "experiment.toml"), folder / "steps.csv"
     try:
         log = read_step_log(path, settings.robot.space)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; {folder} must be the folder of a run") from None
-    steps = list(log.of_iteration(iteration))
-    if not steps:
+    steps = log.of_iteration(iteration)
+    if not len(steps):
         there = ", ".join(map(str, log.iterations)) or "none"
         raise InputError(f"{path}: no step of deployment {iteration}; recorded deployments: {there}")
     return settings, steps
 
 
-def _replayed_steps(folder: Path, settings: Experiment, steps: Sequence[LoggedStep], every: int) -> Iterator[TickTable]:
+def _replayed_steps(folder: Path, settings: Experiment, steps: Steps, every: int) -> Iterator[TickTable]:
     """Yields the ticks of each step after a check that the step equals the recorded one."""
     if not settings.simulated:
         raise InputError(
             f"plant '{settings.plant}': a deployment of a rig cannot be simulated again; its ticks are in ticks/"
         )
     units, names, rows = tick_units_of(settings), settings.robot.space.state_names, list[Array]()
+    first, *_ = steps
 
     def on_ticks(ticks: Rows, step: int) -> None:
-        rows.extend(numbered(ticks, step + steps[0].step - 1))
+        rows.extend(numbered(ticks, step + first.step - 1))
 
     def drained() -> TickTable:
         table = TickTable(units, np.array(rows, float).reshape(len(rows), len(units)))
         rows.clear()
         return table
 
-    rng = deployment_generator(settings.seed, steps[0].iteration)
+    rng = deployment_generator(settings.seed, first.iteration)
     with simulation_of(settings).observed_plant(rng, on_ticks, every) as plant:
         try:
             plant.start()
         except RigFault as fault:
-            raise RecordError(f"{_mismatch(folder, steps[0], names)} ({fault})") from None
+            raise RecordError(f"{_mismatch(folder, first, names)} ({fault})") from None
         yield drained()
         for logged in steps:
             simulated = replace(logged, record=plant.take_step(logged.record.command))
-            if row_of(simulated) != row_of(logged):
+            if row_of(simulated, steps.space) != row_of(logged, steps.space):
                 raise RecordError(_mismatch(folder, logged, names))
             yield drained()
 

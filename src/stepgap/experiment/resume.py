@@ -6,9 +6,9 @@ from contextlib import closing
 from pathlib import Path
 from typing import Self
 
-from stepgap.experiment.deployment import Steps
+from stepgap.experiment.deployment import ExecutedSteps
 from stepgap.learning.learner import Learner
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.records.model_files import read_model, write_model
 from stepgap.records.steps_csv import RecordError, StepWriter, digest, row_of
 from stepgap.records.summary import NoiseFloor, OtherSchema, Summary, WarmStart, read_summary, write_summary
@@ -25,6 +25,9 @@ class Recording:
     executed again, from the same seed, and must be the same; new steps are written. Use it as a context manager, and
     call `steps` for one deployment after the other.
 
+    Attributes:
+        space: As given, but with the context that the file has: an older file may have less, or more.
+
     Args:
         folder: The run folder.
         space: Names of state and command.
@@ -39,9 +42,10 @@ class Recording:
         OSError: The file cannot be read or written.
     """
 
-    def __init__(self, folder: Path, space: StepSpace, seed: int, past: StepLog, replays: bool):
+    def __init__(self, folder: Path, space: StepSpace, seed: int, past: Steps, replays: bool):
         self._path, self._replays = folder / "steps.csv", replays
         self._writer = StepWriter(self._path, space)
+        self.space = self._writer.space
         self._recorded = deque(self._writer.recorded)
         self._begun = frozenset(self._writer.recorded.iterations)
         try:
@@ -58,7 +62,7 @@ class Recording:
     def __exit__(self, *exc_info: object) -> None:
         self._writer.close()
 
-    def steps(self, iteration: int, execute: Callable[[], Steps]) -> Steps:
+    def steps(self, iteration: int, execute: Callable[[], ExecutedSteps]) -> ExecutedSteps:
         """Yields the steps of a deployment, each after it is on disk.
 
         Args:
@@ -120,14 +124,14 @@ class Recording:
 
     def _check_same(self, known: LoggedStep, replayed: LoggedStep) -> None:
         """Raises RecordError unless the replayed step equals the recorded one exactly."""
-        if row_of(known) != row_of(replayed):
+        if row_of(known, self.space) != row_of(replayed, self.space):
             raise RecordError(
                 f"{self._path}: the replay of deployment {replayed.iteration} differs from the record at step "
                 f"{replayed.step}; {_REMEDY}"
             )
 
 
-def warm_start_of(past: StepLog) -> WarmStart | None:
+def warm_start_of(past: Steps) -> WarmStart | None:
     """Entry of `summary.json` on the steps known before a run; None if there were none."""
     return WarmStart(len(past), digest(past)) if len(past) else None
 
@@ -140,7 +144,7 @@ def _has_intact_model(folder: Path, iteration: int, space: StepSpace) -> bool:
         return False
 
 
-def check_no_step_is_lost(folder: Path, recorded: StepLog) -> None:
+def check_no_step_is_lost(folder: Path, recorded: Steps) -> None:
     """Ensures that `steps.csv` has all steps of the deployments in `summary.json`, if that can be read.
 
     Raises:
@@ -157,7 +161,7 @@ def check_no_step_is_lost(folder: Path, recorded: StepLog) -> None:
         )
 
 
-def _verified_summary(path: Path, recorded: StepLog, seed: int, past: StepLog) -> Summary:
+def _verified_summary(path: Path, recorded: Steps, seed: int, past: Steps) -> Summary:
     """The summary if its digest matches the recorded steps of its deployments, otherwise an empty one."""
     try:
         summary = read_summary(path, recorded.space.state_names)
@@ -165,6 +169,6 @@ def _verified_summary(path: Path, recorded: StepLog, seed: int, past: StepLog) -
         raise RecordError(f"{error}; continue with the version of StepGap that wrote it") from None
     except (OSError, ValueError):
         return Summary()  # missing or of another run; it will be written again
-    done = StepLog(recorded.space, (logged for logged in recorded if logged.iteration < len(summary.deployments)))
+    done = digest(recorded.before(len(summary.deployments)))
     found = (summary.seed, summary.steps_sha256, summary.warm_start)
-    return summary if found == (seed, digest(done), warm_start_of(past)) else Summary()
+    return summary if found == (seed, done, warm_start_of(past)) else Summary()

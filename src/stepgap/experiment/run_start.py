@@ -16,7 +16,7 @@ from stepgap.experiment.inputs import write_experiment
 from stepgap.experiment.loop import is_finished
 from stepgap.experiment.resume import check_no_step_is_lost
 from stepgap.experiment.settings import Experiment
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.records.run_folder import INPUT_FILES
 from stepgap.records.steps_csv import read_step_log
 from stepgap.records.summary import read_summary
@@ -59,7 +59,7 @@ def _made(wanted: Path) -> Path:
         raise InputError(f"{error.filename}: cannot be written: {error.strerror}; choose a folder by --out") from None
 
 
-def start_folder(folder: Path, settings: Experiment, reference: Reference, known: StepLog, surrogate: str = "") -> None:
+def start_folder(folder: Path, settings: Experiment, reference: Reference, known: Steps, surrogate: str = "") -> None:
     """Creates the run's folder with its resolved settings; refuses a folder that already holds a run."""
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 
 COMPARED_STEPS = 5
 """Number of steps of a deployment, at most, whose states are compared with the ranges of use."""
@@ -13,7 +13,7 @@ FAR_RANGES = 3.0
 """A state is far outside its range of use if it is more than this number of widths of the range away from it."""
 
 
-def far_states(steps: StepLog) -> Iterable[str]:
+def far_states(steps: Steps) -> Iterable[str]:
     """A sentence for each state coordinate that is far outside its range of use.
 
     A coordinate is reported if the median of its distance from its range of use, over the first `COMPARED_STEPS` steps,

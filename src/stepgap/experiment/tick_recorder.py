@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from stepgap.experiment.loop import Observer
-from stepgap.learning.step_log import LoggedStep
+from stepgap.learning.steps import LoggedStep
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.ticks.stream import OnTicks, numbered, thinned
 from stepgap.plants.ticks.tick_table import TickTable

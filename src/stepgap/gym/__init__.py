@@ -57,8 +57,8 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
       failed step costs `LARGEST_COST` for its own and each remaining step.
     - Terminated by a failed step, truncated at the reference's end.
     - Info of a step: `command` and `applied` [command units]; `status`, `ok` or the reason why there is no next state;
-      `predicted`, the nominal map's next state for the requested command, if there is one; `yaw` after the step
-      [rad], if the plant measures it; `fault`, the plant's message about a fault, if there is one.
+      `predicted`, the nominal map's next state for the requested command, if there is one; the quantities
+      of `space.context` that the plant has measured, by name; `fault`, the plant's message about a fault, if any.
 
     Args:
         make_plant: Makes the plant of one episode from the environment's random generator.
@@ -127,7 +127,7 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         predicted, status = self.nominal.evaluate(record.state, record.requested)
         info = {"command": record.command, "applied": record.applied, "status": record.status.label}
         info |= {"predicted": predicted} if status == StepStatus.OK else {}
-        info |= {"yaw": record.yaw_after} if isfinite(record.yaw_after) else {}
+        info |= {name: value for name, value in record.context.items() if isfinite(value)}
         info |= {"fault": self._plant.fault} if self._plant.fault else {}
         failed = record.status != StepStatus.OK
         if failed:

@@ -1,19 +1,21 @@
-"""The disturbance: the part of a step's error that depends on the deployment and the yaw, not on state and command.
+"""The disturbance: the part of a step's error that depends on deployment and phase, not on state and command.
 
 A tilted boom or floor, a motor that warms up or a slack cable shift the next state. For each coordinate the shift is
 
     d(ψ) = c₀ + c₁ sin ψ + c₂ cos ψ        with c ~ N(0, σ² diag(1, s², s²)) a priori
 
-at yaw ψ, where σ is the standard deviation of a step's noise and s the strength of the yaw-dependent part, zero where
-this part is omitted. The zero of ψ is arbitrary, so every deployment has its own c, and c may change within it.
+at phase ψ, where σ is the standard deviation of a step's noise and s the strength of the periodic part, zero where this
+part is omitted. ψ is the phase of the quantity of the robot's context that has a period (`StepSpace.periodic`), such as
+the yaw of a robot on a boom, when the step starts; where there is none, c₀ alone remains. The zero of ψ is arbitrary,
+so every deployment has its own c, and c may change within it.
 
 - `DisturbanceFilter` estimates c while a deployment is running. It is a bank of Kalman filters, some with s = 0 and
   some with s = 1, each with a random walk of another rate. The filter with the best recent predictions is used, or
   none of them, so that nothing is added where nothing drifts. A coefficient that is not observed for a long time is
   forgotten, but its variance does not exceed the initial one (Kulhavý's stabilised forgetting).
-- `without_yaw_dependence` removes c₁ sin ψ + c₂ cos ψ from the errors of earlier deployments before a residual is
-  fitted to them. A deployment reaches each target near one yaw, so the residual would mistake the disturbance for an
-  effect of the states and commands there. c is estimated together with a quadratic of state and command by Bayesian
+- `without_periodic_part` removes c₁ sin ψ + c₂ cos ψ from the errors of earlier deployments before a residual is fitted
+  to them. A deployment reaches each target near one phase, so the residual would mistake the disturbance for an effect
+  of the states and commands there. c is estimated together with a quadratic of state and command by Bayesian
   linear regression (Gelman et al., Bayesian Data Analysis, Sec. 14.8), with the s of the highest evidence; without
   clear evidence for any s, nothing is removed.
 """
@@ -44,10 +46,10 @@ LEAST_EVIDENCE = 5.0
 """Difference of the log evidence by which a strength must exceed the strength zero."""
 
 
-def regressors(yaw: ArrayLike) -> Array:
-    """Regressors 1, sin ψ and cos ψ; the latter two are zero where the yaw is unknown (NaN); (…) [rad] to (…, 3)."""
-    yaw = np.asarray(yaw, float)
-    return np.nan_to_num(np.stack([np.ones(yaw.shape), np.sin(yaw), np.cos(yaw)], axis=-1))
+def regressors(phase: ArrayLike) -> Array:
+    """Regressors 1, sin ψ and cos ψ; the latter two are zero where the phase is unknown (NaN); (…) [rad] to (…, 3)."""
+    phase = np.asarray(phase, float)
+    return np.nan_to_num(np.stack([np.ones(phase.shape), np.sin(phase), np.cos(phase)], axis=-1))
 
 
 def prior_std(strength: float) -> Array:
@@ -84,18 +86,18 @@ class DisturbanceFilter:
         count = len(INITIAL_COVARIANCE)
         return cls(np.zeros((count, 3, size)), INITIAL_COVARIANCE, np.zeros((1 + count, size)))
 
-    def offset(self, yaw: float) -> Array:
-        """Offset of the predicted state of a step that starts at a yaw [rad], NaN if unknown; shape (n,)."""
-        return self._offsets(regressors(yaw))[self._best, np.arange(self.scores.shape[1])]
+    def offset(self, phase: float) -> Array:
+        """Offset of the predicted state of a step that starts at a phase [rad], NaN if unknown; shape (n,)."""
+        return self._offsets(regressors(phase))[self._best, np.arange(self.scores.shape[1])]
 
-    def std(self, yaw: float) -> Array:
+    def std(self, phase: float) -> Array:
         """Standard deviation of that offset, in standard deviations of a step's noise; shape (n,)."""
-        row = regressors(yaw)
+        row = regressors(phase)
         return np.sqrt(np.append(0.0, self._predicted_covariance() @ row @ row))[self._best]
 
-    def updated(self, error: Array, yaw: float) -> "DisturbanceFilter":
-        """Returns the estimate after a step from a yaw [rad], given the error (n,) of the map without the offset."""
-        row, covariance = regressors(yaw), self._predicted_covariance()
+    def updated(self, error: Array, phase: float) -> "DisturbanceFilter":
+        """Returns the estimate after a step from a phase [rad], given the error (n,) of the map without the offset."""
+        row, covariance = regressors(phase), self._predicted_covariance()
         innovation = error - self._offsets(row)
         cross = covariance @ row
         gain = cross / (cross @ row + 1.0)[:, None]
@@ -124,22 +126,22 @@ class DisturbanceFilter:
         return np.vstack([np.zeros((1, predicted.shape[1])), predicted])
 
 
-def without_yaw_dependence(observations: Observations, iteration: int) -> Observations:
-    """Removes the yaw-dependent part of the disturbance from the errors of observations.
+def without_periodic_part(observations: Observations, iteration: int) -> Observations:
+    """Removes the periodic part of the disturbance from the errors of observations.
 
     Args:
-        observations: Observations of one or more deployments. If no yaw is known, they are returned unchanged.
+        observations: Observations of one or more deployments. If no phase is known, they are returned unchanged.
         iteration: Number of the running deployment, from whose errors nothing is removed: in the first steps of a
             turn sine and cosine cannot be distinguished from a constant, and `DisturbanceFilter` estimates all three.
     """
     space, deployment = observations.space, observations.deployment
-    if observations.yaw is None or deployment is None:
+    if observations.phase is None or deployment is None:
         return observations
-    yaw = np.where(deployment < iteration, observations.yaw, np.nan)
-    if not np.isfinite(yaw).any():
+    phase = np.where(deployment < iteration, observations.phase, np.nan)
+    if not np.isfinite(phase).any():
         return observations
     points = np.hstack([space.scaled_state(observations.state), space.point_of(observations.command)])
-    features, rows = monomials(points, 2), regressors(yaw)
+    features, rows = monomials(points, 2), regressors(phase)
     groups = [np.flatnonzero(deployment == number) for number in np.unique(deployment)]
     parts = [_Part(features[group], rows[group], observations.error[group]) for group in groups]
     estimates = [_estimate(parts, strength, NOISE_SCALE * space.state_scale) for strength in STRENGTHS]
@@ -183,11 +185,14 @@ class _Part:
 
 
 def _estimate(parts: Sequence[_Part], strength: float, noise_scale: Array) -> tuple[Array, Array]:
-    """Log evidence of a strength up to a constant, shape (n,), and the yaw-dependent part of all steps, shape (N, n).
+    """Log evidence of a strength up to a constant, shape (n,), and the periodic part of all steps, shape (N, n).
 
     The weights of the monomials and the coefficients of every deployment are estimated together.
     """
     size, steps = parts[0].features.shape[1], sum(len(part.error) for part in parts)
+    # Each deployment has its own c, which is integrated out: its errors then have the covariance V = 1 + R S² Rᵀ, in
+    # variances of the noise. V⁻¹x = x − disturbance(x), so no matrix is larger than 3 × 3 or p × p. What remains is a
+    # regression on the monomials with weights V⁻¹, whose normal equations the loop sums over the deployments.
     information, projection = np.eye(size) / PRIOR_STD**2, np.zeros((size, len(noise_scale)))
     squares, log_determinant = PRIOR_COUNT * noise_scale**2, 0.0
     # The errors of a deployment are features · weights + R c + noise. With c integrated out, their covariance in
@@ -200,6 +205,7 @@ def _estimate(parts: Sequence[_Part], strength: float, noise_scale: Array) -> tu
         projection, squares = projection + features.T @ remaining, squares + np.sum(error * remaining, axis=0)
         log_determinant += part.log_determinant(strength)
     weights = np.linalg.solve(information, projection)
+    # Integrated over the weights and the noise's variance, the density of the errors is a multivariate Student's t.
     residual_squares = squares - np.sum(projection * weights, axis=0)
     log_determinant += np.linalg.slogdet(information)[1]
     evidence = -0.5 * ((PRIOR_COUNT + steps) * np.log(residual_squares) + log_determinant)

@@ -37,29 +37,29 @@ class DisturbanceEstimator:
         """Returns the estimate before the first step; its arguments are those of `DisturbanceEstimator`."""
         return cls(state_scale, drift, reject_outliers, DisturbanceFilter.initial(len(state_scale)))
 
-    def predict(self, residual: Residual, yaw: float) -> tuple[Array, Array]:
+    def predict(self, residual: Residual, phase: float) -> tuple[Array, Array]:
         """Offset of the next state, and its standard deviation; shapes (n,) and (n,) [units of the state].
 
         Args:
             residual: The residual to which the offset is added.
-            yaw: Yaw at which the step starts [rad], NaN if it is unknown.
+            phase: Phase at which the step starts [rad], NaN if it is unknown.
         """
-        return self.filter.offset(yaw), self.filter.std(yaw) * residual.noise_std
+        return self.filter.offset(phase), self.filter.std(phase) * residual.noise_std
 
-    def after(self, residual: Residual, error: Array, std: Array, yaw: float) -> Self:
+    def after(self, residual: Residual, error: Array, std: Array, phase: float) -> Self:
         """Returns the estimate after a step.
 
         Args:
             residual: The residual that predicted the step.
             error: Error of its prediction without the offset; shape (n,) [units of the state].
             std: Standard deviation of that prediction, with noise; shape (n,) [units of the state].
-            yaw: Yaw at which the step started [rad], NaN if it is unknown.
+            phase: Phase at which the step started [rad], NaN if it is unknown.
         """
-        offset, offset_std = self.predict(residual, yaw)
+        offset, offset_std = self.predict(residual, phase)
         innovation, known = (error - offset) / self.state_scale, len(residual.regressions[0].points)
         total_std = np.hypot(std, offset_std) / self.state_scale
         improbable = self.reject_outliers and is_improbable(innovation, total_std, known)
         outlier = improbable and not self.improbable
         learned = self.drift and residual.kind != "none" and not outlier
-        found = self.filter.updated(error, yaw) if learned else self.filter
+        found = self.filter.updated(error, phase) if learned else self.filter
         return replace(self, filter=found, improbable=improbable, outlier=outlier)

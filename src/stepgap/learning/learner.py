@@ -14,7 +14,7 @@ from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.residual_fit import learned_residual
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import Array, StepMap, StepRecord, StepStatus
 
 MONITORED_STEPS = 10
@@ -25,7 +25,7 @@ REFIT_GROWTH = 1.1
 """A new fit begins when the number of steps has grown by this factor."""
 FITTED_PER_STEP = 150
 """Number of known steps for which a fit is given the time of one step of the robot; a slower fit is waited for."""
-_NO_FAILURE = frozenset({StepStatus.OK, StepStatus.DOUBTFUL})
+_NO_FAILURE = (StepStatus.OK, StepStatus.DOUBTFUL)
 """Statuses of steps that a controller need not avoid: a doubtful sensor is not due to the command."""
 
 
@@ -88,7 +88,7 @@ class Learner:
         history: History of the next step, as `observations` defines it; shape (2n + m + 1,).
         failures: Points (state, command) of the steps that failed; shape (k, n + m).
         steps_to_learn: Number of further steps of this deployment that will be learned from.
-        disturbance: Estimate of the error that depends on time and yaw, not on state and command.
+        disturbance: Estimate of the error that depends on time and phase, not on state and command.
         monitor: Comparison of the correction with the nominal map.
         outliers: Deployment and number of each step of this deployment that was an outlier when it was executed.
         refit: The fit that is running, if there is one.
@@ -98,7 +98,7 @@ class Learner:
     nominal: StepMap
     settings: LearningSettings
     iteration: int
-    log: StepLog
+    log: Steps
     residual: Residual
     history: Array
     failures: Array
@@ -113,7 +113,7 @@ class Learner:
     def start(
         cls,
         nominal: StepMap,
-        log: StepLog,
+        log: Steps,
         settings: LearningSettings,
         iteration: int,
         residual: Residual | None = None,
@@ -127,8 +127,7 @@ class Learner:
             iteration: Number of the deployment.
             residual: The residual that was fitted to these steps; None to fit it.
         """
-        space = log.space
-        failures = [_point_of(step.record) for step in log if step.record.status not in _NO_FAILURE]
+        failed = ~np.isin(log.status, _NO_FAILURE)
         return cls(
             nominal=nominal,
             settings=settings,
@@ -136,7 +135,7 @@ class Learner:
             log=log,
             residual=_fitted(nominal, log, settings, iteration, None) if residual is None else residual,
             history=next_history(log, nominal, iteration),
-            failures=np.array(failures).reshape(len(failures), len(space.state) + len(space.command)),
+            failures=join_points(log.state, log.requested)[failed],
             steps_to_learn=settings.steps_to_learn(iteration),
             disturbance=DisturbanceEstimator.start(
                 nominal.space.state_scale, drift=settings.drift, reject_outliers=settings.reject_outliers
@@ -153,10 +152,12 @@ class Learner:
         return self.residual.conditioned_on(self.history)
 
     @property
-    def yaw(self) -> float:
-        """Yaw at which the next step starts [rad], NaN if it is unknown."""
-        last = self.log.last
-        return last.record.yaw_after if last and last.iteration == self.iteration else nan
+    def phase(self) -> float:
+        """Phase of the periodic context quantity at which the next step starts [rad], NaN if it is unknown."""
+        last, periodic = self.log.last, self.log.space.periodic
+        if periodic is None or last is None or last.iteration != self.iteration:
+            return nan
+        return periodic.phase(last.record.context[periodic.name])
 
     @property
     def pending(self) -> Deferred[Residual] | None:
@@ -168,7 +169,7 @@ class Learner:
         if self.settings.monitor and self.monitor.worse:
             return CorrectedMap(self.nominal, no_residual(*self.residual.sizes))
         residual = self.conditioned_residual
-        return CorrectedMap(self.nominal, residual, *self.disturbance.predict(residual, self.yaw))
+        return CorrectedMap(self.nominal, residual, *self.disturbance.predict(residual, self.phase))
 
     def after(self, logged: LoggedStep) -> "Learner":
         """Returns the learner after the step just executed.
@@ -176,7 +177,7 @@ class Learner:
         Raises:
             ResidualError: The residual has no finite prediction of this step, or a new fit failed.
         """
-        record, log = logged.record, StepLog(self.log.space, [*self.log, logged])
+        record, log = logged.record, self.log + [logged]  # noqa: RUF005 they share memory
         error, point = error_of(record, self.nominal), _point_of(record)
         failed = record.status not in _NO_FAILURE
         learner = replace(
@@ -191,9 +192,9 @@ class Learner:
         mean, std = residual.mean(point), residual.std(point, include_noise=True)
         check_prediction(residual.kind, mean, std)
         remaining = error - mean
-        offset, _ = self.disturbance.predict(residual, self.yaw)
+        offset, _ = self.disturbance.predict(residual, self.phase)
         monitor = self.monitor.updated(error / scale, (remaining - offset) / scale)  # of what was deployed
-        disturbance = self.disturbance.after(residual, remaining, std, self.yaw)
+        disturbance = self.disturbance.after(residual, remaining, std, self.phase)
         learner = replace(learner, disturbance=disturbance, monitor=monitor)
         if disturbance.outlier:
             return replace(learner, outliers=(*self.outliers, (logged.iteration, logged.step)))._with_refit()
@@ -231,7 +232,7 @@ class Learner:
 
 
 def _fitted(
-    nominal: StepMap, log: StepLog, settings: LearningSettings, iteration: int, start: Residual | None
+    nominal: StepMap, log: Steps, settings: LearningSettings, iteration: int, start: Residual | None
 ) -> Residual:
     """Fits the residual to all known steps; the search for hyper-parameters starts at those of `start`."""
     return learned_residual(observe(log, nominal), settings, iteration, start)

@@ -1,4 +1,4 @@
-"""Observations: the error of the nominal map at each recorded step, and the history of the step.
+"""Observations: the error of the nominal map at each recorded step, computed from `Steps`, and the history of the step.
 
 The *history* of a step is the information on earlier steps when it starts, a row of 2n + m + 1 numbers: error,
 requested command and state of the step before in the same deployment, and the number of steps recorded before it. All
@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.learning.residual import HistoryInputs
-from stepgap.learning.step_log import StepLog
-from stepgap.learning.step_table import Labels
+from stepgap.learning.steps import Labels, Steps
 from stepgap.step import Array, StepMap, StepRecord, StepSpace
 
 
@@ -28,7 +28,7 @@ class Observations:
         command: Command requested of the joints; shape (N, m).
         error: Actual − nominal next state; shape (N, n).
         history: History of each step; shape (N, 2n + m + 1). None: only the order of the steps is known.
-        yaw: Yaw at which each step started [rad], NaN where it is unknown; shape (N,). None: all are unknown.
+        phase: Phase at which each step started [rad], NaN where it is unknown; shape (N,). None: all are unknown.
         deployment: Number of the deployment of each step; shape (N,). None: all belong to one.
         number: Number of each step in its deployment; shape (N,). None: they are consecutive, from 0.
 
@@ -41,7 +41,7 @@ class Observations:
     command: Array
     error: Array
     history: Array | None = None
-    yaw: Array | None = None
+    phase: Array | None = None
     deployment: Labels | None = None
     number: Labels | None = None
 
@@ -53,19 +53,18 @@ class Observations:
         if self.history is not None:
             errors = (f"error of {name}" for name in state)
             _check_rows(self.history, "history", (*errors, *command, *state, "steps before"))
-        parts = (self.state, self.command, self.error, self.history, self.yaw, self.deployment, self.number)
+        parts = (self.state, self.command, self.error, self.history, self.phase, self.deployment, self.number)
         sizes = [len(part) for part in parts if part is not None]
         if len(set(sizes)) != 1:
-            raise ValueError(
-                f"states, commands, errors, histories, yaws, deployments and numbers must have one length, not {sizes}"
-            )
+            names = "states, commands, errors, histories, phases, deployments and numbers"
+            raise ValueError(f"{names} must have one length, not {sizes}")
 
     def __len__(self) -> int:
         return len(self.state)
 
-    def selected(self, rows: Labels) -> "Observations":
-        """Returns the observations in some rows, given by ascending indices."""
-        optional = ("history", "yaw", "deployment", "number")
+    def selected(self, rows: Labels | NDArray[np.bool_]) -> "Observations":
+        """Returns the observations in some rows, given by ascending indices or by a mask (N,)."""
+        optional = ("history", "phase", "deployment", "number")
         known = {name: part[rows] for name in optional if (part := getattr(self, name)) is not None}
         return Observations(self.space, self.state[rows], self.command[rows], self.error[rows], **known)
 
@@ -89,7 +88,7 @@ class Observations:
         return np.hstack([self.state, self.command, history_inputs.of(history, n)])
 
 
-def observe(log: StepLog, nominal: StepMap) -> Observations:
+def observe(log: Steps, nominal: StepMap) -> Observations:
     """Computes the nominal map's error at the steps of a log that ended at their section, at the commands requested.
 
     What limits remove from a command is thus a part of the error. A step that fails on the nominal map has no error and
@@ -100,11 +99,11 @@ def observe(log: StepLog, nominal: StepMap) -> Observations:
     before = np.where(log.follows[:, None], np.roll(lagged, 1, axis=0), 0.0)
     history = np.hstack([before, np.arange(float(len(log)))[:, None]])
     known = np.isfinite(error).all(axis=1) & ~log.doubtful
-    rows = log.state[known], log.requested[known], error[known], history[known], log.yaw[known]
-    return Observations(nominal.space, *rows, log.deployment[known], log.number[known])
+    rows = log.state[known], log.requested[known], error[known], history[known], log.phase[known]
+    return Observations(nominal.space, *rows, log.iteration[known], log.number[known])
 
 
-def next_history(log: StepLog, nominal: StepMap, iteration: int) -> Array:
+def next_history(log: Steps, nominal: StepMap, iteration: int) -> Array:
     """History of the step that follows a log; shape (2n + m + 1,).
 
     Args:
@@ -112,7 +111,7 @@ def next_history(log: StepLog, nominal: StepMap, iteration: int) -> Array:
         nominal: The nominal map.
         iteration: Deployment that the step belongs to.
     """
-    *_, last = [None, *log]
+    last = log.last
     if last is None or last.iteration != iteration:
         return np.append(np.zeros(2 * len(log.space.state) + len(log.space.command)), len(log))
     return history_after(last.record, error_of(last.record, nominal), log.space, len(log))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stepgap.base.json_data import integer, number, numbers
 from stepgap.base.normal import log_density
-from stepgap.learning.disturbance import without_yaw_dependence
+from stepgap.learning.disturbance import without_periodic_part
 from stepgap.learning.entry_points import load_residual_model, residual_models
 from stepgap.learning.observations import Observations
 from stepgap.learning.outliers import LEAST_KNOWN, MOST_OUTLIERS, outliers_among
@@ -77,7 +77,7 @@ def learned_residual(
 ) -> Residual:
     """Fits the residual of the settings as a deployment does.
 
-    If the settings want it, outliers are left out, and so is the yaw-dependent part of the errors.
+    If the settings want it, outliers are left out, and so is the periodic part of the errors.
 
     Args:
         observations: Observations to learn from; if there are none, the residual is zero.
@@ -113,7 +113,7 @@ def _learned_residual(
     if not len(observations):
         model = NONE  # that of the settings was loaded nevertheless: if it cannot be, no robot moves
     if settings.remove_yaw_dependence and model != NONE:
-        cleaned = without_yaw_dependence(observations, iteration)
+        cleaned = without_periodic_part(observations, iteration)
         residual = fit_residual(model, cleaned, settings.lagged_inputs, settings.forgetting_time, start)
         if residual.kind != NONE.name:
             return residual

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
+from math import tau
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from stepgap.base.plugins import suggestion
 from stepgap.base.settings_file import read_toml
 from stepgap.logs.tables.text_format import AS_FOUND, TextFormat
 from stepgap.records.steps_csv import MOST_COORDINATES, RecordError
-from stepgap.step import Array, Quantity, StepSpace
+from stepgap.step import Array, ContextQuantity, Quantity, StepSpace
 
 LARGEST_VALUE = 1e12
 """Largest magnitude of a number that is accepted as a measurement."""
@@ -92,14 +93,15 @@ class Columns:
 
     def space(self, state: Array, command: Array) -> StepSpace:
         """Step space with the names, the units and the ranges of these data; shapes (N, n) and (N, m)."""
-        quantities = [
+        state_quantities, command_quantities = (
             tuple(
                 _quantity(name_of(entry), self.units.get(column_of(entry), ""), values)
                 for entry, values in zip(entries, data.T, strict=True)
             )
             for entries, data in zip(self.inputs, (state, command), strict=True)
-        ]
-        return StepSpace(*quantities)
+        )
+        context = (ContextQuantity("yaw", "rad", period=tau),) if self.yaw else ()
+        return StepSpace(state_quantities, command_quantities, context)
 
 
 def read_columns(file: Path | None, options: Mapping[str, str]) -> Columns | None:

@@ -4,21 +4,35 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from stepgap.base.errors import InputError
-from stepgap.learning.step_log import LoggedStep, StepLog
-from stepgap.learning.step_table import Labels, StepTable, describe_left_out
+from stepgap.learning.steps import Labels, Steps
 from stepgap.logs.columns import ROLES, Columns, column_of, read_columns
 from stepgap.logs.tables.files import LARGEST_LOG
 from stepgap.logs.tables.log_table import LogTable
 from stepgap.logs.tables.reading import chosen_table, read_log_tables
 from stepgap.records.steps_csv import RecordError
-from stepgap.step import Array, StepRecord, StepStatus
+from stepgap.step import Array
 
 
-def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> StepTable:
+class FoundSteps(NamedTuple):
+    """Steps found in logs, all of which have a next state.
+
+    Attributes:
+        steps: The steps; those of other programs may lack targets and predictions, and have no context.
+        phase: Phase at which each step started [rad], NaN where it is unknown; shape (N,).
+        left_out: Number of excluded rows by reason, such as "with a number missing"; no zeros.
+    """
+
+    steps: Steps
+    phase: Array
+    left_out: Mapping[str, int]
+
+
+def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> FoundSteps:
     """Reads the steps of logs that have the same columns, in any format; each file begins a new deployment.
 
     Rows in which a number is missing are left out, and so are the ends of chained rows.
@@ -37,20 +51,27 @@ def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> StepTable:
     command = table["command" if columns.command else "target"]
     if not len(command):
         raise RecordError(f"{paths[0]}: no row holds a complete step; rows left out: {describe_left_out(left_out)}")
-    return StepTable(
-        space=columns.space(table["state"], command),
-        state=table["state"],
+    state, next_state, deployment = table["state"], table["next"], np.concatenate(deployments)
+    starts = (state[1:] == next_state[:-1]).all(axis=1) & (deployment[1:] == deployment[:-1])
+    steps = Steps.of_columns(
+        columns.space(state, command),
+        iteration=deployment,
+        number=np.cumsum(np.append(1, np.where(starts, 1, 2))),  # a gap where a step does not follow the one before
+        state=state,
         command=command,
-        next_state=table["next"],
-        target=table.get("target"),
-        predicted=table.get("predicted"),
-        deployment=np.concatenate(deployments),
-        left_out={reason: count for reason, count in left_out.items() if count},
-        yaw=table["yaw"][:, 0] if columns.yaw else None,
+        next_state=next_state,
+        **{role: table[role] for role in ("target", "predicted") if role in table},
     )
+    phase = table["yaw"][:, 0] if columns.yaw else np.full(len(steps), np.nan)
+    return FoundSteps(steps, phase, {reason: count for reason, count in left_out.items() if count})
 
 
-def imported_steps(path: Path, columns: Path | None, names: Mapping[str, str]) -> StepLog:
+def describe_left_out(left_out: Mapping[str, int]) -> str:
+    """Formats the numbers of excluded rows and their reasons."""
+    return ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count) or "none"
+
+
+def imported_steps(path: Path, columns: Path | None, names: Mapping[str, str]) -> Steps:
     """The steps of a log of any origin, for `stepgap new --from`.
 
     Args:
@@ -68,25 +89,24 @@ def imported_steps(path: Path, columns: Path | None, names: Mapping[str, str]) -
     return step_log_of(read_foreign_logs([path], meaning))
 
 
-def step_log_of(table: StepTable) -> StepLog:
-    """The steps of a table as a log, such as for a `steps.csv`; what the table does not contain is unknown.
+def step_log_of(found: FoundSteps) -> Steps:
+    """The steps of other logs as those of a run, such as for a `steps.csv`.
 
     A new deployment begins where a step does not start from the state in which the one before it ended. A target that
     is not known is the next state; predictions are not known. The yaw after a step is the one at which the next step of
     its deployment starts, so it is not known for the last one.
     """
-    n, count, follows = len(table.space.state), len(table), table.follows
+    steps, follows = found.steps, found.steps.follows
     iteration = np.cumsum(~follows) - 1
-    number = 1 + np.arange(count) - np.flatnonzero(~follows)[iteration]
-    target = table.next_state if table.target is None else table.target
-    yaw = np.full(count, np.nan) if table.yaw is None else table.yaw
-    yaw_after = np.roll(np.where(follows, yaw, np.nan), -1)
-    unknown, exact = np.full(n, np.nan), np.zeros(n)
-    logged: list[LoggedStep] = []
-    for row, (state, command, next_state) in enumerate(zip(table.state, table.command, table.next_state, strict=True)):
-        record = StepRecord(state, command, command, next_state, StepStatus.OK, float(yaw_after[row]))
-        logged.append(LoggedStep(int(iteration[row]), int(number[row]), target[row], unknown, exact, record))
-    return StepLog(table.space, logged)
+    yaw_after = np.roll(np.where(follows, found.phase, np.nan), -1)
+    return steps.with_columns(
+        iteration=iteration,
+        number=1 + np.arange(len(steps)) - np.flatnonzero(~follows)[iteration],
+        target=np.where(np.isnan(steps.target), steps.next_state, steps.target),
+        predicted=np.nan,
+        std=0.0,
+        context=np.repeat(yaw_after[:, None], len(steps.space.context), axis=1),
+    )
 
 
 def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Labels, dict[str, int]]:

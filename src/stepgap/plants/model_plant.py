@@ -51,7 +51,7 @@ class ModelPlant(RepeatablePlant):
         return record
 
     def repeated(self, command: Array, rng: np.random.Generator, turned: float = 0.0) -> Array:  # noqa: ARG002
-        """Next state with new noise; there is no yaw."""
+        """Next state with new noise; there is nothing to turn."""
         return self._step(np.asarray(command, float), rng).next_state
 
     def _step(self, command: Array, rng: np.random.Generator) -> StepRecord:

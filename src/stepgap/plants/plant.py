@@ -57,5 +57,5 @@ class RepeatablePlant(Plant):
         Args:
             command: Command of the step; shape (m,).
             rng: Draws the copy's noise.
-            turned: Angle by which the world is turned under the copy [rad], if the yaw has an effect.
+            turned: Angle by which the world is turned under the copy [rad], if that has an effect.
         """

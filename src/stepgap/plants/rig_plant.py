@@ -89,11 +89,12 @@ class RigPlant(Plant):
         self._number += 1
         if np.isnan(within).any():
             self._status = StepStatus.INVALID
-        self._state, _, lost, yaw = self._step(tuple(within.tolist()))
+        self._state, _, lost, context = self._step(tuple(within.tolist()))
         true_state = np.full(len(state), np.nan)
         if self._status == StepStatus.OK and self._rig.truth:
             true_state[:] = self._rig.truth
-        return StepRecord(state, command, within - lost, self._state, self._status, yaw, within, true_state)
+        named = self._space.named_context(context)
+        return StepRecord(state, command, within - lost, self._state, self._status, named, within, true_state)
 
     def stop(self) -> None:
         """Switches torque off."""

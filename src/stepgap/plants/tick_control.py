@@ -72,19 +72,19 @@ class FinishedStep(NamedTuple):
         state: State at its end; shape (n,), NaN for a failed step.
         command: Command that acted; shape (m,), NaN if none came in time.
         lost: Part of the command that limits removed during the step; shape (m,).
-        yaw: Yaw of the robot at its end [rad]; NaN for a failed step.
+        context: Context of the step, in the order of `StepSpace.context`; empty if it is unknown, as of a failed step.
     """
 
     state: Array
     command: Array
     lost: Array
-    yaw: float
+    context: tuple[float, ...] = ()
 
     @classmethod
     def stopped(cls, space: StepSpace) -> Self:
         """Result of a step that was stopped before its end, without a command."""
         no_command = np.full(len(space.command), np.nan)
-        return cls(np.full(len(space.state), np.nan), no_command, np.zeros(len(space.command)), np.nan)
+        return cls(np.full(len(space.state), np.nan), no_command, np.zeros(len(space.command)))
 
     @property
     def requested(self) -> Array:

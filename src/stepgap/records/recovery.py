@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
 
+import numpy as np
 from mcap.writer import MCAP0_MAGIC
 
 from stepgap.base.errors import InputError, message_of
@@ -11,7 +12,7 @@ from stepgap.base.files import create, new_folder, read_bounded_text, write_whol
 from stepgap.base.json_data import parse_json
 from stepgap.base.settings_file import read_toml
 from stepgap.control.reference import read_reference
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.plants.ticks.tick_log import TickLogError, recover_ticks
 from stepgap.records.model_files import model_path, read_model
 from stepgap.records.run_folder import INPUT_FILES
@@ -92,7 +93,7 @@ def _input_fault(path: Path, space: StepSpace) -> str:
     return ""
 
 
-def _recover_models(folder: Path, out: Path, steps: StepLog) -> list[str]:
+def _recover_models(folder: Path, out: Path, steps: Steps) -> list[str]:
     """Copies the models of the recorded deployments that can be read; returns the faults of the others."""
     faults = []
     for iteration in steps.iterations:
@@ -107,7 +108,7 @@ def _recover_models(folder: Path, out: Path, steps: StepLog) -> list[str]:
     return faults
 
 
-def _recover_summary(folder: Path, out: Path, steps: StepLog) -> list[str]:
+def _recover_summary(folder: Path, out: Path, steps: Steps) -> list[str]:
     """Writes the summary of the first deployments that have all their steps; returns the fault of a damaged one."""
     names = steps.space.state_names
     try:
@@ -117,15 +118,14 @@ def _recover_summary(folder: Path, out: Path, steps: StepLog) -> list[str]:
     whole = takewhile(lambda each: len(steps.of_iteration(each.iteration)) == each.steps, summary.deployments)
     deployments = tuple(whole)
     if deployments:
-        known = {deployment.iteration for deployment in deployments}
-        kept = StepLog(steps.space, (logged for logged in steps if logged.iteration in known))
+        kept = steps.selected(np.isin(steps.iteration, [deployment.iteration for deployment in deployments]))
         measured = summary.noise_floor_measured and len(deployments) == len(summary.deployments)
         found = replace(summary, deployments=deployments, steps_sha256=digest(kept), noise_floor_measured=measured)
         write_summary(out / "summary.json", found, names)
     return []
 
 
-def _intact_steps(path: Path) -> tuple[StepLog, str]:
+def _intact_steps(path: Path) -> tuple[Steps, str]:
     """The steps before the first fault, at least one, and a message about it."""
     steps, fault = recover_steps(path, space_of_header(path))
     if not len(steps):

@@ -5,7 +5,6 @@ The run may still be in progress: `steps.csv` may hold steps of a deployment tha
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import islice
 from math import isclose, isfinite
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 from stepgap.base.json_data import LARGEST_NUMBER
 from stepgap.base.normal import std_interval_95
 from stepgap.base.settings_file import read_toml_text
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.records.model_files import model_path
 from stepgap.records.steps_csv import digest, ends_with_whole_row, read_step_log, space_of_header
 from stepgap.records.summary import Deployment, NoiseFloor, Summary, read_summary
@@ -55,7 +54,7 @@ class RunRecord:
 
     folder: Path
     space: StepSpace
-    steps: StepLog
+    steps: Steps
     summary: Summary
     settings: SettingsFile | None
     cut_off: bool = False
@@ -69,22 +68,22 @@ class RunRecord:
     @property
     def noise_floor(self) -> Array:
         """Noise floor, the standard deviation of repeated steps, NaN where unknown; shape (n,)."""
-        return self._floors.any_yaw
+        return self._floors.any_phase
 
     @property
-    def noise_floor_same_yaw(self) -> Array:
-        """The same at one yaw, so that only the noise differs, NaN where unknown; shape (n,)."""
-        return self._floors.same_yaw
+    def noise_floor_same_phase(self) -> Array:
+        """The same at one phase, so that only the noise differs, NaN where unknown; shape (n,)."""
+        return self._floors.same_phase
 
     @property
     def noise_floor_interval(self) -> Array:
         """Ends of the 95 % confidence interval of the noise floor, NaN where unknown; shape (2, n)."""
-        return std_interval_95(self._floors.any_yaw, self._floors.any_yaw_freedom)
+        return std_interval_95(self._floors.any_phase, self._floors.any_phase_freedom)
 
     @property
-    def noise_floor_same_yaw_interval(self) -> Array:
-        """Ends of the 95 % confidence interval of that at one yaw, NaN where unknown; shape (2, n)."""
-        return std_interval_95(self._floors.same_yaw, self._floors.same_yaw_freedom)
+    def noise_floor_same_phase_interval(self) -> Array:
+        """Ends of the 95 % confidence interval of that at one phase, NaN where unknown; shape (2, n)."""
+        return std_interval_95(self._floors.same_phase, self._floors.same_phase_freedom)
 
     @property
     def noise_floor_steps(self) -> int:
@@ -160,7 +159,7 @@ def read_run_folder(
     return RunRecord(folder, space, steps, summary, settings, not ends_with_whole_row(path), published)
 
 
-def _read_steps(path: Path, space: StepSpace) -> StepLog:
+def _read_steps(path: Path, space: StepSpace) -> Steps:
     """Reads the steps and checks that their values can be plotted."""
     steps = read_step_log(path, space)
     if not len(steps):
@@ -173,7 +172,7 @@ def _read_steps(path: Path, space: StepSpace) -> StepLog:
     return steps
 
 
-def _check_same_run(summary: Summary, steps: StepLog, path: Path) -> None:
+def _check_same_run(summary: Summary, steps: Steps, path: Path) -> None:
     """Raises ValueError unless the summary describes these steps, or the first of them."""
     for deployment in summary.deployments:
         rows = steps.of_iteration(deployment.iteration)
@@ -184,13 +183,13 @@ def _check_same_run(summary: Summary, steps: StepLog, path: Path) -> None:
                 f"them failed, in steps.csv {recorded} and {failed}; both must be of the same run"
             )
     count = sum(deployment.steps for deployment in summary.deployments)
-    if summary.steps_sha256 and summary.steps_sha256 != digest(StepLog(steps.space, islice(steps, count))):
+    if summary.steps_sha256 and summary.steps_sha256 != digest(steps.selected(slice(count))):
         raise ValueError(f"{path}: steps.csv was changed after it was written; both must be of the same run")
     for deployment in summary.deployments:
         _check_rmse(deployment, steps, path)
 
 
-def _check_rmse(deployment: Deployment, steps: StepLog, path: Path) -> None:
+def _check_rmse(deployment: Deployment, steps: Steps, path: Path) -> None:
     """Raises ValueError unless the RMSE of a deployment is that of its steps; one that is not known is not checked."""
     errors = steps.of_iteration(deployment.iteration).tracking_errors()
     if not len(errors):

@@ -7,7 +7,7 @@ import numpy as np
 
 from stepgap.base.errors import InputError
 from stepgap.records.run_folder import RunRecord
-from stepgap.records.steps_csv import column_names, values_of
+from stepgap.records.steps_csv import AFTER, column_names, values_of
 from stepgap.step import Quantity, StepSpace
 
 STATE_MEANINGS = {
@@ -55,11 +55,11 @@ def step_columns(record: RunRecord, iteration: int | None = None) -> list[Column
     if not len(steps):
         there = ", ".join(map(str, record.steps.iterations))
         raise InputError(f"--deployment {iteration}: no step of it in {record.folder}; there are {there}")
-    legend = _legend(record.space)
-    rows = [list(values_of(logged, record.space).values()) for logged in steps]
+    legend = _legend(steps.space)
+    rows = [list(values_of(logged, steps.space).values()) for logged in steps]
     return [
         Column(name, *legend[name], np.array(values))
-        for name, values in zip(column_names(record.space), zip(*rows, strict=True), strict=True)
+        for name, values in zip(column_names(steps.space), zip(*rows, strict=True), strict=True)
     ]
 
 
@@ -78,6 +78,9 @@ def _legend(space: StepSpace) -> dict[str, tuple[str, str]]:
         "step": ("", "number of the step in the deployment, from 1; exploratory steps have smaller numbers"),
         **of(space.state, STATE_MEANINGS),
         **of(space.command, COMMAND_MEANINGS),
-        "yaw_after": ("rad", "yaw after the step; NaN where it is not measured"),
+        **{
+            f"{each.name}{AFTER}": (each.unit, f"{each.name} after the step; NaN where it is not measured")
+            for each in space.context
+        },
         "status": ("", "outcome of the step: ok, or the reason why there is no next state"),
     }

@@ -6,14 +6,16 @@ import hashlib
 import os
 from codecs import BOM_UTF8
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import product, takewhile
 from pathlib import Path
 
 import numpy as np
 
 from stepgap.base.errors import InputError
 from stepgap.base.files import naming
-from stepgap.learning.step_log import LoggedStep, StepLog
-from stepgap.step import Quantity, StepRecord, StepSpace, StepStatus
+from stepgap.learning.steps import LoggedStep, Steps
+from stepgap.step import ContextQuantity, Quantity, StepRecord, StepSpace, StepStatus
 
 LARGEST_STEPS_FILE = 256 * 2**20
 """Largest `steps.csv` that is read [bytes]."""
@@ -29,8 +31,11 @@ class RecordError(InputError):
     """A step log cannot be used; the message is one line that names the file and its fault."""
 
 
-_FORMER_YAW = "place_after"
-"""Name of the column `yaw_after` in earlier versions."""
+_FORMER = "place_after"
+"""Name of a column of the context in the first versions."""
+
+AFTER = "_after"
+"""End of the names of the columns of the context."""
 
 RECOVERY = "; `stepgap recover` saves what comes before it"
 """End of the message about a damaged row."""
@@ -47,7 +52,7 @@ def column_names(space: StepSpace) -> list[str]:
         *command,
         *(f"{kind}_{name}" for kind in ("requested", "applied") for name in command),
         *(f"{kind}_{name}" for kind in ("next", "true_next", "predicted", "std") for name in state),
-        "yaw_after",
+        *(f"{name}{AFTER}" for name in space.context_names),
         "status",
     ]
 
@@ -60,8 +65,8 @@ def check_names(space: StepSpace) -> None:
     """
     if len(space.state) > MOST_COORDINATES:
         raise RecordError(f"the state has {len(space.state)} coordinates, but it must have at most {MOST_COORDINATES}")
-    columns = [*column_names(space), _FORMER_YAW]
-    for name in space.names:
+    columns = [*column_names(space), _FORMER]
+    for name in (*space.names, *(f"{each}{AFTER}" for each in space.context_names)):
         if not name or "," in name or not name.isprintable():
             raise RecordError(
                 f"the name {name!r:.80} of a coordinate cannot be a column of steps.csv: it must be printable text "
@@ -70,27 +75,28 @@ def check_names(space: StepSpace) -> None:
         if columns.count(name) > 1:
             raise RecordError(
                 f"the name {name!r:.80} of a coordinate is that of another column of steps.csv; the names of state and "
-                "command must differ from each other, from iteration, step, yaw_after and status, and from the other "
-                "names after target_, requested_, applied_, next_, true_next_, predicted_ or std_"
+                "command must differ from each other, from iteration, step and status, and from the other "
+                "names after target_, requested_, applied_, next_, true_next_, predicted_ or std_, or before _after"
             )
 
 
 def values_of(logged: LoggedStep, space: StepSpace) -> dict[str, int | float | str]:
     """The entries of a row of `steps.csv`, by column."""
-    return dict(zip(column_names(space), _values(logged), strict=True))
+    return dict(zip(column_names(space), _values(logged, space.context_names), strict=True))
 
 
-def row_of(logged: LoggedStep) -> str:
+def row_of(logged: LoggedStep, space: StepSpace) -> str:
     """The line of `steps.csv` without its end; every number can be read back without loss."""
-    return ",".join(map(str, _values(logged)))
+    return ",".join(map(str, _values(logged, space.context_names)))
 
 
-def _values(logged: LoggedStep) -> list[int | float | str]:
+def _values(logged: LoggedStep, names: Sequence[str]) -> list[int | float | str]:
     record = logged.record
     before = (record.state, logged.target, record.command, record.requested, record.applied)
     after = (record.next_state, record.true_next_state, logged.predicted, logged.std)
     numbers = np.concatenate(before + after).tolist()
-    return [logged.iteration, logged.step, *numbers, float(record.yaw_after), record.status.label]
+    context = (float(record.context.get(name, np.nan)) for name in names)
+    return [logged.iteration, logged.step, *numbers, *context, record.status.label]
 
 
 def _step_of(row: str, space: StepSpace) -> LoggedStep:
@@ -103,9 +109,9 @@ def _step_of(row: str, space: StepSpace) -> LoggedStep:
     n, m = len(space.state), len(space.command)
     numbers = np.array([float(cell) for cell in cells[2:-1]])
     parts = np.split(numbers, np.cumsum([n, n, m, m, m, n, n, n, n]))
-    state, target, command, requested, applied, next_state, true_next_state, predicted, std, (yaw,) = parts
-    status = StepStatus[cells[-1].upper()]
-    record = StepRecord(state, command, applied, next_state, status, float(yaw), requested, true_next_state)
+    state, target, command, requested, applied, next_state, true_next_state, predicted, std, context = parts
+    status, named = StepStatus[cells[-1].upper()], space.named_context(context.tolist())
+    record = StepRecord(state, command, applied, next_state, status, named, requested, true_next_state)
     logged = LoggedStep(int(cells[0]), int(cells[1]), target, predicted, std, record)
     _check_numbers(logged, space)
     return logged
@@ -117,6 +123,8 @@ def _check_numbers(logged: LoggedStep, space: StepSpace) -> None:
     Of a failed step, the next state and the applied command may be unknown.
     """
     record, n, m = logged.record, len(space.state), len(space.command)
+    if unknown := set(record.context) - set(space.context_names):
+        raise ValueError(f"the context {min(unknown)} of the plant is not declared by the robot, in StepSpace.context")
     completed = record.status == StepStatus.OK
     numbers = (
         ("state of the plant", record.state, n, True),
@@ -149,9 +157,9 @@ def _check_order(last: LoggedStep | None, logged: LoggedStep) -> None:
 
 
 def space_of_header(path: Path) -> StepSpace:
-    """Step space with the names of state and command in the header of `steps.csv`.
+    """Step space with the names of state, command and context in the header of `steps.csv`.
 
-    The file contains no units, so they are empty, and no bounds, so they are −1 and 1.
+    The file contains no units, so they are empty, no bounds, so they are −1 and 1, and no periods.
 
     Raises:
         ValueError: The first line is not a header of a step log.
@@ -162,16 +170,18 @@ def space_of_header(path: Path) -> StepSpace:
     if header == [""]:
         raise ValueError(f"{path}: no step yet; it must have a header and at least one row below it")
     check_not_older(header, path)
-    for n in range(1, min(MOST_COORDINATES, len(header) // 6) + 1):
-        m = (len(header) - 4 - 6 * n) // 3
+    names = [name.removesuffix(AFTER) for name in takewhile(lambda name: name.endswith(AFTER), header[-2:1:-1])]
+    for n, size in product(range(1, min(MOST_COORDINATES, len(header) // 6) + 1), range(len(names) + 1)):
+        m = (len(header) - 3 - size - 6 * n) // 3
         state, command = header[2 : 2 + n], header[2 + 2 * n : 2 + 2 * n + m]
-        space = StepSpace(tuple(map(_coordinate, state)), tuple(map(_coordinate, command)))
+        context = tuple(ContextQuantity(name, "") for name in reversed(names[:size]))
+        space = StepSpace(tuple(map(_coordinate, state)), tuple(map(_coordinate, command)), context)
         if m >= 0 and column_names(space) == header and len(set(header)) == len(header):
             return space
     raise ValueError(
         f"{path}, line 1: not the header of a step log; it must be iteration, step, the state's names (at most "
         f"{MOST_COORDINATES}), target_…, the command's names, requested_…, applied_…, next_…, true_next_…, "
-        "predicted_…, std_…, yaw_after, status"
+        "predicted_…, std_…, the context's names with _after, status"
     )
 
 
@@ -181,10 +191,10 @@ def _coordinate(name: str) -> Quantity:
 
 def check_not_older(header: Sequence[str], path: Path) -> None:
     """Raises RecordError if a header has a column name of an earlier version of StepGap."""
-    if _FORMER_YAW in header:
+    if _FORMER in header:
         raise RecordError(
             f"{path}, line 1: recorded by an older version of StepGap, in which the column yaw_after was called "
-            f"{_FORMER_YAW}; run its experiment.toml again, or read the steps alone after renaming the column"
+            f"{_FORMER}; run its experiment.toml again, or read the steps alone after renaming the column"
         )
     kinds = {name.partition("_")[0] for name in header}
     if "applied" in kinds and "requested" not in kinds:
@@ -195,25 +205,27 @@ def check_not_older(header: Sequence[str], path: Path) -> None:
         )
 
 
-def text_of(log: StepLog) -> str:
+def text_of(log: Steps) -> str:
     """Content of the `steps.csv` with these steps."""
-    lines = [",".join(column_names(log.space)), *map(row_of, log)]
+    lines = [",".join(column_names(log.space)), *(row_of(logged, log.space) for logged in log)]
     return "".join(f"{line}\n" for line in lines)
 
 
-def digest(log: StepLog) -> str:
+def digest(log: Steps) -> str:
     """SHA-256 of the `steps.csv` with these steps."""
     return hashlib.sha256(text_of(log).encode()).hexdigest()
 
 
-def read_step_log(path: Path, space: StepSpace) -> StepLog:
+def read_step_log(path: Path, space: StepSpace) -> Steps:
     """Reads `steps.csv`; a last line that was not completely written is left out.
+
+    The space of the steps is the given one with the context that the file has: an older file may have less or more.
 
     Raises:
         RecordError: The file is not a step log of this space; the message names file and line.
         OSError: The file cannot be read.
     """
-    return StepLog(space, _steps_in(_read_content(path), path, space))
+    return _read_steps(_read_content(path), path, space)
 
 
 def ends_with_whole_row(path: Path) -> bool:
@@ -227,7 +239,7 @@ def ends_with_whole_row(path: Path) -> bool:
         return file.read() == b"\n"
 
 
-def recover_steps(path: Path, space: StepSpace) -> tuple[StepLog, str]:
+def recover_steps(path: Path, space: StepSpace) -> tuple[Steps, str]:
     """Reads a damaged `steps.csv` up to the first row that is not intact.
 
     Returns:
@@ -237,19 +249,21 @@ def recover_steps(path: Path, space: StepSpace) -> tuple[StepLog, str]:
         RecordError: The file is not a step log of this space at all.
         OSError: The file cannot be read.
     """
-    content, steps = _read_content(path), []
+    content = _read_content(path)
     readable = _readable(content)
+    lines = _lines_in(content[:readable], path)
+    found, steps = _space_in(lines, path, space), list[LoggedStep]()
     try:
-        for logged in _steps_in(content[:readable], path, space):
+        for logged in _steps_in(lines, path, found):
             steps.append(logged)
     except RecordError as error:
         if not steps:
             raise
-        return StepLog(space, steps), str(error).removesuffix(RECOVERY)
+        return Steps(found, steps), str(error).removesuffix(RECOVERY)
     if readable < len(content):
-        return StepLog(space, steps), f"{path}: not text from byte {readable} on"
+        return Steps(found, steps), f"{path}: not text from byte {readable} on"
     cut = content[content.rfind(b"\n") + 1 :]
-    return StepLog(space, steps), f"{path}: the last line is cut off after {len(cut)} bytes" if cut else ""
+    return Steps(found, steps), f"{path}: the last line is cut off after {len(cut)} bytes" if cut else ""
 
 
 def _read_content(path: Path) -> bytes:
@@ -267,26 +281,45 @@ def _readable(content: bytes) -> int:
     return len(content)
 
 
-def _steps_in(content: bytes, path: Path, space: StepSpace) -> Iterator[LoggedStep]:
-    """Yields the steps of the complete lines; raises RecordError at the first line that does not hold a step.
+def _read_steps(content: bytes, path: Path, space: StepSpace) -> Steps:
+    lines = _lines_in(content, path)
+    space = _space_in(lines, path, space)
+    return Steps(space, _steps_in(lines, path, space))
+
+
+def _lines_in(content: bytes, path: Path) -> list[str]:
+    """The complete lines of a file, then an empty one; without a complete line, the beginning of the first one.
 
     Spreadsheets write a byte-order mark, which is left out.
     """
     if len(content) > LARGEST_STEPS_FILE:
         raise RecordError(f"{path}: larger than {LARGEST_STEPS_FILE} bytes, so it is not read")
     content = content.removeprefix(BOM_UTF8)
-    header = ",".join(column_names(space))
-    if header.encode().startswith(content):
-        return  # cut off before the first line was complete
     try:
-        lines = content[: content.rfind(b"\n") + 1].decode().replace("\r\n", "\n").split("\n")[:-1]
+        return content[: content.rfind(b"\n") + 1 or None].decode().replace("\r\n", "\n").split("\n")
     except UnicodeDecodeError as error:
         raise RecordError(f"{path}: not a text file in UTF-8 ({error.reason})") from None
-    if lines[:1] != [header]:
-        check_not_older(lines[0].split(",") if lines else [], path)
-        raise RecordError(f"{path}, line 1: the columns must be {header}")
+
+
+def _space_in(lines: Sequence[str], path: Path, space: StepSpace) -> StepSpace:
+    """A space with the context that the header of a file has; raises RecordError if the other columns are not right."""
+    columns, wanted = lines[0].split(","), column_names(space)
+    if len(lines) == 1 and ",".join(wanted).startswith(lines[0]):
+        return space  # cut off before the first line was complete
+    check_not_older(columns, path)
+    fixed = len(wanted) - 1 - len(space.context)
+    names = [name.removesuffix(AFTER) for name in columns[fixed:-1]]
+    known = {each.name: each for each in space.context}
+    found = replace(space, context=tuple(known.get(name, ContextQuantity(name, "")) for name in names))
+    if columns != column_names(found) or len(set(columns)) < len(columns):
+        raise RecordError(f"{path}, line 1: the columns must be {','.join(wanted)}")
+    return found
+
+
+def _steps_in(lines: Sequence[str], path: Path, space: StepSpace) -> Iterator[LoggedStep]:
+    """Yields the steps in the lines after the header; raises RecordError at the first line that holds none."""
     last = None
-    for number, line in enumerate(lines[1:], start=2):
+    for number, line in enumerate(lines[1:-1], start=2):
         try:
             logged = _step_of(line, space)
             _check_order(last, logged)
@@ -301,10 +334,11 @@ class StepWriter:
 
     Args:
         path: The file; created if there is none. It is not changed before the first step is added.
-        space: Names of state and command.
+        space: Names of state, command and context.
 
     Attributes:
         recorded: Steps that were already in the file.
+        space: The space of the file, as `read_step_log` finds it.
 
     Raises:
         RecordError: Another process is writing the file, it is not a step log of this space, or `check_names` refuses
@@ -314,17 +348,16 @@ class StepWriter:
 
     def __init__(self, path: Path, space: StepSpace):
         check_names(space)
-        self._space, self._header = space, ",".join(column_names(space))
         self._path, self._file = path, path.open("a+b")
         try:
             self._lock(path)
             self._file.seek(0)
             content = self._file.read(LARGEST_STEPS_FILE + 1)
-            self.recorded = StepLog(space, _steps_in(content, path, space))
+            self.recorded = _read_steps(content, path, space)
         except BaseException:
             self._file.close()
             raise
-        self._whole = content.rfind(b"\n") + 1
+        self.space, self._whole = self.recorded.space, content.rfind(b"\n") + 1
 
     def _lock(self, path: Path) -> None:
         """Locks the file for this process; the kernel releases the lock when the process ends for any reason."""
@@ -344,12 +377,12 @@ class StepWriter:
             OSError: The row cannot be written; the rows before it stay as they are.
         """
         try:
-            _check_numbers(logged, self._space)
+            _check_numbers(logged, self.space)
         except ValueError as error:
             place = f"step {logged.step} of deployment {logged.iteration}"
             raise RecordError(f"{self._path}: {place} cannot be recorded: {error!s:.200}") from None
-        text = row_of(logged) if self._whole else f"{self._header}\n{row_of(logged)}"
-        row = f"{text}\n".encode()
+        header = "" if self._whole else ",".join(column_names(self.space)) + "\n"
+        row = f"{header}{row_of(logged, self.space)}\n".encode()
         with naming(self._path):
             self._file.truncate(self._whole)
             self._file.write(row)

@@ -80,18 +80,19 @@ class NoiseFloor(NamedTuple):
     """Standard deviation of the next state when a step is repeated; NaN where it is not known.
 
     Attributes:
-        any_yaw: If the yaw differs from repetition to repetition; shape (n,). Key `repeatability`.
-        same_yaw: If only the noise differs; shape (n,). Key `repeatability_same_yaw`.
-        any_yaw_freedom: Degrees of freedom of `any_yaw`, NaN where they are not known; shape (n,) or a number. Key
+        any_phase: If the phase of the periodic context differs from repetition to repetition; shape (n,). Key
+            `repeatability`.
+        same_phase: If only the noise differs; shape (n,). Key `repeatability_same_yaw`.
+        any_phase_freedom: Degrees of freedom of `any_phase`, NaN where they are not known; shape (n,) or a number. Key
             `repeatability_freedom`.
-        same_yaw_freedom: Degrees of freedom of `same_yaw`. Key `repeatability_same_yaw_freedom`.
+        same_phase_freedom: Degrees of freedom of `same_phase`. Key `repeatability_same_yaw_freedom`.
         steps: Number of steps from which both were computed; 0 if it is not known. Key `repeatability_steps`.
     """
 
-    any_yaw: Array
-    same_yaw: Array
-    any_yaw_freedom: Array | float = np.nan
-    same_yaw_freedom: Array | float = np.nan
+    any_phase: Array
+    same_phase: Array
+    any_phase_freedom: Array | float = np.nan
+    same_phase_freedom: Array | float = np.nan
     steps: int = 0
 
     @classmethod
@@ -149,10 +150,10 @@ def write_summary(path: Path, summary: Summary, names: Sequence[str]) -> None:
         "schema": SUMMARY_SCHEMA,
         "seed": summary.seed,
         "iterations": [deployment_entry(deployment, names) for deployment in summary.deployments],
-        "repeatability": _by_name(names, floor.any_yaw),
-        "repeatability_same_yaw": _by_name(names, floor.same_yaw),
-        "repeatability_freedom": _by_name(names, np.broadcast_to(floor.any_yaw_freedom, len(names))),
-        "repeatability_same_yaw_freedom": _by_name(names, np.broadcast_to(floor.same_yaw_freedom, len(names))),
+        "repeatability": _by_name(names, floor.any_phase),
+        "repeatability_same_yaw": _by_name(names, floor.same_phase),
+        "repeatability_freedom": _by_name(names, np.broadcast_to(floor.any_phase_freedom, len(names))),
+        "repeatability_same_yaw_freedom": _by_name(names, np.broadcast_to(floor.same_phase_freedom, len(names))),
         "repeatability_steps": floor.steps,
         "repeatability_measured": summary.noise_floor_measured,
         "steps_sha256": summary.steps_sha256,
@@ -303,10 +304,10 @@ def _noise_floor(fields: Mapping[str, Any], names: tuple[str, ...], source: str)
     known = {"repeatability_freedom": dict.fromkeys(names), "repeatability_same_yaw_freedom": dict.fromkeys(names)}
     known |= {"repeatability_steps": 0, **fields}
     return NoiseFloor(
-        any_yaw=_errors(known, "repeatability", names, source),
-        same_yaw=_errors(known, "repeatability_same_yaw", names, source),
-        any_yaw_freedom=_errors(known, "repeatability_freedom", names, source),
-        same_yaw_freedom=_errors(known, "repeatability_same_yaw_freedom", names, source),
+        any_phase=_errors(known, "repeatability", names, source),
+        same_phase=_errors(known, "repeatability_same_yaw", names, source),
+        any_phase_freedom=_errors(known, "repeatability_freedom", names, source),
+        same_phase_freedom=_errors(known, "repeatability_same_yaw_freedom", names, source),
         steps=integer(known, "repeatability_steps", 0, f"{source}: "),
     )
 

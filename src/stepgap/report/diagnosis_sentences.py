@@ -5,7 +5,7 @@ import numpy as np
 from stepgap.experiment.diagnosis import SMALLEST_GAIN, Diagnosis, diagnose, part_at_bounds
 from stepgap.experiment.state_ranges import far_states
 from stepgap.learning.observations import Observations, observe
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.decimals import decimal
@@ -82,7 +82,7 @@ def _noise(found: Diagnosis, space: StepSpace) -> list[str]:
     ]
 
 
-def _authority(found: Diagnosis, space: StepSpace, steps: StepLog) -> list[str]:
+def _authority(found: Diagnosis, space: StepSpace, steps: Steps) -> list[str]:
     """Whether the commands can move the state in one step by as much as the targets change."""
     if not np.isfinite(found.authority).all() or len(steps) < 2:
         return []

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from stepgap.experiment.bands import WINDOW, executed_steps_to_band, window_errors
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURED, MEASURES, Deployment
 from stepgap.report.decimals import decimal
@@ -103,7 +103,7 @@ def band_table(record: RunRecord) -> str:
     return table(caption, heads, rows)
 
 
-def steps_in_words(deployments: Sequence[StepLog], band: Array, end: str) -> str:
+def steps_in_words(deployments: Sequence[Steps], band: Array, end: str) -> str:
     """Number of steps until the error stays in the band, for a table.
 
     Args:
@@ -117,7 +117,7 @@ def steps_in_words(deployments: Sequence[StepLog], band: Array, end: str) -> str
     return "never" if steps is None else str(steps)
 
 
-def _best(deployments: Sequence[StepLog]) -> list[str]:
+def _best(deployments: Sequence[Steps]) -> list[str]:
     """Smallest error of 20 consecutive tracking steps, coordinate by coordinate."""
     errors = np.concatenate([steps.tracking_errors() for steps in deployments])
     if len(errors) < WINDOW:

@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from stepgap.base.normal import INTERVAL_95
 from stepgap.experiment.outcome import cut_commands
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.colours import BLACK, BLUE, GREY, LIGHT, SKY, VERMILLION
 from stepgap.report.intervals import rmse_interval
@@ -238,7 +238,7 @@ def _panels(count: int) -> tuple[Figure, list[Axes]]:
     return figure, list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
 
 
-def _show_steps(panels: Sequence[Axes], steps: StepLog) -> None:
+def _show_steps(panels: Sequence[Axes], steps: Steps) -> None:
     """Sets the axis of step numbers to these steps, and marks the exploratory ones."""
     first, last = int(steps.number.min()), int(steps.number.max())
     margin = 0.5 + 0.01 * (last - first)
@@ -248,21 +248,21 @@ def _show_steps(panels: Sequence[Axes], steps: StepLog) -> None:
         panel.axvspan(first - margin, 0.5, color="0.93", linewidth=0, zorder=0, label=label)
 
 
-def _numbers(steps: StepLog) -> Array:
-    return np.array([logged.step for logged in steps], float)
+def _numbers(steps: Steps) -> Array:
+    return steps.number.astype(float)
 
 
-def _pixels(steps: StepLog) -> dict[str, Any]:
+def _pixels(steps: Steps) -> dict[str, Any]:
     return {"rasterized": len(steps) > MOST_VECTORS}
 
 
-def _reached(steps: StepLog, index: int) -> Array:
+def _reached(steps: Steps, index: int) -> Array:
     """One coordinate of the next states, NaN where there was none; shape (N,)."""
-    completed = np.array([logged.record.status == StepStatus.OK for logged in steps])
+    completed = steps.status == StepStatus.OK
     return np.where(completed, steps.next_state[:, index], np.nan)
 
 
-def _draw_tracking(panel: Axes, steps: StepLog, index: int, name: str, style: dict[str, Any]) -> None:
+def _draw_tracking(panel: Axes, steps: Steps, index: int, name: str, style: dict[str, Any]) -> None:
     numbers, reached = _numbers(steps), _reached(steps, index)
     panel.plot(numbers, reached, label=name, **style)
     failed = np.isnan(reached)
@@ -271,7 +271,7 @@ def _draw_tracking(panel: Axes, steps: StepLog, index: int, name: str, style: di
         panel.plot(numbers[failed], steps.state[failed, index], label="no next state after this one", **mark)
 
 
-def _draw_prediction(panel: Axes, steps: StepLog, index: int) -> None:
+def _draw_prediction(panel: Axes, steps: Steps, index: int) -> None:
     numbers, std = _numbers(steps), steps.std[:, index]
     mean, reached = steps.predicted[:, index], _reached(steps, index)
     mean = np.where(np.isfinite(mean), mean, np.nan)
@@ -293,7 +293,7 @@ def _note(panel: Axes, text: str) -> None:
     panel.text(0.5, 0.5, text, transform=panel.transAxes, ha="center", va="center", color=GREY)
 
 
-def _mark_changes(panel: Axes, steps: StepLog) -> None:
+def _mark_changes(panel: Axes, steps: Steps) -> None:
     """Draws a light line at every step whose target differs from the previous one."""
     changes = np.flatnonzero((np.diff(steps.target, axis=0) != 0).any(axis=1)) + 1
     if len(changes) <= MOST_CHANGES:

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from stepgap.base.normal import std_interval_95
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.report.decimals import decimal
 from stepgap.step import Array
 
@@ -13,7 +13,7 @@ FEWEST_TRACKED: Final = 20
 """Smallest number of steps from which an interval is computed."""
 
 
-def rmse_interval(steps: StepLog) -> Array:
+def rmse_interval(steps: Steps) -> Array:
     """95 % confidence interval of the tracking RMSE of a deployment, with the reference as it was.
 
     Errors of neighbouring steps are correlated, so the variance of the mean square follows from the means of all

@@ -39,7 +39,7 @@ def learned_sentences(record: RunRecord, learned: LearnedResidual | Missing) -> 
     parameters = [parameter for each in learned.residual.regressions for parameter in each.parameters()]
     return [
         f"{model}: for each state coordinate {learned.residual.model.description}, fitted to actual − nominal of the "
-        f"{before} {learned.steps} steps; the yaw-dependent part of the error was removed where it was significant.",
+        f"{before} {learned.steps} steps; the periodic part of the error was removed where it was significant.",
         *_outliers(learned.residual.outliers),
         *dict.fromkeys(parameter.meaning for parameter in parameters if parameter.meaning),
     ]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.control.closed_loop import largest_multiplier
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.step import Array
 
 Mask = NDArray[np.bool_]
@@ -46,7 +46,7 @@ class MeasuredLoop:
     interval: Array
 
 
-def measured_loop(steps: StepLog) -> MeasuredLoop | None:
+def measured_loop(steps: Steps) -> MeasuredLoop | None:
     """Computes the largest multiplier of the closed loop from the steps of one deployment at unchanged targets.
 
     Args:
@@ -74,7 +74,7 @@ def measured_loop(steps: StepLog) -> MeasuredLoop | None:
     return MeasuredLoop(steps.iterations[0], count, float(max(2 * found - drawn.mean(), 0.0)), ends)
 
 
-def _visits(steps: StepLog) -> list[Array]:
+def _visits(steps: Steps) -> list[Array]:
     """Errors of consecutive states at an unchanged target, without that which the change left; shapes (T + 1, n)."""
     steps = steps.tracking()
     error, after = steps.state - steps.target, steps.next_state - steps.target

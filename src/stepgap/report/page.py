@@ -49,10 +49,10 @@ FARTHER: Final = (
 """Reason for changes of the standard deviation from step to step."""
 
 JUMPS: Final = (
-    " It jumps where the estimate of the yaw-dependent disturbance begins or ceases to be used, or where it follows "
+    " It jumps where the estimate of the periodic disturbance begins or ceases to be used, or where it follows "
     "changes faster or more slowly than before."
 )
-"""Further reason, for robots whose yaw is measured."""
+"""Further reason, for robots with a periodic context that is measured."""
 
 SURFACE_CAPTION: Final = (
     "The learned correction, the expected error of the nominal map, and its standard deviation without noise, for each "
@@ -149,7 +149,7 @@ def _map_caption(record: RunRecord, row: int) -> str:
     unsure = [number for number in record.shown_iterations if record.steps.of_iteration(number).std[:, row].any()]
     held = [_held(record, iteration, row) for iteration in record.steps.iterations]
     band = " with 95 % band, noise included," if last in unsure else ""
-    reasons = FARTHER + (JUMPS if np.isfinite(record.steps.yaw).any() else "")
+    reasons = FARTHER + (JUMPS if np.isfinite(record.steps.phase).any() else "")
     text = (
         f"Map of {quantity.name}, drawn like the paper's Figs. 6 and 7. (a) Its mean{band} and the measured next "
         f"state, in deployment {last}."

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.html import absence, safe
@@ -84,7 +84,7 @@ def _described(quantity: Quantity) -> list[str | int]:
     return [quantity.name, quantity.unit, int(np.clip(3 - np.log10(quantity.upper - quantity.lower), 0, 6))]
 
 
-def _packed(number: int, motion: Motion, scene: Scene, log: StepLog) -> dict[str, Any]:
+def _packed(number: int, motion: Motion, scene: Scene, log: Steps) -> dict[str, Any]:
     """JSON data of a motion: its channels as consecutive 16-bit integers, and its steps.
 
     The channels are the step, the position of the body, those of all points relative to it, the contacts and the

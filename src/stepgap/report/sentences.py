@@ -122,15 +122,16 @@ def _floor(record: RunRecord) -> list[str]:
 
 def _differences(record: RunRecord, rows: Sequence[int]) -> str:
     """In what repeated steps differ, and what this means for a controller."""
-    if not np.isfinite(record.steps.yaw).any():
+    periodic = record.steps.space.periodic
+    if periodic is None or not np.isfinite(record.steps.phase).any():
         return (
             "with other noise. A controller that does not know the noise cannot have smaller steady errors on average"
         )
-    alone = _with_intervals(record, record.noise_floor_same_yaw, record.noise_floor_same_yaw_interval, rows)
+    alone = _with_intervals(record, record.noise_floor_same_phase, record.noise_floor_same_phase_interval, rows)
     return (
-        "at other yaw angles and with other noise. A controller that knows neither noise nor yaw cannot have smaller "
-        "steady errors on average. One that estimates the yaw-dependent disturbance (learning.drift) can, but not "
-        f"smaller than the noise alone: {alone}"
+        f"at another {periodic.name} and with other noise. A controller that knows neither noise nor {periodic.name} "
+        "cannot have smaller steady errors on average. One that estimates the periodic disturbance (learning.drift) "
+        f"can, but not smaller than the noise alone: {alone}"
     )
 
 
@@ -215,7 +216,7 @@ def _last_status(record: RunRecord, deployment: Deployment) -> StepStatus:
 
 def _failures(record: RunRecord) -> str:
     """Numbers of the steps without a next state, by their status."""
-    found = Counter(logged.record.status for logged in record.steps)
+    found = Counter(map(StepStatus, record.steps.status.tolist()))
     falls, stops = found[StepStatus.FELL], found[StepStatus.STOPPED]
     doubts = found[StepStatus.DOUBTFUL]
     others = record.steps.failed_steps - falls - stops - doubts

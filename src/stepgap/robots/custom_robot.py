@@ -5,20 +5,22 @@ from typing import ClassVar, final
 
 from stepgap.base.ranges import require
 from stepgap.robots.robot import Robot
-from stepgap.step import Quantity, StepSpace
+from stepgap.step import ContextQuantity, Quantity, StepSpace
 
 
 @dataclass(frozen=True)
 class Quantities:
-    """State and command.
+    """State, command and context.
 
     Attributes:
         state: Coordinates of the state at the section.
         command: Coordinates of the command.
+        context: What else is measured around a step, each with name, unit and, if it is periodic, its period.
     """
 
     state: tuple[Quantity, ...] = ()
     command: tuple[Quantity, ...] = ()
+    context: tuple[ContextQuantity, ...] = ()
 
 
 @final
@@ -27,7 +29,7 @@ class CustomRobot(Robot):
     """A robot of which only the state and the command are known; its plant is a program, its nominal map is a file.
 
     Attributes:
-        quantities: State and command.
+        quantities: State, command and context.
     """
 
     name: ClassVar[str] = "custom"
@@ -37,16 +39,16 @@ class CustomRobot(Robot):
     @property
     def space(self) -> StepSpace:
         """Names, units and ranges of the settings."""
-        return StepSpace(self.quantities.state, self.quantities.command)
+        return StepSpace(self.quantities.state, self.quantities.command, self.quantities.context)
 
     def check(self) -> None:
         """Raises ValueError where a coordinate is missing, is named twice, or has a name that is no identifier."""
-        for kind in ("state", "command"):
+        for kind in ("state", "command", "context"):
             given = getattr(self.quantities, kind)
             wanted = f"be at least one [[quantities.{kind}]] with name, unit, lower, upper"
-            require(len(given) > 0, f"quantities.{kind}", len(given), wanted)
+            require(len(given) > 0 or kind == "context", f"quantities.{kind}", len(given), wanted)
             for number, each in enumerate(given, start=1):
                 rule = "consist of letters, digits and underscores"
                 require(each.name.isidentifier(), f"quantities.{kind} {number}.name", each.name, rule)
-        names = self.space.names
+        names = (*self.space.names, *self.space.context_names)
         require(len(set(names)) == len(names), "quantities", list(names), "have different names")

@@ -9,7 +9,7 @@ from viser import GuiDropdownHandle, ViserServer
 
 from stepgap.learning.observations import error_of
 from stepgap.learning.residual import join_points
-from stepgap.learning.step_log import LoggedStep
+from stepgap.learning.steps import LoggedStep
 from stepgap.report.colours import BLUE, VERMILLION
 from stepgap.robots.scene import Scene
 from stepgap.step import StepStatus

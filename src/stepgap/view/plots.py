@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from viser import GuiApi, GuiUplotHandle, uplot
 
-from stepgap.learning.step_log import LoggedStep
+from stepgap.learning.steps import LoggedStep
 from stepgap.report.colours import BLUE, VERMILLION
 from stepgap.report.units import with_unit
 from stepgap.step import Array, Quantity

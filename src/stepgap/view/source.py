@@ -17,7 +17,7 @@ from stepgap.experiment.replay import find_kinematics, logged_ticks, replayed_st
 from stepgap.experiment.settings import read_experiment
 from stepgap.learning.observations import next_history
 from stepgap.learning.residual import Residual
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
@@ -61,7 +61,7 @@ class Source:
         self._missing: Missing | None = None
         self._has_motion = True
         self.kinematics = self._find_kinematics()
-        self._size, self._log = -1, StepLog(self.space)
+        self._size, self._log = -1, Steps(self.space)
         self._steps: dict[int, list[LoggedStep]] = {}
         self._motion: dict[int, list[Motion | None]] = {}
         self._loaders: dict[int, Thread] = {}
@@ -134,12 +134,8 @@ class Source:
         residual, steps = self._model(iteration), self.steps(iteration)
         if residual is None or not 0 < number <= len(steps):
             return None
-        before = []
-        for logged in self._log:
-            if logged is steps[number - 1]:
-                break
-            before.append(logged)
-        return residual.conditioned_on(next_history(StepLog(self.space, before), self.nominal, iteration))
+        row = np.flatnonzero(self._log.iteration == iteration)[number - 1]
+        return residual.conditioned_on(next_history(self._log.selected(slice(row)), self.nominal, iteration))
 
     def poll(self) -> bool:
         """Reads new data; returns whether there were new steps."""
@@ -187,10 +183,7 @@ class Source:
             return False
         except OSError as error:
             raise InputError(f"{path}: {error.strerror}; {self.folder} must be the folder of a run") from None
-        steps = defaultdict(list)
-        for logged in self._log:
-            steps[logged.iteration].append(logged)
-        self._steps = dict(steps)
+        self._steps = {iteration: list(self._log.of_iteration(iteration)) for iteration in self._log.iterations}
         return True
 
     def _drain(self, ring: TickRing) -> None:
@@ -228,7 +221,7 @@ class Source:
 
     def _read_log(self, iteration: int, motions: list[Motion | None], kinematics: Kinematics) -> None:
         steps = self.steps(iteration)
-        ticks = logged_ticks(self.folder, steps, self.settings)
+        ticks = logged_ticks(self.folder, self._log.of_iteration(iteration), self.settings)
         for step in range(steps[0].step - 1, steps[-1].step + 1):
             rows = ticks.rows[ticks["step"] == step][:: kinematics.every(VIEW_INTERVAL)]
             motions.append(kinematics.motion(TickTable(ticks.units, rows)) if len(rows) else None)

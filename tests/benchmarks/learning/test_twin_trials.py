@@ -23,7 +23,7 @@ from stepgap.base.errors import InputError, StepGapError
 from stepgap.base.settings_file import to_table
 from stepgap.control.reference import Reference, parse_reference, reference_text
 from stepgap.experiment.bands import interval_coverage
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.robots.gap import differences
 from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
@@ -96,7 +96,7 @@ def test_coverage_counts_steps_within_the_interval() -> None:
         return LoggedStep(1, 1, predicted, predicted, np.full(2, std), record)
 
     steps = [logged(0.0195, 0.01), logged(-0.0197, 0.01), logged(0.0, 0.01), logged(0.0, 0.0)]
-    covered, counted = interval_coverage(StepLog(NOMINAL.space, steps))
+    covered, counted = interval_coverage(Steps(NOMINAL.space, steps))
     assert (covered.tolist(), counted.tolist()) == ([2, 3], [3, 3])
 
 

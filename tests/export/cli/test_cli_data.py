@@ -26,7 +26,7 @@ from stepgap.cli.doctor import _packages_of, doctor
 from stepgap.experiment.loaded_run import load_run
 from stepgap.experiment.replay import replay
 from stepgap.export.controller.model_reading import read_portable
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.plants.ticks.tick_log import TickLog, read_ticks
 from stepgap.records.steps_csv import read_step_log
 from stepgap.records.summary import NoiseFloor
@@ -60,7 +60,7 @@ def run(made: Path, stepgap: Command) -> Path:
 
 
 @pytest.fixture
-def log(made: Path) -> StepLog:
+def log(made: Path) -> Steps:
     return read_step_log(made / "steps.csv", SPACE)
 
 
@@ -71,7 +71,7 @@ def contents(folder: Path = Path()) -> dict[str, bytes]:
 # Steps
 
 
-def test_matlab_gets_structs_of_columns(run: Path, stepgap: Command, log: StepLog) -> None:
+def test_matlab_gets_structs_of_columns(run: Path, stepgap: Command, log: Steps) -> None:
     assert stepgap("export", run, "--to", "mat") == CommandResult(0, "run/export/run.mat\n", "")
     file = loadmat("run/export/run.mat", simplify_cells=True)
     steps, summary = file["steps"], file["summary"]
@@ -127,7 +127,7 @@ def test_one_deployment_alone(run: Path, stepgap: Command) -> None:
     assert Path("run/export/steps_1.csv").read_text().splitlines() == [header, *rows[3:]]
 
 
-def test_parquet_keeps_numbers_and_units(run: Path, stepgap: Command, log: StepLog) -> None:
+def test_parquet_keeps_numbers_and_units(run: Path, stepgap: Command, log: Steps) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is an extra")
     assert stepgap("export", run, "--to", "parquet").out == "run/export/steps.parquet\n"
     table = parquet.read_table("run/export/steps.parquet")
@@ -260,7 +260,7 @@ def cut(count: int) -> Callable[[bytes], bytes]:
     ],
 )
 def test_the_intact_steps_of_a_damaged_record(
-    run: Path, stepgap: Command, log: StepLog, spoil: Callable[[bytes], bytes], steps: int, fault: str
+    run: Path, stepgap: Command, log: Steps, spoil: Callable[[bytes], bytes], steps: int, fault: str
 ) -> None:
     broken = spoil((run / "steps.csv").read_bytes())
     (run / "steps.csv").write_bytes(broken)

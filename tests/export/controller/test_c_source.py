@@ -16,8 +16,9 @@ from stepgap.base.errors import InputError
 from stepgap.export.controller.c_source import Real, c_source
 from stepgap.export.controller.model_document import filter_after
 from stepgap.export.controller.portable_controller import PortableController
-from stepgap.learning.step_log import LoggedStep
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import Array, StepFailed, StepRecord, StepStatus
+from tests.control.maps import YAW
 from tests.export.controller.learned import KINDS, SPACE, learned, steps
 
 COMPILER = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
@@ -147,8 +148,9 @@ def test_the_filter_is_that_of_python_also_after_a_push(compile_in: Callable[...
         after = controller.map(state, command) + shift + push + rng.normal(0, 0.01, 2) * SPACE.state_scale
         given = map(code.array, (state, command, after))
         assert code.call("filter_update", code.filter, *given, float(yaw[row])) == 0
-        record = StepRecord(state, command, command, after, StepStatus.OK, float(yaw[row + 1]))
+        record = StepRecord(state, command, command, after, StepStatus.OK, {"yaw": float(yaw[row + 1])})
         logged.append(LoggedStep(0, row + 1, after, after, np.zeros(2), record))
+    logged = Steps(replace(SPACE, context=(YAW,)), logged)
     python = filter_after(controller, logged)
     without = filter_after(replace(controller, reject_outliers=False), logged)
     for angle in (0.3, 2.0, float("nan")):

@@ -27,7 +27,7 @@ COUNT = 30
 def inputs() -> np.ndarray[Any, Any]:
     """Measured states, targets and yaw angles, of a robot whose steps do not depend on its commands."""
     rng = np.random.default_rng(4)
-    names = ["time", "state_speed", "state_height", "target_speed", "target_height", "yaw"]
+    names = ["time", "state_speed", "state_height", "target_speed", "target_height", "phase"]
     rows = np.empty((COUNT + 1, 6))
     rows[:, 0] = np.arange(COUNT + 1)
     rows[:, 1:3] = SPACE.state_centre + SPACE.state_scale * rng.uniform(-0.5, 0.5, (COUNT + 1, 2))
@@ -63,7 +63,7 @@ def test_it_plans_what_python_plans_twice_in_a_row(version: FmiVersion, tmp_path
     outputs = [f"{name}_{each.name}" for name, group in (
         ("command", SPACE.command), ("predicted", SPACE.state), ("std", SPACE.state)) for each in group]  # fmt: skip
     options: dict[str, Any] = {
-        "start_values": {"yaw_known": True}, "input": inputs(), "stop_time": float(COUNT), "step_size": 1.0,
+        "start_values": {"phase_known": True}, "input": inputs(), "stop_time": float(COUNT), "step_size": 1.0,
         "output_interval": 1.0, "output": [*outputs, "result"],
     }  # fmt: skip
     first, second = (fmpy.simulate_fmu(str(file), **options) for _ in range(2))

@@ -95,19 +95,19 @@ def test_it_is_valid(fmu: str) -> None:
 
     assert validate_fmu(fmu) == []
     units = {each.name: each.unit for each in fmpy.read_model_description(fmu).modelVariables}
-    assert (units["state_speed"], units["command_fx"], units["yaw"]) == ("m/s", "N", "rad")
+    assert (units["state_speed"], units["command_fx"], units["phase"]) == ("m/s", "N", "rad")
 
 
 def test_it_is_simulated_twice_in_a_row(fmu: str) -> None:
     signals = np.array(
         [(k, 0.1 * k, 1.0, 0.5 * k) for k in range(7)],
-        dtype=[("time", float), ("state_speed", float), ("target_speed", float), ("yaw", float)],
+        dtype=[("time", float), ("state_speed", float), ("target_speed", float), ("phase", float)],
     )
     options: dict[str, Any] = {
         "input": signals, "stop_time": 6.0, "step_size": 1.0, "output_interval": 1.0,
         "output": ["command_fx", "command_fy", "predicted_speed", "predicted_height", "std_speed", "std_height"],
     }  # fmt: skip
-    found = [fmpy.simulate_fmu(fmu, start_values={"yaw_known": True}, **options) for _ in range(2)]
+    found = [fmpy.simulate_fmu(fmu, start_values={"phase_known": True}, **options) for _ in range(2)]
     assert np.array_equal(found[0], found[1])
     last = found[0][-1]  # after the step from 5 s to 6 s, the sixth
     assert last["command_fx"] == pytest.approx(0.5)

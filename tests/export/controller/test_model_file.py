@@ -16,9 +16,10 @@ from stepgap.export.controller import model_reading
 from stepgap.export.controller.model_document import filter_after, model_document, model_text
 from stepgap.export.controller.model_reading import read_portable
 from stepgap.learning.disturbance import DisturbanceFilter
-from stepgap.learning.step_log import LoggedStep
-from stepgap.step import StepRecord, StepStatus
-from tests.export.controller.learned import CENTRE, KINDS, learned, steps
+from stepgap.learning.steps import LoggedStep, Steps
+from stepgap.step import StepRecord, StepSpace, StepStatus
+from tests.control.maps import YAW
+from tests.export.controller.learned import CENTRE, KINDS, SPACE, learned, steps
 
 PAGE = Path(__file__).parents[3] / "docs" / "model_file.md"
 READER, ONLINE = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
@@ -91,12 +92,15 @@ def test_the_filter_at_the_end_of_a_deployment_is_in_the_file(tmp_path: Path) ->
         failed, after = number == 5, float(rng.uniform(0, 6))
         record = StepRecord(
             state, command, command, np.full(2, np.nan) if failed else controller.map(state, command) + error,
-            StepStatus.FELL if failed else StepStatus.OK, np.nan if failed else after)  # fmt: skip
+            StepStatus.FELL if failed else StepStatus.OK, {} if failed else {"yaw": after})  # fmt: skip
         log.append(LoggedStep(0, number, state, state, np.zeros(2), record))
         expected = expected if failed else expected.updated(error, yaw)
-        yaw = record.yaw_after
+        yaw = record.context.get("yaw", np.nan)
     file = tmp_path / "model.json"
-    file.write_text(model_text(controller, filter_after(controller, log)), "utf-8")
+    file.write_text(
+        model_text(controller, filter_after(controller, Steps(StepSpace(SPACE.state, SPACE.command, (YAW,)), log))),
+        "utf-8",
+    )
     read_portable(file)  # which refuses a filter that cannot be read
     found = json.loads(file.read_text("utf-8"))["disturbance"]["end"]
     assert np.allclose(found["coefficients"], expected.coefficients, rtol=0, atol=1e-12)

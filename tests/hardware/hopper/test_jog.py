@@ -95,7 +95,7 @@ class HangingTwin(Rig):
 def jogged(motor: int, wiring: Wiring = RIGHT, gap: RealityGap = DAMPED, seed: int = 0):
     """Ticks of the trial of a motor, the message, and the true largest speed of a link [rad/s]."""
     rows, control = [], HopperJog(HopperControl(ROBOT, Gains(), CommandBounds()), motor)
-    board = Board.create(2, 2)
+    board = Board.create(2, 2, 1)
     try:
         with HangingTwin(wiring, gap, seed) as rig:
             settings = LoopSettings(stand_time=0.01, landing_time=0.01, release_time=inf)

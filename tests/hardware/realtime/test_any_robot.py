@@ -15,12 +15,13 @@ from stepgap.hardware.realtime.loop import ControlLoop, LoopSettings
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick_control import FinishedStep, Mode, Order, TickFlag
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, SensorModel, Torques
-from stepgap.step import Quantity, StepSpace, StepStatus
+from stepgap.step import ContextQuantity, Quantity, StepSpace, StepStatus
 from tests.hardware.realtime.still_robot import StillControl, StillRobot
 
 SPACE = StepSpace(
     (Quantity("x", "m", -1.0, 9.0), Quantity("y", "m", -1.0, 9.0), Quantity("roll", "rad", -1.0, 1.0)),
     (Quantity("push", "N", -2.0, 2.0),),
+    (ContextQuantity("ground", "m"),),
 )
 TICKS_PER_STEP = 10
 
@@ -61,7 +62,7 @@ class MarchControl(StillControl):
 
     def finished_step(self) -> FinishedStep:
         number = self._tick // TICKS_PER_STEP
-        return FinishedStep(np.array([number, 0.5, -0.25]), np.array([self._command]), np.array([0.125]), 1.5)
+        return FinishedStep(np.array([number, 0.5, -0.25]), np.array([self._command]), np.array([0.125]), (1.5,))
 
 
 class MarchRobot(StillRobot):
@@ -87,7 +88,7 @@ class RecordedRig(StillRig):
 
 @pytest.fixture
 def board() -> Iterator[Board]:
-    board = Board.create(3, 1)
+    board = Board.create(3, 1, 1)
     yield board
     board.close()
     board.unlink()

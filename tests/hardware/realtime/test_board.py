@@ -8,7 +8,7 @@ from stepgap.plants.tick_control import FinishedStep
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.step import StepStatus
 
-STATES, COMMANDS = 3, 2
+STATES, COMMANDS, CONTEXT = 3, 2, 2
 
 
 def vectors(size):
@@ -18,7 +18,7 @@ def vectors(size):
 @pytest.fixture(scope="module")
 def boards():
     """The two ends of a board."""
-    here = Board.create(STATES, COMMANDS)
+    here = Board.create(STATES, COMMANDS, CONTEXT)
     there = Board.attach(here.name)
     yield here, there
     there.close()
@@ -27,7 +27,7 @@ def boards():
 
 
 def test_a_new_board_has_no_request_and_no_command():
-    board = Board.create(STATES, COMMANDS)
+    board = Board.create(STATES, COMMANDS, CONTEXT)
     try:
         assert (board.request, board.state, board.emergency_stop) == (Request.NOTHING, RigState.OFF, False)
         assert all(board.command(number) is None and board.finished(number) is None for number in range(3))
@@ -42,18 +42,18 @@ def test_a_new_board_has_no_request_and_no_command():
     vectors(STATES),
     vectors(COMMANDS),
     vectors(COMMANDS),
-    st.floats(),
+    vectors(CONTEXT),
     st.sampled_from(StepStatus),
 )
-def test_a_posted_message_is_read_under_its_number_only(boards, number, state, command, lost, yaw, status):
+def test_a_posted_message_is_read_under_its_number_only(boards, number, state, command, lost, context, status):
     here, there = boards
     here.post_command(number, command)
     np.testing.assert_array_equal(there.command(number), command)
     assert there.command(number + 1) is None
-    there.post_step(number, StepEnd(FinishedStep(np.array(state), np.array(command), np.array(lost), yaw), status))
+    there.post_step(number, StepEnd(FinishedStep(np.array(state), np.array(command), np.array(lost), context), status))
     found = here.finished(number)
     assert found is not None
-    for value, given_value in zip(found.result, (state, command, lost, yaw), strict=True):
+    for value, given_value in zip(found.result, (state, command, lost, context), strict=True):
         np.testing.assert_array_equal(value, given_value)
     assert found.status == status
     assert here.finished(number + 1) is None

@@ -67,7 +67,7 @@ class Deployment:
     """A loop that hops the ring's robot, each hop with a command."""
 
     def __init__(self, rig):
-        self.rig, self.board, self.rows, self.ticks = rig, Board.create(2, 2), [], 0
+        self.rig, self.board, self.rows, self.ticks = rig, Board.create(2, 2, 1), [], 0
         control = HopControl(rig.sensor_model, ROBOT, GAINS, rig.limits)
         times = LoopSettings(calibrate_time=0.05, stand_time=0.15, release_time=inf)
         self.loop = ControlLoop(rig, control, BOUNDS.space(), self.board, self.rows.append, times)

@@ -26,7 +26,7 @@ class Deployment:
     """A loop on the twin, and its log."""
 
     def __init__(self, alive=lambda: True, hold=1.0, limits=LIMITS, release_time=inf):
-        self.rows, self.board = [], Board.create(2, 2)
+        self.rows, self.board = [], Board.create(2, 2, 1)
         self.twin = Twin(ROBOT, RealityGap(), np.random.default_rng(0), hold=hold)
         self.twin.connect()
         control = HopControl(self.twin.sensor_model, ROBOT, GAINS, limits)

@@ -93,7 +93,7 @@ def test_it_hops_lands_and_keeps_every_tick(tmp_path):
                 np.testing.assert_array_equal(record.command, COMMAND)
                 state = record.next_state
                 assert 0.5 < state[1] < 0.7
-                yaws.append(record.yaw_after)
+                yaws.append(record.context["yaw"])
         assert plant.fault == ""
         check_off(ring)
         given = np.array(ring.look().torques)

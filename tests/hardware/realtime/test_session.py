@@ -127,7 +127,7 @@ def test_the_death_of_the_parent_before_the_start_is_detected():
 
     It frees the memory, so that this process may not do so a second time.
     """
-    board, ring = Board.create(1, 3), TickRing.create(len(SETUP.units), 10)
+    board, ring = Board.create(1, 3, 0), TickRing.create(len(SETUP.units), 10)
     process = get_context("spawn").Process(target=run_realtime, args=(SETUP, board.name, ring.name, 2**22))
     try:
         process.start()
@@ -147,7 +147,7 @@ def test_the_death_of_the_parent_before_the_start_is_detected():
 FULL = """
 from stepgap.hardware.realtime.board import Board
 from stepgap.plants.ticks.tick_ring import TickRing
-board = Board.create(1, 3)
+board = Board.create(1, 3, 0)
 try:
     TickRing.create(16, 20_000)
 except OSError as error:

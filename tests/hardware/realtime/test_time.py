@@ -91,7 +91,7 @@ class WatchedControl(HopControl):
 
 def swing(rig, ticks, late=lambda: 0.0):
     """Runs a limp rig: returns the board's counts of ticks and missed ticks, what was sensed, and the log."""
-    control, board, rows = WatchedControl(rig.sensor_model, ROBOT, GAINS, LIMITS), Board.create(2, 2), []
+    control, board, rows = WatchedControl(rig.sensor_model, ROBOT, GAINS, LIMITS), Board.create(2, 2, 1), []
     control.sensed = []
     loop = ControlLoop(rig, control, BOUNDS.space(), board, rows.append, LoopSettings(release_time=inf))
 

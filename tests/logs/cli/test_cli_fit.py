@@ -9,7 +9,7 @@ import pytest
 
 from stepgap.cli.app import main
 from stepgap.learning.residual_fit import fit_residual, residual_from_dict
-from stepgap.learning.step_log import LoggedStep
+from stepgap.learning.steps import LoggedStep
 from stepgap.records.model_files import MAP, NominalSource, read_saved_model, write_model
 from stepgap.records.steps_csv import StepWriter
 from stepgap.robots.hopper import CommandBounds
@@ -56,7 +56,7 @@ def write_run(folder: Path, offset: float, tilt: float = 0.0) -> None:
             status = StepStatus.OK if i < 30 else StepStatus.FELL
             end = after[i] + [tilt * np.sin(0.9 * i), 0] if i < 30 else np.full(2, np.nan)
             yaw = 0.9 * (i + 1) if tilt else np.nan
-            ran = {"requested": commands[i], "yaw_after": yaw}
+            ran = {"requested": commands[i], "context": {"yaw": yaw}}
             record = StepRecord(states[i], 3 * commands[i], commands[i] / 2, end, status, **ran)
             writer.append(LoggedStep(i // 15, i % 15 + 1, states[i], states[i], np.zeros(2), record))
 

@@ -10,9 +10,9 @@ from scipy.optimize import minimize
 from scipy.stats import norm, t
 
 from stepgap.learning.learner import Learner
+from stepgap.learning.observations import Observations, observe
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, StepLog
-from stepgap.learning.step_table import StepTable, tabulate
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.logs.fits.model_averaging import averaged, correlation_of_successive, residual_weights, stacking_weights
 from stepgap.logs.fits.validation import (
     FOLDS,
@@ -38,13 +38,12 @@ SIMPLE: tuple[str, ...] = ("none", "constant", "gp")
 MIXED = (("none", 0.0, 1.0), ("constant", 0.5, 0.7), ("linear", -0.4, 1.5))
 
 
-def steps_with(truth, count: int, seed: int) -> StepTable:
+def steps_with(truth, count: int, seed: int) -> Observations:
     """Steps whose error is a function of state and command plus noise of 0.1 m/s and 0.01 m."""
     rng = np.random.default_rng(seed)
     state, command = rng.uniform(-1, 1, (2, count, 2))
     error = truth(state, command) + rng.normal(size=(count, 2)) * [0.1, 0.01]
-    zero = np.zeros((count, 2))
-    return StepTable(SPACE, state, command, error, None, zero, np.zeros(count, np.intp))
+    return Observations(SPACE, state, command, error, deployment=np.zeros(count, np.intp))
 
 
 def held_out(remaining: Array) -> HeldOut:
@@ -94,7 +93,7 @@ def test_one_deployment_cannot_be_held_out() -> None:
 def test_predictions_do_not_depend_on_the_held_out_steps() -> None:
     steps, folds = steps_with(lambda state, command: state, 40, 0), contiguous_folds(40, 4)
     held = folds.fold == 2
-    spoilt = replace(steps, next_state=np.where(held[:, None], 1e3, steps.next_state))
+    spoilt = replace(steps, error=np.where(held[:, None], 1e3, steps.error))
     for kind in SIMPLE:
         before, after = (validate([kind], each, folds, STATIC).held_out[kind] for each in (steps, spoilt))
         np.testing.assert_array_equal(before.mean[held], after.mean[held])
@@ -103,22 +102,21 @@ def test_predictions_do_not_depend_on_the_held_out_steps() -> None:
             assert (before.mean[~held] != after.mean[~held]).all()
 
 
-def with_yaw(steps: StepTable, shift: Array, laps: float = 2.0) -> StepTable:
+def with_yaw(steps: Observations, shift: Array, laps: float = 2.0) -> Observations:
     """The same steps in three deployments, of which each turns round twice, with errors that depend on the yaw."""
     count = len(steps) // 3
     yaw, deployment = np.tile(np.linspace(0, laps * 2 * np.pi, count), 3), np.repeat(np.arange(3), count)
     turned = yaw + np.array([0.0, 1.0, 4.0])[deployment]  # each deployment begins elsewhere
-    after = steps.next_state + np.outer(np.sin(turned), shift)
-    return replace(steps, next_state=after, yaw=yaw, deployment=deployment)
+    return replace(steps, error=steps.error + np.outer(np.sin(turned), shift), phase=yaw, deployment=deployment)
 
 
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_a_prediction_depends_on_earlier_held_out_steps_only(number: int) -> None:
     steps = with_yaw(steps_with(bent, 90, 2), np.array([0.4, 0.04]))
-    folds = deployment_folds(steps.deployment)
+    folds = deployment_folds(steps.labels[:, 0])
     first = int(np.flatnonzero(folds.fold == number)[0])
     later = np.arange(len(steps)) > first + 20
-    spoilt = replace(steps, next_state=steps.next_state + 0.5 * (later & (folds.fold == number))[:, None])
+    spoilt = replace(steps, error=steps.error + 0.5 * (later & (folds.fold == number))[:, None])
     for kind in ("constant", "quadratic"):
         before, after = (validate([kind], each, folds).held_out[kind] for each in (steps, spoilt))
         known = slice(first, first + 22)
@@ -137,26 +135,25 @@ def test_a_deployment_is_predicted_as_the_learner_of_a_run_predicts_it(kind: str
             command = rng.uniform(-4, 4, 2)
             after = reality(state, command) + 0.03 * np.sin(yaw + iteration) + rng.normal(0, [4e-3, 1e-3])
             yaw += 0.3
-            record = StepRecord(state, command, command, after, StepStatus.OK, yaw_after=yaw)
+            record = StepRecord(state, command, command, after, StepStatus.OK, {"yaw": yaw})
             log.append(LoggedStep(iteration, number, after, after, np.zeros(2), record))
             state = after
     settings_of_run = LearningSettings(residual=kind, monitor=False)
-    learner = Learner.start(nominal, StepLog(nominal.space, log[:60]), settings_of_run, iteration=2)
+    learner = Learner.start(nominal, Steps(nominal.space, log[:60]), settings_of_run, iteration=2)
     expected = []
     for logged in log[60:]:
         expected.append(learner.step_map()(logged.record.state, logged.record.requested))
         learner = learner.after(logged)
-    table = tabulate(StepLog(nominal.space, log))
-    predicted = nominal.evaluate(table.state, table.command).next_state
-    table = table.with_predictions(predicted, "")
-    held = validate([kind], table, deployment_folds(table.deployment)).held_out[kind]
+    observed = observe(Steps(nominal.space, log), nominal)
+    predicted = nominal.evaluate(observed.state, observed.command).next_state
+    held = validate([kind], observed, deployment_folds(observed.labels[:, 0])).held_out[kind]
     np.testing.assert_allclose((predicted + held.mean)[60:], expected, rtol=0, atol=1e-12)
 
 
 def test_errors_that_depend_on_the_yaw_do_not_hide_what_can_be_learned() -> None:
     truth = lambda state, command: np.stack([0.5 * state[:, 0], 0.05 * command[:, 1]], axis=-1)  # noqa: E731
     steps = with_yaw(steps_with(truth, 180, 5), np.array([0.5, 0.05]))
-    folds = deployment_folds(steps.deployment)
+    folds = deployment_folds(steps.labels[:, 0])
     as_run, as_noise = (validate(("none", "linear"), steps, folds, each) for each in (LearningSettings(), STATIC))
     assert (as_noise.held_out["linear"].rmse > [0.3, 0.03]).all(), "the amplitude 0.5 is an RMSE of 0.35"
     assert (as_run.held_out["linear"].rmse < [0.2, 0.02]).all(), "the noise is 0.1"
@@ -249,7 +246,7 @@ def test_an_error_of_zero_cannot_be_reduced() -> None:
 # What is concluded, where the truth is known
 
 
-def validated(steps: StepTable) -> Validation:
+def validated(steps: Observations) -> Validation:
     """Predictions of 60 held-out steps in five blocks."""
     return validate(SIMPLE, steps, contiguous_folds(60, 5))
 

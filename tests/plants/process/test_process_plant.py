@@ -19,9 +19,10 @@ from stepgap.plants.process.line_channel import LONGEST_LINE, Child, Connection
 from stepgap.plants.process.messages import ProcessFault, check_ready, read_answer, read_start
 from stepgap.plants.process.process_plant import ProcessPlant, Timeouts
 from stepgap.step import Quantity, StepSpace, StepStatus
+from tests.control.maps import YAW
 
 BALL = [sys.executable, str(Path(__file__).with_name("ball.py"))]
-SPACE = StepSpace((Quantity("height", "m", 0.2, 1.0),), (Quantity("paddle", "m/s", -0.5, 1.0),))
+SPACE = StepSpace((Quantity("height", "m", 0.2, 1.0),), (Quantity("paddle", "m/s", -0.5, 1.0),), (YAW,))
 PATIENT = Timeouts(ready=60, start=60, step=60, stop=60)
 REQUESTED = np.array([0.5])
 
@@ -48,11 +49,11 @@ def test_steps_go_to_the_program_and_come_back(capfd: pytest.CaptureFixture[str]
     plant.stop()
 
 
-def test_an_answer_may_have_the_applied_command_and_the_yaw() -> None:
+def test_an_answer_may_have_the_applied_command_and_the_context() -> None:
     with plant_of("applied", 1) as plant:
         plant.start()
         record = plant.take_step(REQUESTED)
-    assert (record.applied, record.yaw_after) == ([0.25], 1.5)
+    assert (record.applied, record.context) == ([0.25], {"yaw": 1.5})
 
 
 def test_a_fall_is_recorded_without_a_fault() -> None:
@@ -214,7 +215,7 @@ def test_an_answer_is_finite_or_refused(content: dict[str, object]) -> None:
         return
     assert np.isfinite(answer.applied).all()
     assert np.isfinite(answer.next_state).all() == (answer.status == StepStatus.OK)
-    assert not np.isinf(answer.yaw)
+    assert np.isfinite(list(answer.context.values())).all()
 
 
 def test_stopping_waits_for_the_robot_to_come_to_rest() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stepgap.base.errors import StepGapError
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.robots.nominal_maps.log_map import fit_log_map
 from stepgap.step import StepRecord, StepStatus, difference_jacobian
 from tests.control.maps import LossyHopper
@@ -17,7 +17,7 @@ UNCHANGED = np.eye(2)
 NOISE = np.array([0.01, 0.002])
 
 
-def recorded(count: int, seed: int = 0, change: np.ndarray = UNCHANGED) -> StepLog:
+def recorded(count: int, seed: int = 0, change: np.ndarray = UNCHANGED) -> Steps:
     """Steps with random commands about those that keep the robot at (0.2 m/s, 0.58 m), with noise.
 
     Their changes are multiplied by a matrix.
@@ -30,7 +30,7 @@ def recorded(count: int, seed: int = 0, change: np.ndarray = UNCHANGED) -> StepL
         record = StepRecord(state, command, command, next_state, StepStatus.OK)
         steps.append(LoggedStep(0, number, state, next_state, NOISE, record))
         state = next_state
-    return StepLog(SPACE, steps)
+    return Steps(SPACE, steps)
 
 
 def test_it_predicts_unseen_steps_up_to_their_noise() -> None:
@@ -68,7 +68,7 @@ def test_a_command_that_did_not_vary_has_no_effect() -> None:
 
 def test_nothing_is_known_from_one_repeated_step() -> None:
     (first, *_) = recorded(1)
-    repeated = fit_log_map(StepLog(SPACE, [replace(first, step=number) for number in range(60)]))
+    repeated = fit_log_map(Steps(SPACE, [replace(first, step=number) for number in range(60)]))
     assert len(repeated.gaps) == 4
     assert (repeated.jacobian([0.2, 0.58], [0.0, 0.0]) == 0).all()
     record = first.record

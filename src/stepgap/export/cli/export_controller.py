@@ -84,5 +84,5 @@ def _content(
         return onnx_model(model_document(controller))
     if to == "casadi":
         return casadi_text(model_document(controller))
-    steps = [] if deployment is None else [*run.steps.of_iteration(deployment)]
+    steps = run.steps.of_iteration(deployment) if deployment is not None else None
     return model_text(controller, filter_after(controller, steps) if steps else None)

@@ -63,7 +63,7 @@ class _Arithmetic:
         type: Name of the type in C.
         definitions: C definitions.
         tolerances: In place of those of `gauss_newton`, which are below the resolution of `float`.
-        largest_angle: Largest yaw whose sine is computed [rad].
+        largest_angle: Largest phase whose sine is computed [rad].
     """
 
     type: Real

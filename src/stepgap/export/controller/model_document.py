@@ -4,9 +4,7 @@ docs/model_file.md has its keys and formulas. What is exported to ONNX and CasAD
 """
 
 import json
-from collections.abc import Iterable
 from importlib.metadata import version
-from math import nan
 from typing import Any, Final
 
 import numpy as np
@@ -31,7 +29,7 @@ from stepgap.learning.polynomial import Polynomial, monomials
 from stepgap.learning.regression import Regression
 from stepgap.learning.residual import join_points
 from stepgap.learning.sparse_gaussian_process import SparseGaussianProcess
-from stepgap.learning.step_log import LoggedStep
+from stepgap.learning.steps import Steps
 from stepgap.learning.zero import Zero
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.surrogate_map import NEIGHBOURS, SurrogateMap, exponents_of
@@ -88,18 +86,18 @@ def model_text(controller: PortableController, last: DisturbanceFilter | None = 
     return json.dumps(model_document(controller, last), ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def filter_after(controller: PortableController, steps: Iterable[LoggedStep]) -> DisturbanceFilter:
+def filter_after(controller: PortableController, steps: Steps) -> DisturbanceFilter:
     """The disturbance filter after the steps of one deployment, as an exported controller computes it."""
-    residual, yaw = controller.map.residual, nan
+    residual = controller.map.residual
     disturbance = DisturbanceEstimator.start(
         controller.space.state_scale, drift=controller.drift, reject_outliers=controller.reject_outliers
     )
-    for record in (step.record for step in steps):
+    for logged, phase in zip(steps, steps.phase, strict=True):
+        record = logged.record
         point = join_points(record.state, record.requested)
         error = error_of(record, controller.map.nominal) - residual.mean(point)
         if np.isfinite(error).all():
-            disturbance = disturbance.after(residual, error, residual.std(point, include_noise=True), yaw)
-        yaw = record.yaw_after
+            disturbance = disturbance.after(residual, error, residual.std(point, include_noise=True), phase)
     return disturbance.filter
 
 

@@ -75,8 +75,8 @@ def _summary(summary: Summary, names: Sequence[str]) -> dict[str, Any]:
         **{name: _column(np.array(numbers)) for name, numbers in counts.items()},
         "residual": np.array([each.residual for each in done], dtype=object),
         **errors,
-        "repeatability": dict(zip(names, floor.any_yaw.tolist(), strict=True)),
-        "repeatability_same_yaw": dict(zip(names, floor.same_yaw.tolist(), strict=True)),
+        "repeatability": dict(zip(names, floor.any_phase.tolist(), strict=True)),
+        "repeatability_same_yaw": dict(zip(names, floor.same_phase.tolist(), strict=True)),
         "seed": np.nan if summary.seed is None else float(summary.seed),
         "versions": _struct(dict(summary.versions)),
     }

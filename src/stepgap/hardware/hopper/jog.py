@@ -139,7 +139,7 @@ class JogControl(TickControl):
 
     def finished_step(self) -> FinishedStep:
         """The end of the trial, which has no apex."""
-        return FinishedStep(np.full(2, np.nan), np.full(2, np.nan), np.zeros(2), np.nan)
+        return FinishedStep(np.full(2, np.nan), np.full(2, np.nan), np.zeros(2))
 
     def failed_step(self, applied: Torques | None) -> FinishedStep:
         """As `finished_step`."""

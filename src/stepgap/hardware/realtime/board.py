@@ -23,7 +23,7 @@ LONGEST_MESSAGE = 2048
 
 
 class Field(IntEnum):
-    """Offsets of the fields, in words of 8 bytes; after `YAW` follow the vectors of the robot, and the message."""
+    """Offsets of the fields, in words of 8 bytes; after `CONTEXT` follow the vectors of the robot, and the message."""
 
     STATES = 0
     COMMANDS = 1
@@ -38,7 +38,7 @@ class Field(IntEnum):
     WORST_LATENESS = 10
     PRESSES = 11
     MESSAGE_LENGTH = 12
-    YAW = 13
+    CONTEXT = 13
 
 
 class Request(IntEnum):
@@ -68,24 +68,27 @@ class Board:
         memory: The shared memory, which `create` and `attach` open.
         states: Number of state coordinates of the robot, n.
         commands: Number of command coordinates of the robot, m.
+        context: Number of quantities of its context.
     """
 
-    def __init__(self, memory: SharedMemory, states: int, commands: int):
+    def __init__(self, memory: SharedMemory, states: int, commands: int, context: int):
         assert memory.buf is not None  # until it is closed
         self._memory = memory
-        ends = accumulate((commands, states, commands, commands), initial=len(Field))
-        self._command, self._state, self._acted, self._lost = (slice(*pair) for pair in pairwise(ends))
-        length = self._lost.stop
+        ends = accumulate((commands, states, commands, commands, context), initial=len(Field))
+        parts = [slice(*pair) for pair in pairwise(ends)]
+        self._command, self._state, self._acted, self._lost, self._context = parts
+        length = self._context.stop
         self._words = memory.buf[: 8 * length].cast("q")
         self._numbers = memory.buf[: 8 * length].cast("d")
         self._message = memory.buf[8 * length :][:LONGEST_MESSAGE]
 
     @classmethod
-    def create(cls, states: int, commands: int) -> Self:
+    def create(cls, states: int, commands: int, context: int) -> Self:
         """Creates a board, everything zero: no request, OFF, no command; arguments as of the class."""
-        length = len(Field) + states + 3 * commands
-        board = cls(created_memory(8 * length + LONGEST_MESSAGE), states, commands)
+        length = len(Field) + states + 3 * commands + context
+        board = cls(created_memory(8 * length + LONGEST_MESSAGE), states, commands, context)
         board._words[Field.STATES], board._words[Field.COMMANDS] = states, commands
+        board._words[Field.CONTEXT] = context
         board._words[Field.COMMAND_NUMBER] = board._words[Field.STEP_NUMBER] = -1
         return board
 
@@ -95,7 +98,7 @@ class Board:
         memory = attached_memory(name)
         assert memory.buf is not None  # until it is closed
         with memory.buf[: 8 * len(Field)].cast("q") as words:
-            sizes = words[Field.STATES], words[Field.COMMANDS]
+            sizes = words[Field.STATES], words[Field.COMMANDS], words[Field.CONTEXT]
         return cls(memory, *sizes)
 
     @property
@@ -159,7 +162,8 @@ class Board:
         self._words[Field.STEP_NUMBER] = -1
         for part, values in ((self._state, step.state), (self._acted, step.command), (self._lost, step.lost)):
             self._write(part, values.tolist())
-        self._numbers[Field.YAW], self._words[Field.STATUS] = step.yaw, end.status
+        self._write(self._context, step.context or (np.nan,) * self._words[Field.CONTEXT])
+        self._words[Field.STATUS] = end.status
         self._words[Field.STEP_NUMBER] = number
 
     def finished(self, number: int) -> StepEnd | None:
@@ -168,7 +172,8 @@ class Board:
         if words[Field.STEP_NUMBER] != number:
             return None
         state, command, lost = (np.array(numbers[part].tolist()) for part in (self._state, self._acted, self._lost))
-        found = StepEnd(FinishedStep(state, command, lost, numbers[Field.YAW]), StepStatus(words[Field.STATUS]))
+        context = tuple(numbers[self._context].tolist())
+        found = StepEnd(FinishedStep(state, command, lost, context), StepStatus(words[Field.STATUS]))
         return found if words[Field.STEP_NUMBER] == number else None
 
     def _write(self, part: slice, values: Sequence[float]) -> None:

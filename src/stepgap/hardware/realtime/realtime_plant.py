@@ -97,7 +97,8 @@ class RealtimePlant(Plant):
         self._step += 1
         session.board.post_command(self._step, within.tolist())
         step, status = self._await_step(session)
-        return StepRecord(state, command, step.applied, step.state, status, step.yaw, requested=step.requested)
+        context = self._space.named_context(step.context)
+        return StepRecord(state, command, step.applied, step.state, status, context, step.requested)
 
     def stop(self) -> None:
         """Lands the robot and switches torque off."""

@@ -80,7 +80,7 @@ class Session:
             stack.callback(sink.close)
             try:
                 space = setup.robot_control.space
-                self.board = Board.create(len(space.state), len(space.command))
+                self.board = Board.create(len(space.state), len(space.command), len(space.context))
                 stack.callback(self.board.unlink)
                 stack.callback(self.board.close)
                 self._ring = stack.enter_context(TickRing.create(len(setup.units), KEPT_ROWS))

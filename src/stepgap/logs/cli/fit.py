@@ -140,12 +140,12 @@ def _compare(
     print(describe_fit_data(data, parts, tested), flush=True)
     with one_blas_thread(), progress_bar("fits") as progress:
         if tested is None:
-            validation = validate(kinds, data.steps, parts, data.learning, progress)
+            validation = validate(kinds, data.observed, parts, data.learning, progress)
         else:
-            validation = validate_on(kinds, data.steps, tested, data.learning, progress)
+            validation = validate_on(kinds, data.observed, tested.observed, data.learning, progress)
     show_validation(data, validation, sys.stdout)
-    follows = (data.steps if tested is None else tested).follows
-    print(verdicts(data.steps.space.state, validation, follows))
+    follows = (data if tested is None else tested).steps.follows
+    print(verdicts(data.observed.space.state, validation, follows))
     _write(results, log, data, validation)
 
 
@@ -158,7 +158,7 @@ def _write(results: Results, log: tuple[Path, ...], data: "FitData", validation:
     if results.out:
         write_new(results.out, "--out", json.dumps(fit_report(log, data, validation), indent=1))
     if results.plot:
-        picture = fit_picture(data.steps.space.state, validation, format_by_name(results.plot))
+        picture = fit_picture(data.observed.space.state, validation, format_by_name(results.plot))
         write_new(results.plot, "--plot", picture)
     if results.save:
         write_new(results.save, "--save", best_model(data, validation))

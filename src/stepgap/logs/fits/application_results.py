@@ -27,9 +27,9 @@ _WITHOUT: Final = "without a correction"
 
 def describe_application(applied: AppliedModel) -> str:
     """A few lines on the steps, and on what the model knows of them."""
-    steps, residual = applied.data.steps, applied.residual
+    space, residual = applied.data.observed.space, applied.residual
     drift = applied.data.learning.drift and residual.kind != "none"
-    unknown = [quantity.name for quantity in (*steps.space.state, *steps.space.command) if not quantity.unit]
+    unknown = [quantity.name for quantity in (*space.state, *space.command) if not quantity.unit]
     fitted = "no correction" if residual.kind == "none" else f"fitted to {len(residual.regressions[0].points)} steps"
     lines = [
         describe_log(applied.data),
@@ -46,7 +46,7 @@ def describe_application(applied: AppliedModel) -> str:
 
 def show_application(applied: AppliedModel, stream: TextIO) -> None:
     """Prints a table for each state coordinate, and sentences on the gain."""
-    state, steps = applied.data.steps.space.state, applied.data.steps
+    state, steps = applied.data.observed.space.state, applied.data.steps
     show_scores(state, applied.validation, ["none"], stream)
     print(f"{'successive:':16}{lacking(state, applied.predicted, steps.follows)}", file=stream)
     for name, coordinates in _parts(state).items():
@@ -61,23 +61,23 @@ def _parts(state: Sequence[Quantity]) -> dict[str, Sequence[int]]:
 
 def prediction_table(applied: AppliedModel) -> str:
     """CSV with a row for each step: what was measured, the nominal and the corrected next state, and its deviation."""
-    steps, space, predicted = applied.data.steps, applied.data.steps.space, applied.predicted
-    nominal = np.array(steps.predicted, float)
+    steps, space, predicted = applied.data.steps, applied.data.observed.space, applied.predicted
+    nominal = steps.predicted
     kinds = ("next", "nominal", "corrected", "std")
     columns = [f"{kind}_{name}" for kind in kinds for name in space.state_names]
     numbers = np.hstack(
-        [steps.state, steps.command, steps.next_state, nominal, nominal + predicted.mean, predicted.std]
+        [steps.state, steps.requested, steps.next_state, nominal, nominal + predicted.mean, predicted.std]
     )
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["deployment", *space.names, *columns])
-    writer.writerows([int(label), *row] for label, row in zip(steps.deployment, numbers.tolist(), strict=True))
+    writer.writerows([int(label), *row] for label, row in zip(steps.iteration, numbers.tolist(), strict=True))
     return text.getvalue()
 
 
 def application_report(logs: Sequence[Path], applied: AppliedModel) -> dict[str, Any]:
     """All results as JSON-ready data; NaN and infinities become null."""
-    state = applied.data.steps.space.state
+    state = applied.data.observed.space.state
     gains = {name: applied.gain(coordinates) for name, coordinates in _parts(state).items()}
     return {
         "schema": APPLIED_SCHEMA,

@@ -1,6 +1,6 @@
 """Input of `stepgap fit`: the error of the nominal map in any log, and what is held out."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,9 +9,9 @@ import numpy as np
 from stepgap.base.errors import InputError
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import read_experiment
+from stepgap.learning.observations import Observations
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import StepLog, joined
-from stepgap.learning.step_table import StepTable, describe_left_out, tabulate
+from stepgap.learning.steps import Steps, joined
 from stepgap.logs.columns import Columns
 from stepgap.logs.fits.model_averaging import averaged, common_weights
 from stepgap.logs.fits.validation import (
@@ -25,10 +25,10 @@ from stepgap.logs.fits.validation import (
     fit_steps,
     reduction,
 )
-from stepgap.logs.foreign_log import read_foreign_logs
+from stepgap.logs.foreign_log import FoundSteps, describe_left_out, read_foreign_logs
 from stepgap.records.model_files import MAP, NominalSource, saved_model_text
 from stepgap.records.steps_csv import RecordError, read_step_log
-from stepgap.step import StepSpace
+from stepgap.step import Array, StepSpace, StepStatus
 
 MOST_STEPS = 2000
 """Largest number of steps; fits to more would take hours."""
@@ -53,13 +53,17 @@ class FitData:
     """Steps to which residuals are fitted.
 
     Attributes:
-        steps: Steps with the nominal next states as predictions.
-        nominal: Description of the source of these predictions.
+        steps: Steps that ended with a next state, with the nominal next states as predictions.
+        observed: Errors of these predictions.
+        left_out: Number of excluded rows by reason, such as "that ended without a next state"; no zeros.
+        nominal: Description of the source of the predictions.
         source: That source: its name is a key of `NOMINALS`.
         learning: Settings of learning; those of the run, if the steps are those of a run.
     """
 
-    steps: StepTable
+    steps: Steps
+    observed: Observations
+    left_out: Mapping[str, int]
     nominal: str
     source: NominalSource
     learning: LearningSettings
@@ -84,7 +88,7 @@ def check_count(logs: Sequence[Path], data: FitData, least: int, most: int) -> N
     count = len(data.steps)
     if not least <= count <= most:
         found = f"{count} usable step{'' if count == 1 else 's'}, but there must be {least} to {most}"
-        left_out = describe_left_out(data.steps.left_out)
+        left_out = describe_left_out(data.left_out)
         raise InputError(f"{', '.join(map(str, logs))}: {found}; rows left out: {left_out}")
 
 
@@ -112,20 +116,33 @@ def read_nominal_errors(
         experiment = experiment or _common_experiment(logs)
     settings = read_experiment(experiment, overrides)
     space = settings.robot.space
-    steps = _read_runs(logs, space) if columns is None else read_foreign_logs(logs, columns)
-    source = nominal or _nominal_of(steps, space)
+    found = _read_runs(logs, space) if columns is None else read_foreign_logs(logs, columns)
+    steps, source = found.steps, nominal or _nominal_of(found.steps, space)
     description, step_map = NOMINALS[source], None
     predicted = {"target": steps.target, "state": steps.state}.get(source, steps.predicted)
     if source == MAP:
-        steps = replace(steps, space=_same_names(steps.space, space))
+        found = found._replace(steps=steps.in_space(_same_names(steps.space, space)))
         step_map = load_nominal(settings).map
-        predicted = step_map.evaluate(steps.state, steps.command).next_state
+        predicted = step_map.evaluate(steps.state, steps.requested).next_state
         description += f" with the settings of {experiment}" if experiment else " with default settings"
         description += ", some overridden" if of_map else ""
-    if predicted is None:
+    elif len(steps) and np.isnan(predicted).all():
         raise InputError(f"--nominal {source}: the log has none; name its columns by --{source}")
-    steps = steps.with_predictions(predicted, "for which the nominal map predicts a failure")
-    return FitData(steps, description, NominalSource(source, step_map), settings.learning)
+    return _with_errors(found, predicted, description, NominalSource(source, step_map), settings.learning)
+
+
+def _with_errors(
+    found: FoundSteps, predicted: Array, nominal: str, source: NominalSource, learning: LearningSettings
+) -> FitData:
+    """The steps that have a nominal next state (N, n), and its errors; arguments as of `FitData`."""
+    known, left_out = np.flatnonzero(np.isfinite(predicted).all(axis=1)), dict(found.left_out)
+    if failed := len(predicted) - len(known):
+        left_out["for which the nominal map predicts a failure"] = failed
+    steps = found.steps.with_columns(predicted=predicted).selected(known)
+    error, phase = steps.next_state - steps.predicted, found.phase[known]
+    arrays = steps.state, steps.requested, error
+    observed = Observations(steps.space, *arrays, phase=phase, deployment=steps.iteration)
+    return FitData(steps, observed, left_out, nominal, source, learning)
 
 
 def _common_experiment(logs: Sequence[Path]) -> Path | None:
@@ -138,9 +155,12 @@ def _common_experiment(logs: Sequence[Path]) -> Path | None:
     return files[0]
 
 
-def _read_runs(logs: Sequence[Path], space: StepSpace) -> StepTable:
-    """Reads the steps of runs; their deployments are numbered consecutively over all runs."""
-    found: list[StepLog] = []
+def _read_runs(logs: Sequence[Path], space: StepSpace) -> FoundSteps:
+    """Reads the steps of runs; their deployments are numbered consecutively over all runs.
+
+    Their predictions are omitted: they may be those of a corrected map.
+    """
+    found: list[Steps] = []
     for path in logs:
         try:
             found.append(read_step_log(path, space))
@@ -150,12 +170,16 @@ def _read_runs(logs: Sequence[Path], space: StepSpace) -> StepTable:
             ) from None
         except RecordError as error:
             raise InputError(f"{error}; for any other CSV file name its columns, see --help") from None
-    return tabulate(joined(found))
+    steps = joined(found)
+    done, left_out = steps.status == StepStatus.OK, {"that ended without a next state": steps.failed_steps}
+    return FoundSteps(
+        steps.with_columns(predicted=np.nan).selected(done), steps.phase[done], left_out if steps.failed_steps else {}
+    )
 
 
-def _nominal_of(steps: StepTable, space: StepSpace) -> str:
+def _nominal_of(steps: Steps, space: StepSpace) -> str:
     """Source of the nominal next states if none is given."""
-    if steps.predicted is not None:
+    if np.isfinite(steps.predicted).any():
         return "predicted"
     if space.has_names_of(steps.space):
         return MAP
@@ -173,10 +197,10 @@ def _same_names(found: StepSpace, space: StepSpace) -> StepSpace:
     raise InputError(f"--nominal map: state and command are {names}; it must be {wanted}; rename by NAME=COLUMN")
 
 
-def choose_folds(steps: StepTable, count: int | None) -> Folds:
+def choose_folds(steps: Steps, count: int | None) -> Folds:
     """Folds of whole deployments if there are several and no count is given, otherwise `count` contiguous blocks."""
-    if count is None and len(np.unique(steps.deployment)) > 1:
-        return deployment_folds(steps.deployment)
+    if count is None and len(steps.iterations) > 1:
+        return deployment_folds(steps.iteration)
     if count is not None and not 2 <= count <= len(steps):
         raise InputError(f"--folds {count}: it must lie between 2 and the number of steps, {len(steps)}")
     return contiguous_folds(len(steps), count or FOLDS)
@@ -190,7 +214,7 @@ def read_test_data(
     nominal: str | None,
     experiment: Path | None,
     overrides: Settings,
-) -> StepTable:
+) -> FitData:
     """Reads the steps on which the residuals that are fitted to `data` are scored.
 
     Args:
@@ -211,7 +235,7 @@ def read_test_data(
     if columns is None and experiment is None:
         _common_experiment([log / "steps.csv" if log.is_dir() else log for log in (*logs, *test)])
     found = read_fit_data(test, columns, nominal, experiment, overrides)
-    return replace(found.steps, space=data.steps.space)
+    return replace(found, observed=replace(found.observed, space=data.observed.space))
 
 
 def gains(validation: Validation, coordinates: Sequence[int]) -> dict[str, Reduction]:
@@ -229,5 +253,5 @@ def heaviest_residual(validation: Validation) -> str:
 def best_model(data: FitData, validation: Validation) -> str:
     """Model file of the residual with the largest weight, fitted to all steps as before a further deployment."""
     kind = heaviest_residual(validation)
-    residual = fit_steps(data.steps, replace(data.learning, residual=kind, lagged_inputs="none"))
-    return saved_model_text(residual, data.steps.space, data.source)
+    residual = fit_steps(data.observed, replace(data.learning, residual=kind, lagged_inputs="none"))
+    return saved_model_text(residual, data.observed.space, data.source)

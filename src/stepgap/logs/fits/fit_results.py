@@ -11,10 +11,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from stepgap.learning.step_table import StepTable, describe_left_out
 from stepgap.logs.fits.fit import BASELINES, FitData, gains, heaviest_residual
 from stepgap.logs.fits.model_averaging import averaged, correlation_of_successive, residual_weights
 from stepgap.logs.fits.validation import Folds, HeldOut, Reduction, Validation
+from stepgap.logs.foreign_log import describe_left_out
 from stepgap.report.units import with_unit
 from stepgap.step import Array, Quantity
 
@@ -90,10 +90,10 @@ def _percent(value: float, half_width: float) -> str:
     return f"{100 * value:{form}} ± {100 * half_width:{form}} %"
 
 
-def describe_fit_data(data: FitData, folds: Folds, test: StepTable | None = None) -> str:
+def describe_fit_data(data: FitData, folds: Folds, test: FitData | None = None) -> str:
     """A few lines on the steps that were read, and on those that are held out: parts of them, or other steps."""
     parts = "parts of whole deployments" if folds.whole_deployments else "contiguous blocks"
-    held_out = f"{folds.count} {parts}, one at a time" if test is None else f"{len(test)} steps of other logs"
+    held_out = f"{folds.count} {parts}, one at a time" if test is None else f"{len(test.steps)} steps of other logs"
     return "\n".join(
         [
             describe_log(data),
@@ -106,12 +106,12 @@ def describe_fit_data(data: FitData, folds: Folds, test: StepTable | None = None
 
 def describe_log(data: FitData) -> str:
     """A few lines on the steps that were read, and on their nominal next states."""
-    steps, space = data.steps, data.steps.space
-    deployments = len(np.unique(steps.deployment))
+    steps, space = data.steps, data.observed.space
+    deployments = len(steps.iterations)
     return "\n".join(
         [
             f"steps       {len(steps)} of {deployments} deployment{'s' if deployments > 1 else ''}; "
-            f"rows left out: {describe_left_out(steps.left_out)}",
+            f"rows left out: {describe_left_out(data.left_out)}",
             f"state       {', '.join(map(with_unit, space.state))}",
             f"command     {', '.join(map(with_unit, space.command))}",
             f"nominal     {data.nominal}",
@@ -120,11 +120,11 @@ def describe_log(data: FitData) -> str:
 
 
 def _disturbance(data: FitData) -> str:
-    """What is done about errors that depend on time and yaw."""
-    yaw = data.steps.yaw
+    """What is done about errors that depend on time and phase."""
+    phase = data.observed.phase
     if not data.learning.remove_yaw_dependence:
         removed = "errors fitted with their yaw-dependent part"
-    elif yaw is None or not np.isfinite(yaw).any():
+    elif phase is None or not np.isfinite(phase).any():
         removed = "no yaw known, so no yaw-dependent part removed"
     else:
         removed = "yaw-dependent part removed from the errors before a fit"
@@ -141,12 +141,12 @@ def _compared_with(data: FitData, validation: Validation) -> list[str]:
 def show_validation(data: FitData, validation: Validation, stream: TextIO) -> None:
     """Prints a table for each state coordinate and one for all together: framed on a terminal, plain elsewhere."""
     compared = _compared_with(data, validation)
-    show_scores(data.steps.space.state, validation, compared, stream)
+    show_scores(data.observed.space.state, validation, compared, stream)
     console = _console(stream)
     headings = [f"better than {other}" for other in compared]
     table = _table(console.is_terminal, "all together", "fit [s]", *headings)
     for kind, held in validation.held_out.items():
-        better = _compared_all(validation, kind, compared, range(len(data.steps.space.state)))
+        better = _compared_all(validation, kind, compared, range(len(data.observed.space.state)))
         table.add_row(kind, _format(held.seconds, ".2g"), *better)
     console.print(table)
 
@@ -199,7 +199,7 @@ def _format(value: float, form: str) -> str:
 
 def fit_report(logs: Sequence[Path], data: FitData, validation: Validation) -> dict[str, Any]:
     """All results as JSON-ready data; NaN and infinities become null."""
-    steps, state = data.steps, data.steps.space.state
+    state = data.observed.space.state
     parts = {quantity.name: [index] for index, quantity in enumerate(state)} | {"all": range(len(state))}
 
     def better(kind: str, other: str) -> dict[str, Any]:
@@ -210,9 +210,9 @@ def fit_report(logs: Sequence[Path], data: FitData, validation: Validation) -> d
         "schema": FIT_SCHEMA,
         "logs": [str(log) for log in logs],
         "nominal": data.nominal,
-        "units": {quantity.name: quantity.unit for quantity in (*state, *steps.space.command)},
-        "steps": len(steps),
-        "left_out": dict(steps.left_out),
+        "units": {quantity.name: quantity.unit for quantity in (*state, *data.observed.space.command)},
+        "steps": len(data.steps),
+        "left_out": dict(data.left_out),
         "learning": {
             "residual": data.learning.residual,
             "drift": data.learning.drift,

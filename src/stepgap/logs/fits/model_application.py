@@ -64,7 +64,7 @@ class AppliedModel:
 
     @property
     def _points(self) -> Array:
-        return join_points(self.data.steps.state, self.data.steps.command)
+        return join_points(self.data.observed.state, self.data.observed.command)
 
 
 def apply_model(path: Path, data: FitData) -> AppliedModel:
@@ -79,7 +79,7 @@ def apply_model(path: Path, data: FitData) -> AppliedModel:
             need the history of a step, or are not finite.
     """
     try:
-        residual = read_saved_model(path, data.steps.space, data.source)
+        residual = read_saved_model(path, data.observed.space, data.source)
     except (OSError, ValueError) as error:
         raise InputError(message_of(error)) from None
     if residual.history_inputs != HistoryInputs():
@@ -88,7 +88,7 @@ def apply_model(path: Path, data: FitData) -> AppliedModel:
         )
     try:
         with np.errstate(over="raise", divide="raise", invalid="raise"):
-            validation = validate_fitted(residual, data.steps, data.learning)
+            validation = validate_fitted(residual, data.observed, data.learning)
     except (FloatingPointError, np.linalg.LinAlgError):
         raise InputError(f"{path}: its numbers are so large or small that predictions overflow") from None
     held_out = validation.held_out[residual.kind]

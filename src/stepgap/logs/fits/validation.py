@@ -4,7 +4,7 @@ Neighbouring steps are alike. So contiguous blocks are held out, or complete dep
 standard errors count blocks, not steps.
 
 What is held out is treated as a further deployment of a run: the residual is fitted to the other steps as `Learner`
-fits it, without the yaw-dependent part of their errors; then the held-out steps are predicted one after another, each
+fits it, without the periodic part of their errors; then the held-out steps are predicted one after another, each
 with the disturbance that a `DisturbanceEstimator`, as that of `Learner`, finds in the held-out steps before it.
 """
 
@@ -28,7 +28,7 @@ from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_check import ResidualError, check_prediction
 from stepgap.learning.residual_fit import learned_residual
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_table import Labels, StepTable
+from stepgap.learning.steps import Labels
 from stepgap.step import Array
 
 FOLDS = 10
@@ -207,7 +207,7 @@ class Validation:
 
 def validate(
     kinds: Sequence[str],
-    steps: StepTable,
+    steps: Observations,
     folds: Folds,
     learning: LearningSettings = DEFAULT_LEARNING,
     on_fit: Callable[[int, int], None] = lambda done, total: None,
@@ -216,9 +216,9 @@ def validate(
 
     Args:
         kinds: Names of the residuals, from simple to complex.
-        steps: Steps with predictions of the nominal map.
+        steps: Errors of the nominal map at the steps.
         folds: Which steps are held out together.
-        learning: Whether the yaw-dependent part is removed and the disturbance estimated; its residual is not used.
+        learning: Whether the periodic part is removed and the disturbance estimated; its residual is not used.
         on_fit: Called with the number of fits done and the number of all fits.
     """
     held_out, done = {}, count(1)
@@ -231,8 +231,8 @@ def validate(
 
 def validate_on(
     kinds: Sequence[str],
-    steps: StepTable,
-    test: StepTable,
+    steps: Observations,
+    test: Observations,
     learning: LearningSettings = DEFAULT_LEARNING,
     on_fit: Callable[[int, int], None] = lambda done, total: None,
 ) -> Validation:
@@ -242,8 +242,8 @@ def validate_on(
 
     Args:
         kinds: Names of the residuals, from simple to complex.
-        steps: Steps to fit, with predictions of the nominal map.
-        test: Steps to predict, with predictions of the same map.
+        steps: Errors of the nominal map at the steps to fit.
+        test: Those of the same map at the steps to predict.
         learning: As of `validate`.
         on_fit: As of `validate`.
     """
@@ -259,12 +259,14 @@ def validate_on(
     return Validation(_one_fold(len(test)), held_out)
 
 
-def validate_fitted(residual: Residual, test: StepTable, learning: LearningSettings = DEFAULT_LEARNING) -> Validation:
+def validate_fitted(
+    residual: Residual, test: Observations, learning: LearningSettings = DEFAULT_LEARNING
+) -> Validation:
     """Predicts steps with a residual that was fitted to others before, and without a correction (`none`).
 
     Args:
         residual: The residual; without history inputs.
-        test: At least two steps to predict, with predictions of the nominal map whose error the residual predicts.
+        test: At least two steps to predict, with the errors of the nominal map that the residual predicts.
         learning: Whether the disturbance is estimated; its residual is not used.
     """
     zero = np.zeros_like(test.error)
@@ -288,14 +290,12 @@ def _one_fold(steps: int) -> Folds:
     return replace(contiguous_folds(steps, min(FOLDS, steps)), fold=np.zeros(steps, np.intp))
 
 
-def fit_steps(steps: StepTable, learning: LearningSettings) -> Residual:
+def fit_steps(steps: Observations, learning: LearningSettings) -> Residual:
     """Fits the residual of the settings to the steps, as before a further deployment."""
-    arrays = steps.state, steps.command, steps.error
-    observations = Observations(steps.space, *arrays, yaw=steps.yaw, deployment=steps.deployment)
-    return learned_residual(observations, learning, int(steps.deployment.max()) + 1)
+    return learned_residual(steps, learning, int(steps.labels[:, 0].max()) + 1)
 
 
-def _hold_out(steps: StepTable, folds: Folds, learning: LearningSettings, on_fit: Callable[[], None]) -> HeldOut:
+def _hold_out(steps: Observations, folds: Folds, learning: LearningSettings, on_fit: Callable[[], None]) -> HeldOut:
     """Fits a residual to the steps outside each fold and predicts those inside."""
     mean, std, seconds = np.empty_like(steps.error), np.empty_like(steps.error), 0.0
     for number in range(folds.count):
@@ -308,16 +308,16 @@ def _hold_out(steps: StepTable, folds: Folds, learning: LearningSettings, on_fit
     return HeldOut(learning.residual, steps.error, mean, std, seconds / folds.count)
 
 
-def _predict_deployments(residual: Residual, steps: StepTable, learning: LearningSettings) -> tuple[Array, Array]:
+def _predict_deployments(residual: Residual, steps: Observations, learning: LearningSettings) -> tuple[Array, Array]:
     """As `_predict`, for the steps of several deployments."""
     mean, std = np.empty_like(steps.error), np.empty_like(steps.error)
-    for deployment in np.unique(steps.deployment):
-        rows = steps.deployment == deployment
+    for deployment in np.unique(steps.labels[:, 0]):
+        rows = steps.labels[:, 0] == deployment
         mean[rows], std[rows] = _predict(residual, steps.selected(rows), learning)
     return mean, std
 
 
-def _predict(residual: Residual, steps: StepTable, learning: LearningSettings) -> tuple[Array, Array]:
+def _predict(residual: Residual, steps: Observations, learning: LearningSettings) -> tuple[Array, Array]:
     """Means and standard deviations, with noise, of the errors of consecutive steps; shapes (N, n).
 
     With `learning.drift`, each step is predicted with the disturbance in the steps before it that are no outliers.
@@ -329,7 +329,7 @@ def _predict(residual: Residual, steps: StepTable, learning: LearningSettings) -
     check_prediction(residual.kind, mean, std)
     if not learning.drift or residual.kind == "none":
         return mean, std
-    yaw = np.full(len(steps), np.nan) if steps.yaw is None else steps.yaw
+    phase = np.full(len(steps), np.nan) if steps.phase is None else steps.phase
     disturbance = DisturbanceEstimator.start(
         steps.space.state_scale, drift=learning.drift, reject_outliers=learning.reject_outliers
     )
@@ -337,6 +337,6 @@ def _predict(residual: Residual, steps: StepTable, learning: LearningSettings) -
     # As in a run, a step is predicted before its error is known: the disturbance comes from the rows above alone.
     # Neither this nor the fit has seen the step, or the score would reward a residual that follows the noise.
     for row in range(len(steps)):
-        offset[row], offset_std[row] = disturbance.predict(residual, yaw[row])
-        disturbance = disturbance.after(residual, remaining[row], std[row], yaw[row])
+        offset[row], offset_std[row] = disturbance.predict(residual, phase[row])
+        disturbance = disturbance.after(residual, remaining[row], std[row], phase[row])
     return mean + offset, np.hypot(std, offset_std)

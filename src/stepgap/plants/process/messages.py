@@ -7,8 +7,9 @@ StepGap sends                                             the program answers
 `{"stop": true}`                                          nothing; it brings the robot to rest and ends
 
 A QUANTITY is `{"name": …, "unit": …, "lower": …, "upper": …}`. An answer to a step may contain `"applied"`, the command
-after all limits, and `"yaw"` [rad]. Its status is one of the names of `StepStatus` in lower case; a step that is not
-`"ok"` needs no next state and ends the deployment. The program also has to bring the robot to rest when its input ends.
+after all limits, and the numbers of the robot's context, each under its name. Its status is one of the names of
+`StepStatus` in lower case; a step that is not `"ok"` needs no next state and ends the deployment. The program also has
+to bring the robot to rest when its input ends.
 """
 
 import json
@@ -37,13 +38,13 @@ class Answer(NamedTuple):
         next_state: NaN if the step failed; shape (n,).
         applied: The command after all limits; shape (m,).
         status: How the step ended.
-        yaw: Yaw after the step [rad]; NaN if unknown.
+        context: What was measured around the step, by name.
     """
 
     next_state: Array
     applied: Array
     status: StepStatus
-    yaw: float
+    context: dict[str, float]
 
 
 def hello(space: StepSpace) -> str:
@@ -114,10 +115,11 @@ def read_answer(line: str, number: int, requested: Array, space: StepSpace) -> A
     if status == StepStatus.OK:
         next_state = _numbers(answer, "next", space.state_names, line)
     applied = _numbers(answer, "applied", space.command_names, line) if "applied" in answer else requested
-    yaw = answer.get("yaw")
-    if yaw is not None and not is_measurement(yaw):
-        raise ProcessFault(f'{_quoted(line)}: "yaw" must be an angle in radians')
-    return Answer(next_state, applied, status, float("nan") if yaw is None else float(yaw))
+    context = {name: value for name in space.context_names if (value := answer.get(name)) is not None}
+    for name, value in context.items():
+        if not is_measurement(value):
+            raise ProcessFault(f'{_quoted(line)}: "{name}" must be a number within ±{LARGEST_NUMBER:g}')
+    return Answer(next_state, applied, status, {name: float(value) for name, value in context.items()})
 
 
 def _line(content: Mapping[str, Any]) -> str:

@@ -110,7 +110,7 @@ class ProcessPlant(Plant):
             self.stop()
             return StepRecord(state, command, within, nowhere, StepStatus.STOPPED, requested=within)
         self._state = answer.next_state
-        return StepRecord(state, command, answer.applied, self._state, answer.status, answer.yaw, within)
+        return StepRecord(state, command, answer.applied, self._state, answer.status, answer.context, within)
 
     def stop(self) -> None:
         """Asks the program to bring the robot to rest, and waits until it has ended."""

@@ -5,12 +5,12 @@ here, each with a reason.
 """
 
 from dataclasses import dataclass, fields
-from math import isfinite
+from math import isfinite, tau
 
 from stepgap.base.errors import InputError
 from stepgap.base.ranges import require
 from stepgap.robots.robot import Robot
-from stepgap.step import Quantity, StepSpace, StepStatus
+from stepgap.step import ContextQuantity, Quantity, StepSpace, StepStatus
 
 ADVICE_ON_HOPS = {
     StepStatus.FELL: "the body came too low, or a leg tilted too far; "
@@ -166,13 +166,14 @@ class CommandBounds:
         require(self.fy_lower < self.fy_upper, "fy_lower", self.fy_lower, f"lie below fy_upper = {self.fy_upper}")
 
     def space(self) -> StepSpace:
-        """State [speed, height] and command [fx, fy] of the hopper (Eq. 10)."""
+        """State [speed, height] and command [fx, fy] of the hopper (Eq. 10), and the yaw of its boom at the apex."""
         return StepSpace(
             state=(Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.52, 0.64)),
             command=(
                 Quantity("fx", "N", self.fx_lower, self.fx_upper),
                 Quantity("fy", "N", self.fy_lower, self.fy_upper),
             ),
+            context=(ContextQuantity("yaw", "rad", period=tau),),
             advice=ADVICE_ON_HOPS,
         )
 

@@ -229,7 +229,7 @@ class MjcfPlant(RepeatablePlant):
         return StepRecord(before, command, applied, self._state, status, requested=applied, true_next_state=true_state)
 
     def repeated(self, command: Array, rng: np.random.Generator, turned: float = 0.0) -> Array:  # noqa: ARG002
-        """Next state of a copy with new noise; there is no yaw."""
+        """Next state of a copy with new noise; there is nothing to turn."""
         copied = copy(self)
         copied._rng, copied._stepper, copied._on_ticks = rng, self._stepper.copy(rng), None
         return copied.take_step(command).next_state

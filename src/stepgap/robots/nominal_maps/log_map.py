@@ -11,7 +11,7 @@ from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.observations import observe
 from stepgap.learning.residual import join_points
 from stepgap.learning.residual_fit import fit_residual
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.step import Array, Outcome, StepMap, StepSpace
 
@@ -58,7 +58,7 @@ class LogMap(StepMap):
         return self.fitted.jacobian(state, command)
 
 
-def fit_log_map(log: StepLog) -> LogMap:
+def fit_log_map(log: Steps) -> LogMap:
     """Fits a nominal map to recorded steps.
 
     Where commands were chosen by a controller, they and the states vary together, and their effects are known only

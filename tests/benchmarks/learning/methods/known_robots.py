@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.step import StepMap, StepRecord, StepStatus
 
 NOMINAL = ApexMap()
 
 
-def steps_of(truth: StepMap, count: int, noise: float = 0.0, iteration: int = 0) -> StepLog:
+def steps_of(truth: StepMap, count: int, noise: float = 0.0, iteration: int = 0) -> Steps:
     """Random steps of a map."""
     rng = np.random.default_rng(iteration)
     steps: list[LoggedStep] = []
@@ -19,4 +19,4 @@ def steps_of(truth: StepMap, count: int, noise: float = 0.0, iteration: int = 0)
         next_state = truth(state, command) + noise * rng.standard_normal(2) * [0.01, 0.002]
         record = StepRecord(state, command, command, next_state, StepStatus.OK)
         steps.append(LoggedStep(iteration, number, state, state, np.zeros(2), record))
-    return StepLog(NOMINAL.space, steps)
+    return Steps(NOMINAL.space, steps)

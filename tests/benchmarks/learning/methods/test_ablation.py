@@ -15,7 +15,7 @@ from stepgap.control.reference import Reference
 from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 
@@ -32,7 +32,7 @@ def deployed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, LearningSetting
     """Iteration and settings of each deployment; none is made, except for the first one."""
     found: list[tuple[int, LearningSettings, ControlSettings]] = []
 
-    def make(trial: Trial, learner: Learner, iteration: int, exploration: int = 0) -> StepLog:
+    def make(trial: Trial, learner: Learner, iteration: int, exploration: int = 0) -> Steps:
         assert learner.iteration == iteration
         found.append((iteration, learner.settings, trial.control))
         return trial.first
@@ -75,7 +75,7 @@ def test_the_published_method_makes_four_redeployments_and_learns_from_all(
     seen: list[tuple[int, list[int]]] = []
     start = Trial.learner
 
-    def learner(trial: Trial, nominal: ApexMap, log: StepLog, settings: LearningSettings, iteration: int) -> Learner:
+    def learner(trial: Trial, nominal: ApexMap, log: Steps, settings: LearningSettings, iteration: int) -> Learner:
         seen.append((iteration, log.iterations))
         return start(trial, nominal, log, settings, iteration)
 

@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.learning.methods.integral import IntegralCorrection, integral_settings
 from benchmarks.learning.methods.physical_parameters import AdjustedMap
 from stepgap.learning.learner import Learner
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from tests.benchmarks.learning.methods.known_robots import NOMINAL, steps_of
 
 GAIN = 0.3
@@ -17,7 +17,7 @@ STATE, COMMAND = np.array([0.2, 0.58]), np.array([2.0, -5.0])
 def test_the_integral_follows_a_constant_error() -> None:
     shift = np.array([0.05, -0.02])
     log = steps_of(AdjustedMap(NOMINAL, shift), 3)
-    correction = IntegralCorrection.start(NOMINAL, StepLog(NOMINAL.space), GAIN)
+    correction = IntegralCorrection.start(NOMINAL, Steps(NOMINAL.space), GAIN)
     for count, logged in enumerate(log, start=1):
         correction = correction.after(logged)
         added = correction.step_map()(STATE, COMMAND) - NOMINAL(STATE, COMMAND)

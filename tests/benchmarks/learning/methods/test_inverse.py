@@ -10,7 +10,7 @@ from benchmarks.learning.methods.inverse import InverseMap, inverse_of
 from benchmarks.learning.methods.physical_parameters import AdjustedMap
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.steps import Steps
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.step import StepStatus
 from tests.benchmarks.learning.methods.known_robots import NOMINAL, steps_of
@@ -50,7 +50,7 @@ def test_a_state_out_of_reach_has_no_command_and_commands_beyond_the_bounds_are_
 def test_the_learned_command_makes_the_step_of_the_target() -> None:
     truth = AdjustedMap(NOMINAL, np.zeros(2), command_scale=0.8)
     log = steps_of(truth, 80)
-    known = StepLog(INVERSE.space, map(INVERSE.read_backwards, log))
+    known = Steps(INVERSE.space, map(INVERSE.read_backwards, log))
     learner = Learner.start(INVERSE, known, LearningSettings(), 1)
     state, target = np.array([0.2, 0.58]), np.array([0.25, 0.6])
     plain, learned = (

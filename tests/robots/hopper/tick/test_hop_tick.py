@@ -122,7 +122,7 @@ class Both:
             found = self.tested.finished_step()
             assert_allclose(found.state, finished.state, rtol=1e-9, atol=1e-9)
             assert_allclose(found.lost, finished.lost, rtol=1e-9, atol=1e-9)
-            assert found.yaw == finished.yaw
+            assert found.context == (finished.yaw,)
             assert_allclose(found.command, self.command or NO_COMMAND)
             self.command = None
 

@@ -70,7 +70,7 @@ def test_an_inverted_motor_is_stopped_while_the_robot_takes_its_posture(motor: i
     """Such a motor drives its link away from the posture; with the full limits it reached 83 rad/s and 69°."""
     limits = replace(read_rig_settings(EXAMPLE).limits, late_ticks=40, sample_jitter=0.1)
     control = HopControl(HangingTwin(Wiring(), RealityGap(), 0).sensor_model, RobotParameters(), Gains(), limits)
-    board, rows = Board.create(2, 2), []
+    board, rows = Board.create(2, 2, 1), []
     wiring = Wiring(lambda torque_1, torque_2: (-torque_1, torque_2) if motor == 1 else (torque_1, -torque_2))
     with HangingTwin(wiring, RealityGap(joint_damping=0.05), seed=motor) as rig:
         loop = ControlLoop(rig, control, CommandBounds().space(), board, rows.append, LoopSettings(release_time=inf))

@@ -96,16 +96,17 @@ def _variables(space: StepSpace) -> list[_Variable]:
             for each in quantities
         ]
 
+    phase = f"Phase of {space.periodic.name}" if space.periodic else "Phase of a periodic context"
     return [
         *group("state", space.state, "input", "Measured state at the section", zero=False),
         *group("target", space.state, "input", "State wanted at the next section", zero=False),
-        _Variable("yaw", "Float64", "input", "0.0", "rad", "Yaw at the section; used if yaw_known"),
+        _Variable("phase", "Float64", "input", "0.0", "rad", f"{phase} at the section; used if phase_known"),
         *group("command", space.command, "output", "Command of the step", zero=False),
         *group("predicted", space.state, "output", "Predicted next state", zero=True),
         *group("std", space.state, "output", "Standard deviation of the next state as measured", zero=True),
         _Variable("result", "Int32", "output", "0", description="0, or why no step was planned"),
         _Variable("completed", "Boolean", "input", "true", description="The last command led to the present state"),
-        _Variable("yaw_known", "Boolean", "parameter", "false", description="The yaw is measured"),
+        _Variable("phase_known", "Boolean", "parameter", "false", description="The phase is measured"),
         _Variable("time", "Float64", "independent", "", "", "Time; a communication step is a step of the robot"),
     ]
 

@@ -1,7 +1,7 @@
 /* One instance of the controller, in plain memory, so that its state is copied as bytes.
 
    model.h defines STATES, COMMANDS, TOKEN and COMMAND_CENTRE, and includes the exported controller with the prefix
-   "controller". Variables are numbered: state, target, yaw, command, predicted, std, all real, then the three below. */
+   "controller". Variables are numbered: state, target, phase, command, predicted, std, all real, then the three below. */
 #ifndef INSTANCE_H
 #define INSTANCE_H
 
@@ -12,22 +12,22 @@
 #include "model.h"
 
 #define TARGET STATES
-#define YAW (2 * STATES)
-#define COMMAND (YAW + 1)
+#define PHASE (2 * STATES)
+#define COMMAND (PHASE + 1)
 #define PREDICTED (COMMAND + COMMANDS)
 #define STD (PREDICTED + STATES)
 #define REALS (STD + STATES)
 #define RESULT REALS             /* integer: what controller_plan returned */
 #define COMPLETED (REALS + 1)    /* boolean: the last command was executed, and its step ended in the present state */
-#define YAW_KNOWN (REALS + 2)    /* boolean: the yaw is measured */
+#define PHASE_KNOWN (REALS + 2)  /* boolean: the phase is measured */
 #define TIME (REALS + 3)
 
 #define EXPORTED __attribute__((visibility("default")))
 
 typedef struct {
     double reals[REALS];
-    int result, completed, yaw_known, planned;
-    double last_state[STATES], last_yaw, time;
+    int result, completed, phase_known, planned;
+    double last_state[STATES], last_phase, time;
     controller_filter filter;
 } instance;
 
@@ -52,14 +52,14 @@ static instance *new_instance(const char *token)
 /* One step of the robot: the filter learns from the step that has ended, then the next one is planned. */
 static void plan_step(instance *it)
 {
-    double guess[COMMANDS], *r = it->reals, yaw = it->yaw_known ? r[YAW] : NAN;
+    double guess[COMMANDS], *r = it->reals, phase = it->phase_known ? r[PHASE] : NAN;
     memcpy(guess, r + COMMAND, sizeof guess);
     if (it->planned && it->completed)
-        controller_filter_update(&it->filter, it->last_state, guess, r, it->last_yaw);
-    it->result = controller_plan(&it->filter, r, r + TARGET, guess, yaw, r + COMMAND, r + PREDICTED, r + STD);
+        controller_filter_update(&it->filter, it->last_state, guess, r, it->last_phase);
+    it->result = controller_plan(&it->filter, r, r + TARGET, guess, phase, r + COMMAND, r + PREDICTED, r + STD);
     if (it->result) memset(r + PREDICTED, 0, 2 * STATES * sizeof *r); /* there is no prediction */
     memcpy(it->last_state, r, sizeof it->last_state);
-    it->last_yaw = yaw;
+    it->last_phase = phase;
     it->planned = 1;
 }
 
@@ -85,7 +85,7 @@ static int set_reals(instance *it, const unsigned *references, size_t count, con
 
 static int *flag_of(instance *it, unsigned reference)
 {
-    return reference == COMPLETED ? &it->completed : reference == YAW_KNOWN ? &it->yaw_known : NULL;
+    return reference == COMPLETED ? &it->completed : reference == PHASE_KNOWN ? &it->phase_known : NULL;
 }
 
 /* Bytes of the state of an instance; 0 if there is no memory. */

@@ -121,12 +121,12 @@ class HopControl(TickControl):
         """The hop that ended with the last tick."""
         apex = Apex(*self._memory["apex"][0].item())
         state, lost = np.array([apex.speed, apex.height]), np.array([apex.lost_x, apex.lost_y])
-        return FinishedStep(state, np.array([apex.force_x, apex.force_y]), lost, apex.yaw)
+        return FinishedStep(state, np.array([apex.force_x, apex.force_y]), lost, (apex.yaw,))
 
     def failed_step(self, applied: Torques | None) -> FinishedStep:
         """The hop that was interrupted after the last tick."""
         force_x, force_y, *lost = interrupted_hop(self._settings, self._memory, *(applied or (np.nan, np.nan)))
-        return FinishedStep(np.full(2, np.nan), np.array([force_x, force_y]), np.array(lost), np.nan)
+        return FinishedStep(np.full(2, np.nan), np.array([force_x, force_y]), np.array(lost))
 
     @property
     def status(self) -> StepStatus:

@@ -1,0 +1,140 @@
+"""Context: what a robot declares in one line is recorded, learned from, reported and exported by its name."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.control.reference import Reference
+from stepgap.experiment.loop import run_experiment
+from stepgap.learning.learner import Learner
+from stepgap.learning.settings import LearningSettings
+from stepgap.plants.model_plant import ModelPlant
+from stepgap.records.recovery import recover_file
+from stepgap.records.run_folder import read_run_folder
+from stepgap.records.step_columns import step_columns
+from stepgap.records.steps_csv import StepWriter, digest, read_step_log, space_of_header
+from stepgap.step import Array, ContextQuantity, StepRecord, StepSpace
+from tests.control.maps import YAW, LossyHopper
+
+TRACK = ContextQuantity("track", "m", period=8.0)
+GROUND = ContextQuantity("ground", "m")
+LEARNING = LearningSettings("linear", 2, early_stop=False)
+TARGETS = Reference(("speed", "height"), np.tile([[0.2, 0.58], [0.15, 0.56], [0.25, 0.6]], (20, 1)))
+
+
+@dataclass(frozen=True)
+class Walker(LossyHopper):
+    """A hopper with other context than the built-in one."""
+
+    context: tuple[ContextQuantity, ...] = (TRACK, GROUND)
+
+    @property
+    def space(self) -> StepSpace:
+        return replace(super().space, context=self.context)
+
+
+class RoundTrack(ModelPlant):
+    """Goes 0.9 m along a track of 8 m in each step; its ground is uneven, which is measured, too."""
+
+    def __init__(self, walker: Walker, rng: np.random.Generator):
+        reality = replace(walker, loss=0.45)
+        super().__init__(reality, np.array([0.2, 0.58]), np.array([2e-3, 5e-4]), rng)
+        self._way = 0.0
+
+    def take_step(self, command: Array) -> StepRecord:
+        record, ground = super().take_step(command), 0.02 * np.sin(self._way * 2 * np.pi / 8.0)
+        self._way += 0.9
+        self._state = record.next_state + np.array([ground, 0.0])
+        values = {"track": self._way, "ground": ground, "yaw": self._way * 2 * np.pi / 8.0}
+        context = {name: values[name] for name in self.space.context_names}
+        return replace(record, next_state=self._state, context=context)
+
+
+def ran(folder: Path, walker: Walker, learning: LearningSettings = LEARNING) -> Path:
+    folder.mkdir(exist_ok=True)
+    run_experiment(walker, lambda rng: RoundTrack(walker, rng), TARGETS, learning, folder, seed=1)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return ran(tmp_path_factory.mktemp("run"), Walker())
+
+
+def test_each_quantity_has_a_column_with_its_unit(run: Path) -> None:
+    record = read_run_folder(run, Walker().space)
+    columns = {column.name: column for column in step_columns(record, 0)}
+    assert [*columns][-3:] == ["track_after", "ground_after", "status"]
+    assert columns["track_after"].unit == columns["ground_after"].unit == "m"
+    np.testing.assert_allclose(columns["track_after"].values, 0.9 * np.arange(1, 61))
+    assert space_of_header(run / "steps.csv").context_names == ("track", "ground")
+
+
+def test_the_phase_is_that_of_the_periodic_quantity(run: Path) -> None:
+    steps = read_step_log(run / "steps.csv", Walker().space)
+    np.testing.assert_allclose(steps.of_iteration(1).phase[1:], 2 * np.pi * 0.9 / 8 * np.arange(1, 60))
+    learner = Learner.start(Walker(), steps, LEARNING, 2)
+    assert learner.phase == pytest.approx(2 * np.pi * 0.9 * 60 / 8)
+
+
+def test_only_the_phase_matters_not_how_it_is_measured(run: Path, tmp_path: Path) -> None:
+    """A track of 8 m, and an angle about the vertical, give the same deployments; without a period it is noise."""
+    rmse = [json.loads((each / "summary.json").read_text())["iterations"][2]["rmse"]["speed"] for each in (
+        run, ran(tmp_path / "angle", Walker(context=(YAW,))), ran(tmp_path / "none", Walker(context=(GROUND,))),
+    )]  # fmt: skip
+    assert rmse[0] == pytest.approx(rmse[1], rel=1e-6)
+    assert rmse[0] < 0.7 * rmse[2]
+
+
+def test_a_second_periodic_quantity_is_refused() -> None:
+    with pytest.raises(ValueError, match="must have at most one quantity with a period"):
+        _ = Walker(context=(TRACK, YAW)).space
+
+
+# Files of versions in which every robot had the column yaw_after
+
+
+@pytest.fixture
+def old(tmp_path: Path) -> Path:
+    """A run of a robot that declares no context, in which a yaw was recorded."""
+    return ran(tmp_path / "old", Walker(context=(YAW,)), replace(LEARNING, iterations=1))
+
+
+def test_an_old_run_is_read_by_a_robot_without_context(old: Path, tmp_path: Path) -> None:
+    bare = Walker(context=()).space
+    steps = read_step_log(old / "steps.csv", bare)
+    assert steps.space.context_names == ("yaw",)
+    assert np.isfinite(steps.context).all()
+    assert np.isnan(steps.phase).all(), "the robot does not say that it has a period"
+    for space in (None, bare, Walker().space):
+        record = read_run_folder(old, space)
+        assert len(record.steps) == 120
+        assert digest(record.steps) == record.summary.steps_sha256
+    recover_file(old, tmp_path / "recovered")
+    assert (tmp_path / "recovered" / "steps.csv").read_bytes() == (old / "steps.csv").read_bytes()
+
+
+def test_an_old_run_is_continued_with_the_columns_that_it_has(tmp_path: Path) -> None:
+    """The robot that recorded a column for each step, without a number in it, declares no context any more."""
+    walker, folder = Walker(context=()), tmp_path / "old"
+    ran(folder, walker, replace(LEARNING, iterations=1, remove_yaw_dependence=False))
+    header, *rows = (folder / "steps.csv").read_text().splitlines()
+    with_yaw = [header.replace(",status", ",yaw_after,status"), *(row.replace(",ok", ",nan,ok") for row in rows[:80])]
+    (folder / "steps.csv").write_text("".join(f"{line}\n" for line in with_yaw))
+    (folder / "summary.json").unlink()
+    ran(folder, walker, replace(LEARNING, iterations=1, remove_yaw_dependence=False))
+    found = (folder / "steps.csv").read_text().splitlines()
+    assert [line.replace(",yaw_after,", ",").replace(",nan,ok", ",ok") for line in found] == [header, *rows]
+    assert len(read_run_folder(folder, walker.space).steps) == 120
+
+
+def test_a_column_that_is_no_context_is_refused(old: Path) -> None:
+    path = old / "steps.csv"
+    path.write_text(path.read_text().replace("yaw_after", "yaw", 1))
+    with pytest.raises(ValueError, match="line 1: the columns must be iteration,step,speed"):
+        read_step_log(path, Walker().space)
+    with pytest.raises(ValueError, match="line 1: the columns must be"), StepWriter(path, Walker().space):
+        pass
