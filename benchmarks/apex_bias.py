@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 
 from stepgap.base.random_streams import random_stream
-from stepgap.experiment.loop import run_experiment
+from stepgap.experiment.loop import Setup, run_experiment
 from stepgap.experiment.plants import PlantRequest, choose_plants
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.settings import LearningSettings
@@ -27,8 +27,8 @@ def measure(gap: RealityGap, seed: int) -> str:
     settings = Experiment(robot, seed, learning=LearningSettings(iterations=1))
     nominal, reference = robot.apex_map(), paper_reference()
     with tempfile.TemporaryDirectory() as name:
-        plants = choose_plants(PlantRequest(settings, reference, Path(name)))
-        last = run_experiment(nominal, plants.make, reference, settings.learning, Path(name), seed)[-1]
+        plants = choose_plants(PlantRequest(settings, reference, Path(name)))._replace(measure_noise_floor=None)
+        last = run_experiment(Setup(nominal, plants, reference, settings.learning, seed=seed), Path(name))[-1]
         steps = read_step_log(Path(name) / "steps.csv", nominal.space).completed()
     error = 1e3 * (steps.next_state - steps.true_next_state)
     mean, std = error.mean(axis=0), error.std(axis=0, ddof=1)

@@ -27,7 +27,7 @@ from threadpoolctl import threadpool_limits
 import stepgap
 from stepgap.base.random_streams import random_stream
 from stepgap.experiment.deployment import deploy
-from stepgap.experiment.loaded_run import LoadedRun
+from stepgap.experiment.run import Run
 from stepgap.export.controller.c_source import Real, c_source
 from stepgap.export.controller.portable_controller import PortableController, portable_controller
 from stepgap.robots.hopper.paper import paper_reference
@@ -153,12 +153,12 @@ def compare_plans(code: Code, controller: PortableController, count: int, rng: n
     )
 
 
-def compare_commands(code: Code, run: LoadedRun, seed: int) -> str:
+def compare_commands(code: Code, run: Run, seed: int) -> str:
     """Differences of the commands on the steps of one deployment of the twin, which Python hops."""
     plant = TwinSimulation(Hopper(), random_stream(seed)).plant(random_stream(seed, 0))
     filter_, command, phase, apart = ctypes.create_string_buffer(16384), None, float("nan"), []
     code.call("filter_init", filter_)
-    for logged in deploy(run.learner(1), plant, paper_reference(), 1, control=run.settings.control):
+    for logged in deploy(run.learner(1), plant, paper_reference(), 1, control=run.needed(run.settings).control):
         record, found = logged.record, code.array(np.zeros(len(plant.space.command)))
         given = map(code.array, (record.state, logged.target))
         code.call("plan", filter_, *given, None if command is None else code.array(command), phase, found, None, None)
@@ -171,10 +171,10 @@ def compare_commands(code: Code, run: LoadedRun, seed: int) -> str:
     return f"{len(apart)} commands of a deployment: RMS difference {rms:.1g} of a half range, at most {worst:.1g}"
 
 
-def steps_of(run: LoadedRun, seed: int) -> Iterator[StepRecord]:
+def steps_of(run: Run, seed: int) -> Iterator[StepRecord]:
     """A deployment of the twin with the controller of the run, before deployment 1."""
     plant = TwinSimulation(Hopper(), random_stream(seed)).plant(random_stream(seed, 0))
-    for logged in deploy(run.learner(1), plant, paper_reference(), 1, control=run.settings.control):
+    for logged in deploy(run.learner(1), plant, paper_reference(), 1, control=run.needed(run.settings).control):
         yield logged.record
 
 
@@ -226,7 +226,7 @@ def main() -> None:
     seeds = [int(seed) for seed in options.seeds.split(",")]
     kinds: tuple[Literal["double", "float"], ...] = ("double", "float")
     with threadpool_limits(limits=1, user_api="blas"), TemporaryDirectory() as folder:
-        controller = portable_controller(run, 1, random_stream(run.settings.seed, 0, 3))
+        controller = portable_controller(run, 1, random_stream(run.needed(run.settings).seed, 0, 3))
         for sentence in (*controller.approximations, *controller.notes):
             print(re.sub(r"\s+", " ", str(sentence)))
         python = np.array([tracking_error(steps_of(run, seed)) for seed in seeds])

@@ -44,7 +44,7 @@ from fit_paper_gap import (
 )
 
 from stepgap.base.random_streams import random_stream
-from stepgap.experiment.loop import run_experiment
+from stepgap.experiment.loop import Setup, run_experiment
 from stepgap.experiment.plants import PlantRequest, choose_plants
 from stepgap.experiment.settings import METHODS, Experiment
 from stepgap.learning.steps import Steps
@@ -165,8 +165,8 @@ def quality(gap: RealityGap, bounds: CommandBounds, seeds: range, stairs: Array)
         settings = Experiment(robot, seed, learning=learning, control=control)
         nominal, reference = robot.apex_map(), paper_reference()
         with tempfile.TemporaryDirectory() as name:
-            plants = choose_plants(PlantRequest(settings, reference, Path(name)))
-            done = run_experiment(nominal, plants.make, reference, learning, Path(name), seed, control=control)
+            plants = choose_plants(PlantRequest(settings, reference, Path(name)))._replace(measure_noise_floor=None)
+            done = run_experiment(Setup(nominal, plants, reference, learning, control, seed), Path(name))
             log = read_step_log(Path(name) / "steps.csv", nominal.space)
         first, last = (log.of_iteration(number) for number in (0, done[-1].iteration))
         row = {"seed": seed, "falls": sum(each.failed_steps for each in done)}

@@ -33,8 +33,8 @@ def main() -> None:
     """Prints how many hops were found and how far their states are from the truth."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path)
-    run = parser.parse_args().run
-    robot = stepgap.load_run(run).settings.robot
+    run = stepgap.load_run(parser.parse_args().run)
+    robot = run.robot
     assert isinstance(robot, Hopper)
     ticks = replay(run, iteration=1)
     columns = ("time", "boom_vertical", "boom_horizontal", "step")
@@ -48,7 +48,7 @@ def main() -> None:
         rows = np.stack([np.asarray(ticks[name], float) for name in columns], axis=-1)
         np.savetxt(log, rows, delimiter=",", header=",".join(columns), comments="")
         found = extract_steps(str(log), None, settings)
-    steps = np.genfromtxt(run / "steps.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    steps = np.genfromtxt(run.folder / "steps.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
     steps = steps[steps["iteration"] == 1]
     number = found.values["command"][found.kept, 0].astype(int) - 1
     true, online = (

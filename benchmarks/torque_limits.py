@@ -21,13 +21,13 @@ import numpy as np
 from stepgap.base.random_streams import random_stream
 from stepgap.experiment.bands import interval_coverage
 from stepgap.experiment.deployment import deploy
-from stepgap.experiment.loop import run_experiment
+from stepgap.experiment.loop import Setup, run_experiment
 from stepgap.experiment.plants import PlantRequest, choose_plants
+from stepgap.experiment.run import Run
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
-from stepgap.records.run_folder import read_run_folder
 from stepgap.report.sentences import headline
 from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.paper import paper_reference
@@ -48,26 +48,23 @@ def measure(limit: float, seed: int, iterations: int) -> str:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         plants = choose_plants(PlantRequest(settings, reference, folder))
-        run_experiment(
-            nominal, plants.make, reference, settings.learning, folder, seed,
-            measure_noise_floor=plants.measure_noise_floor,
-        )  # fmt: skip
-        record = read_run_folder(folder, nominal.space)
-        last = record.deployments[-1]
-        steps = record.steps.of_iteration(last.iteration)
+        run_experiment(Setup(nominal, plants, reference, settings.learning, seed=seed), folder)
+        run = Run(folder, space=nominal.space)
+        last = run.deployments[-1]
+        steps = run.steps.of_iteration(last.iteration)
         inside, known = interval_coverage(steps)
         covered = inside / known
         held = ~(reference.targets[:, None] == last.unreachable[None]).all(axis=2).any(axis=1)
         steady = np.intersect1d(reference.steady, np.flatnonzero(held))
         numbers = np.array([logged.step - 1 for logged in steps.completed()])
         error = (steps.completed().next_state - steps.completed().target)[np.isin(numbers, steady)]
-        floors = np.sqrt(np.mean(error**2, axis=0)) / record.noise_floor if len(error) else np.full(2, np.nan)
-        rmse = "  ".join(f"{1e3 * each.rmse[0]:.0f} / {1e3 * each.rmse[1]:.1f}" for each in record.deployments)
+        floors = np.sqrt(np.mean(error**2, axis=0)) / run.noise_floor if len(error) else np.full(2, np.nan)
+        rmse = "  ".join(f"{1e3 * each.rmse[0]:.0f} / {1e3 * each.rmse[1]:.1f}" for each in run.deployments)
         return (
             f"{limit:5g} {seed:4d}  cut {last.cut:3d} of {last.steps}  within 95 %: {covered[0]:.2f} {covered[1]:.2f}  "
             f"unreachable {len(last.unreachable):2d}  missed {len(last.missed):2d}  "
-            f"steady error at the others: {floors[0]:.2f} {floors[1]:.2f} floors  falls {record.steps.failed_steps}  "
-            f"RMSE [mm/s / mm] by deployment: {rmse}  {headline(record)[:16]}"
+            f"steady error at the others: {floors[0]:.2f} {floors[1]:.2f} floors  falls {run.steps.failed_steps}  "
+            f"RMSE [mm/s / mm] by deployment: {rmse}  {headline(run)[:16]}"
         )
 
 

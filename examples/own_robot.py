@@ -13,11 +13,12 @@ import numpy as np
 from numba import guvectorize, njit
 
 from stepgap import (
-    LearningSettings,
     ModelPlant,
     Outcome,
+    Plants,
     Quantity,
     Reference,
+    Setup,
     StepMap,
     StepSpace,
     StepStatus,
@@ -102,7 +103,6 @@ stairs = [(1, (1.0, 0.58)), (13, (1.2, 0.6)), (25, (1.4, 0.6)), (37, (1.2, 0.62)
 reference = Reference.from_segments(("speed", "height"), stairs, 60)
 if __name__ == "__main__":
     with TemporaryDirectory() as folder:
-        for deployment in run_experiment(
-            SpringRunner(), make_plant, reference, LearningSettings(), Path(folder), seed=0
-        ):
+        setup = Setup(SpringRunner(), Plants(make_plant), reference)
+        for deployment in run_experiment(setup, Path(folder)):
             print("deployment {}: speed {:.4f} m/s, height {:.4f} m".format(deployment.iteration, *deployment.rmse))

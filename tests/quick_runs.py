@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.experiment.run import Run
 from stepgap.plants.plant import Plant
 from stepgap.records.summary import NoiseFloor
 from stepgap.report import WrittenReport, drawing
@@ -33,11 +34,11 @@ def repeat_less(patch: pytest.MonkeyPatch) -> None:
 def leave_out_report(patch: pytest.MonkeyPatch) -> None:
     """A run writes an empty report."""
 
-    def report_run(folder: Path, *_: object) -> WrittenReport:
-        (folder / "report.html").touch()
-        return WrittenReport(folder / "report.html", ())
+    def write_report(run: Run) -> WrittenReport:
+        (run.folder / "report.html").touch()
+        return WrittenReport(run.folder / "report.html", ())
 
-    patch.setattr("stepgap.cli.run_report.report_run", report_run)
+    patch.setattr("stepgap.report.write_report", write_report)
 
 
 def leave_out_sweep_report(patch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.limit_cycle import fixed_point
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
-from stepgap.experiment.loop import run_experiment
+from stepgap.experiment.loop import Plants, Setup, run_experiment
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.step import Array, Outcome, Quantity, StepMap, StepSpace, StepStatus, difference_jacobian
@@ -181,7 +181,7 @@ def test_state_and_command_may_have_any_sizes(tmp_path: Path, sizes: tuple[int, 
     def make_plant(rng: np.random.Generator) -> ModelPlant:
         return ModelPlant(real, np.zeros(n), np.full(n, 0.003), rng)
 
-    first, second = run_experiment(nominal, make_plant, reference, learning, tmp_path, seed=0)
+    first, second = run_experiment(Setup(nominal, Plants(make_plant), reference, learning), tmp_path)
     assert (first.failed_steps, second.failed_steps) == (0, 0)
     assert np.linalg.norm(second.rmse) < 0.6 * np.linalg.norm(first.rmse)
 

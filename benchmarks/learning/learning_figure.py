@@ -17,7 +17,7 @@ from benchmarks.learning.learning_summary import (
     tracking_error_of,
 )
 from benchmarks.learning.paired_differences import log_ratio
-from stepgap.report.colours import BLUE, GREY
+from stepgap.report.drawing import BLUE, GREY
 
 
 def learning_picture(rows: Sequence[DeploymentRow], form: str) -> bytes:

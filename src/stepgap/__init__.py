@@ -33,10 +33,12 @@ if TYPE_CHECKING:
     from stepgap.control.step_controller import StepController as StepController
     from stepgap.control.step_controller import StepPlan as StepPlan
     from stepgap.experiment.deployment import DeploymentController as DeploymentController
-    from stepgap.experiment.loaded_run import LoadedRun as LoadedRun
-    from stepgap.experiment.loaded_run import load_run as load_run
     from stepgap.experiment.loop import Observer as Observer
+    from stepgap.experiment.loop import Plants as Plants
+    from stepgap.experiment.loop import Setup as Setup
     from stepgap.experiment.loop import run_experiment as run_experiment
+    from stepgap.experiment.run import Run as Run
+    from stepgap.experiment.run import load_run as load_run
     from stepgap.learning.corrected_map import CorrectedMap as CorrectedMap
     from stepgap.learning.learner import Learner as Learner
     from stepgap.learning.observations import Observations as Observations
@@ -100,7 +102,7 @@ _MODULES = {name: module for module, name in _LISTED.findall(Path(__file__).read
 It is imported when the name is first used, so that the command line starts quickly.
 """
 
-_RENAMED = {"StepLog": "Steps"}
+_RENAMED = {"LoadedRun": "Run", "StepLog": "Steps"}
 """Public names of earlier versions, with those that replace them."""
 
 __all__ = sorted(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]

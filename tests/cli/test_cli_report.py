@@ -10,6 +10,7 @@ import tomli_w
 
 from stepgap.cli.app import main
 from stepgap.experiment.replay import find_kinematics, replay
+from stepgap.experiment.run import Run
 from stepgap.experiment.settings import Experiment
 from stepgap.hardware.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.model_plant import ModelPlant
@@ -43,7 +44,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reports are made without figures, which takes half as long."""
-    monkeypatch.setattr("stepgap.report.run_figures.draw_figure", lambda *_: Missing("left out"))
+    monkeypatch.setattr("stepgap.report.figures.draw_figure", lambda *_: Missing("left out"))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -118,7 +119,7 @@ def test_a_report_without_its_nominal_map_has_all_other_parts(
 def test_a_run_keeps_its_motion_and_simulates_nothing_twice(
     finished: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stepgap.cli.run_report.replay", lambda *_: pytest.fail("simulated again"))
+    monkeypatch.setattr("stepgap.experiment.replay.replay", lambda *_: pytest.fail("simulated again"))
     settings = [finished / "experiment.toml", "--reference", finished.parent / "targets.csv"]
     assert stepgap("run", *settings, "--out", "run", "--quiet") == CommandResult(0, "run/report.html\n", "")
 
@@ -131,7 +132,7 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
     shutil.rmtree("run/replay")
     kinematics = find_kinematics(Experiment())
     for iteration in (0, 1):
-        ticks = replay(finished, iteration)
+        ticks = replay(Run(finished), iteration)
         rows = rig_rows(ticks.selected(TICK_UNITS).rows, RigState.STEP)
         with TickLog(Path(f"run/ticks/ticks-{iteration}.mcap"), LOG_UNITS) as log:
             log.append(rows)
@@ -139,7 +140,7 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
     settings.write_text(settings.read_text().replace('plant = "twin"', 'plant = "ethercat"'))
     result = stepgap("report", "run")
     assert result.err == "stepgap: missing in the report: replay (.: Is a directory; give an existing TOML file)\n"
-    monkeypatch.setattr("stepgap.cli.run_report.find_kinematics", lambda settings: kinematics)
+    monkeypatch.setattr("stepgap.experiment.replay.find_kinematics", lambda settings: kinematics)
     assert stepgap("report", "run") == CommandResult(0, "run/report.html\n", "")
     for iteration in (0, 1):
         name = f"replay/deployment_{iteration}.npz"
@@ -208,7 +209,7 @@ def test_runs_are_compared(finished: Path, stepgap: Command) -> None:
     refused(stepgap("report", "a", "b", "--out", "page.html"), "page.html: exists already; choose another --out")
     refused(stepgap("report", "a", "b", "--out", "none/page.html"), "none/page.html: cannot be written")
     refused(stepgap("report", "a", "a"), "a run is given twice")
-    refused(stepgap("report", "a", "none"), "none/steps.csv: no such file")
+    refused(stepgap("report", "a", "none"), "none/steps.csv: No such file", "must be the folder of a run")
     refused(stepgap("report", "a", "--out", "other.html"), "--out: valid only with several runs")
 
 

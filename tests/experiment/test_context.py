@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from stepgap.control.reference import Reference
-from stepgap.experiment.loop import run_experiment
+from stepgap.experiment.loop import Plants, Setup, run_experiment
+from stepgap.experiment.run import Run
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.records.recovery import recover_file
-from stepgap.records.run_folder import read_run_folder
 from stepgap.records.step_columns import step_columns
 from stepgap.records.steps_csv import StepWriter, digest, read_step_log, space_of_header
 from stepgap.step import Array, ContextQuantity, StepRecord, StepSpace
@@ -55,7 +55,7 @@ class RoundTrack(ModelPlant):
 
 def ran(folder: Path, walker: Walker, learning: LearningSettings = LEARNING) -> Path:
     folder.mkdir(exist_ok=True)
-    run_experiment(walker, lambda rng: RoundTrack(walker, rng), TARGETS, learning, folder, seed=1)
+    run_experiment(Setup(walker, Plants(lambda rng: RoundTrack(walker, rng)), TARGETS, learning, seed=1), folder)
     return folder
 
 
@@ -65,8 +65,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_each_quantity_has_a_column_with_its_unit(run: Path) -> None:
-    record = read_run_folder(run, Walker().space)
-    columns = {column.name: column for column in step_columns(record, 0)}
+    steps = Run(run, space=Walker().space).steps
+    columns = {column.name: column for column in step_columns(steps, 0)}
     assert [*columns][-3:] == ["track_after", "ground_after", "status"]
     assert columns["track_after"].unit == columns["ground_after"].unit == "m"
     np.testing.assert_allclose(columns["track_after"].values, 0.9 * np.arange(1, 61))
@@ -110,7 +110,7 @@ def test_an_old_run_is_read_by_a_robot_without_context(old: Path, tmp_path: Path
     assert np.isfinite(steps.context).all()
     assert np.isnan(steps.phase).all(), "the robot does not say that it has a period"
     for space in (None, bare, Walker().space):
-        record = read_run_folder(old, space)
+        record = Run(old, space=space) if space else Run(old)
         assert len(record.steps) == 120
         assert digest(record.steps) == record.summary.steps_sha256
     recover_file(old, tmp_path / "recovered")
@@ -128,7 +128,7 @@ def test_an_old_run_is_continued_with_the_columns_that_it_has(tmp_path: Path) ->
     ran(folder, walker, replace(LEARNING, iterations=1, remove_yaw_dependence=False))
     found = (folder / "steps.csv").read_text().splitlines()
     assert [line.replace(",yaw_after,", ",").replace(",nan,ok", ",ok") for line in found] == [header, *rows]
-    assert len(read_run_folder(folder, walker.space).steps) == 120
+    assert len(Run(folder, space=walker.space).steps) == 120
 
 
 def test_a_column_that_is_no_context_is_refused(old: Path) -> None:

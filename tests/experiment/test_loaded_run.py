@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stepgap.base.errors import InputError
-from stepgap.experiment.loaded_run import load_run
+from stepgap.experiment.run import load_run
 from stepgap.robots.hopper.robot import Hopper
 from tests.cli.command_line import Command
 
@@ -58,7 +58,7 @@ def test_the_next_deployment_is_fitted_to_all_steps(folder: Path) -> None:
     assert (learner.iteration, len(learner.log)) == (2, 15)
     state, command = [0.2, 0.58], [0.0, 0.0]
     point = np.array([*state, *command])
-    expected = run.nominal(state, command) + learner.residual.mean(point)
+    expected = run.needed(run.nominal)(state, command) + learner.residual.mean(point)
     np.testing.assert_allclose(corrected(state, command), expected, atol=1e-12)
     for wrong in (-1, 3):
         with pytest.raises(InputError, match=f"has no deployment {wrong}; it may be 0 to 2"):

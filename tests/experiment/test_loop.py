@@ -18,7 +18,7 @@ from stepgap.control.reference import Reference
 from stepgap.control.settings import ControlSettings
 from stepgap.experiment import loop
 from stepgap.experiment.deployment import deploy
-from stepgap.experiment.loop import Observer, run_experiment
+from stepgap.experiment.loop import Observer, Plants, Setup, run_experiment
 from stepgap.experiment.outcome import estimate_noise_floor, summarise
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
@@ -64,9 +64,8 @@ def run_in(
     known: Steps | None = None,
 ) -> list[Deployment]:
     folder.mkdir(exist_ok=True)
-    return run_experiment(
-        nominal, make_plant, REFERENCE, learning, folder, seed, observer, replays=replays, known=known
-    )
+    setup = Setup(nominal, Plants(make_plant, replays), REFERENCE, learning, seed=seed, known=known)
+    return run_experiment(setup, folder, observer)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -258,7 +257,7 @@ def test_redeploying_in_any_case(tmp_path: Path) -> None:
 def test_a_deployment_by_table_uses_the_corrected_map(tmp_path: Path) -> None:
     learning = LearningSettings(iterations=1, drift=False)
     control = ControlSettings(cautious=False, viability=False, avoid_failures=False, table=7)
-    run_experiment(NOMINAL, plant_of(REALITY), REFERENCE, learning, tmp_path, 3, control=control)
+    run_experiment(Setup(NOMINAL, Plants(plant_of(REALITY)), REFERENCE, learning, control, 3), tmp_path)
     log = read_step_log(tmp_path / "steps.csv", NOMINAL.space)
     residual = Learner.start(NOMINAL, log.of_iteration(0), learning, 1).residual
     for number, step_map in enumerate((NOMINAL, CorrectedMap(NOMINAL, residual))):
@@ -311,7 +310,8 @@ def test_a_measured_noise_floor_is_recorded_and_measured_once(tmp_path: Path) ->
         return NoiseFloor(np.array([0.003, np.nan]), np.array([0.002, 0.001]))
 
     for _ in range(2):
-        run_experiment(NOMINAL, plant_of(REALITY), REFERENCE, ALWAYS, tmp_path, 3, measure_noise_floor=measure)
+        plants = Plants(plant_of(REALITY), measure_noise_floor=measure)
+        run_experiment(Setup(NOMINAL, plants, REFERENCE, ALWAYS, seed=3), tmp_path)
         summary = json.loads((tmp_path / "summary.json").read_text())
         assert summary["repeatability"] == {"speed": 0.003, "height": None}
         assert summary["repeatability_same_yaw"] == {"speed": 0.002, "height": 0.001}
@@ -336,7 +336,8 @@ def test_the_noise_floor_is_measured_under_the_same_map_after_an_interruption(tm
 
     def go(folder: Path) -> bytes:
         folder.mkdir(exist_ok=True)
-        run_experiment(NOMINAL, plant_of(REALITY), REFERENCE, GAUSSIAN, folder, 3, measure_noise_floor=measure)
+        plants = Plants(plant_of(REALITY), measure_noise_floor=measure)
+        run_experiment(Setup(NOMINAL, plants, REFERENCE, GAUSSIAN, seed=3), folder)
         return (folder / "summary.json").read_bytes()
 
     with pytest.raises(KeyboardInterrupt):
@@ -750,5 +751,5 @@ def test_an_error_anywhere_stops_the_plant_at_once(tmp_path: Path, monkeypatch: 
 def test_a_reference_for_another_map_is_refused(tmp_path: Path) -> None:
     reference = Reference(("pace", "height"), REFERENCE.targets)
     with pytest.raises(ValueError, match="the reference is for pace,height"):
-        run_experiment(NOMINAL, plant_of(REALITY), reference, ALWAYS, tmp_path, 0)
+        run_experiment(Setup(NOMINAL, Plants(plant_of(REALITY)), reference, ALWAYS), tmp_path)
     assert not contents(tmp_path)

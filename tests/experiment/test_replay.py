@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ from stepgap.cli.app import main
 from stepgap.experiment.loop import deployment_generator
 from stepgap.experiment.plants import simulation_of
 from stepgap.experiment.replay import logged_ticks, replay, replayed_steps
-from stepgap.experiment.settings import Experiment, read_experiment
+from stepgap.experiment.run import Run
+from stepgap.experiment.settings import read_experiment
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.ticks.rig_state import RigState
@@ -64,7 +66,7 @@ def run_folder(watched: tuple[Path, list]) -> Path:
 
 @pytest.fixture(scope="module")
 def replayed(run_folder: Path) -> TickTable:
-    return replay(run_folder, 1)
+    return replay(Run(run_folder), 1)
 
 
 @pytest.fixture
@@ -79,9 +81,11 @@ def test_every_tick_equals_the_original_one(replayed: TickTable, watched: tuple[
 
 def test_a_thinned_or_hop_by_hop_replay_is_the_same(run_folder: Path, replayed: TickTable) -> None:
     progress: list[tuple[int, int]] = []
-    np.testing.assert_array_equal(replay(run_folder, 1, 7, lambda *of: progress.append(of)).rows, replayed.rows[::7])
+    np.testing.assert_array_equal(
+        replay(Run(run_folder), 1, 7, lambda *of: progress.append(of)).rows, replayed.rows[::7]
+    )
     assert progress == [(0, 3), (1, 3), (2, 3), (3, 3)]
-    hops = list(replayed_steps(run_folder, 1))
+    hops = list(replayed_steps(Run(run_folder), 1))
     assert [set(hop["step"]) for hop in hops] == [{0}, {1}, {2}, {3}]
     np.testing.assert_array_equal(np.concatenate([hop.rows for hop in hops]), replayed.rows)
 
@@ -130,7 +134,7 @@ def test_a_deployment_that_ended_without_an_apex(tmp_path: Path) -> None:
             writer.append(LoggedStep(0, step, none, none, none, record))
             reason = record.status
     assert reason != StepStatus.OK
-    assert np.isfinite(replay(tmp_path, 0, every=10).rows).all()
+    assert np.isfinite(replay(Run(tmp_path), 0, every=10).rows).all()
 
 
 @pytest.mark.usefixtures("no_repeats", "no_report")
@@ -138,7 +142,7 @@ def test_a_run_on_the_ring_is_simulated_again_without_the_ring(tmp_path: Path) -
     pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
     with skipping_without_network():
         run = run_of(tmp_path, "--plant", "emulated-ring", "--iterations", "0", "--debug")
-    assert set(replay(run, 0, every=100)["step"]) == {0, 1, 2, 3}
+    assert set(replay(Run(run), 0, every=100)["step"]) == {0, 1, 2, 3}
 
 
 def write_log(run: Path, replayed: TickTable, iteration: int) -> None:
@@ -154,13 +158,9 @@ def write_log(run: Path, replayed: TickTable, iteration: int) -> None:
         log.append(np.concatenate(rows))
 
 
-def steps_of(run: Path, iteration: int) -> Steps:
-    return read_step_log(run / "steps.csv", CommandBounds().space()).of_iteration(iteration)
-
-
 def test_ticks_of_a_rigs_log_are_separated_at_apexes(copy: Path, replayed: TickTable) -> None:
     write_log(copy, replayed, 1)
-    ticks = logged_ticks(copy, steps_of(copy, 1), Experiment())
+    ticks = logged_ticks(Run(copy), 1)
     assert list(ticks.units) == [*LOG_UNITS, "step"]
     held = ticks["state"] == RigState.STAND
     assert np.count_nonzero(held) == 20
@@ -171,8 +171,9 @@ def test_ticks_of_a_rigs_log_are_separated_at_apexes(copy: Path, replayed: TickT
 def test_the_ticks_of_a_rig_that_fell_end_when_it_rests(copy: Path, replayed: TickTable) -> None:
     fallen = TickTable(replayed.units, replayed.rows[replayed["step"] <= 2][:-100])
     write_log(copy, fallen, 1)
-    fallen_steps = steps_of(copy, 1).selected(slice(2)).with_columns(status=[StepStatus.OK, StepStatus.FELL])
-    ticks = logged_ticks(copy, fallen_steps, Experiment())
+    first, second, *_ = Run(copy).steps.of_iteration(1)
+    fallen_steps = [first, replace(second, record=replace(second.record, status=StepStatus.FELL))]
+    ticks = logged_ticks(Run(copy, steps=Steps(CommandBounds().space(), fallen_steps)), 1)
     assert ticks["step"][-1] == 2
     assert np.count_nonzero(ticks["state"] == RigState.STOP) == 700
 
@@ -184,13 +185,13 @@ def test_a_missing_or_incomplete_log_is_refused(
     write_log(copy, replayed, 1)
     spoil(copy / "ticks" / "ticks-1.mcap")
     with pytest.raises(InputError, match=r"ticks-1\.mcap"):
-        logged_ticks(copy, steps_of(copy, 1), Experiment())
+        logged_ticks(Run(copy), 1)
 
 
 def test_a_log_with_too_few_hops_is_refused(copy: Path, replayed: TickTable) -> None:
     write_log(copy, TickTable(replayed.units, replayed.rows[replayed["step"] < 2]), 1)
     with pytest.raises(InputError, match=r"ticks-1\.mcap: has fewer steps than deployment 1"):
-        logged_ticks(copy, steps_of(copy, 1), Experiment())
+        logged_ticks(Run(copy), 1)
 
 
 # Refused
@@ -213,7 +214,7 @@ def change_number_and_version(run: Path) -> None:
     ("spoil", "iteration", "message"),
     [
         (lambda run: None, 2, "no step of deployment 2; recorded deployments: 0, 1"),
-        (lambda run: (run / "experiment.toml").unlink(), 0, "experiment.toml: No such file"),
+        (lambda run: (run / "experiment.toml").unlink(), 0, "the folder contains no experiment.toml"),
         (lambda run: (run / "steps.csv").unlink(), 0, "steps.csv: No such file"),
         (change_a_number, 1, "step 1 of deployment 1 could not be reproduced exactly; the record was changed"),
         (change_number_and_version, 1, "could not be reproduced exactly; it was run with mujoco 0"),
@@ -229,4 +230,4 @@ def test_a_deployment_that_cannot_be_reproduced_is_refused(
 ):
     spoil(copy)
     with pytest.raises((InputError, RecordError), match=message):
-        replay(copy, iteration)
+        replay(Run(copy), iteration)

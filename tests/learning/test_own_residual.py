@@ -13,7 +13,7 @@ import pytest
 from uv import find_uv_bin
 
 from stepgap.base.settings_file import InputError
-from stepgap.experiment.loop import run_experiment
+from stepgap.experiment.loop import Plants, Setup, run_experiment
 from stepgap.learning.entry_points import load_residual_model, residual_names
 from stepgap.learning.regression import ResidualModel
 from stepgap.learning.residual_fit import fit_residual, residual_from_dict
@@ -139,7 +139,7 @@ def test_a_run_uses_it_and_the_report_includes_it(tmp_path: Path) -> None:
 
     folder = tmp_path / "run"
     folder.mkdir()
-    run_experiment(LossyHopper(), plant, TARGETS, LearningSettings(NAME, 1, tolerance=0.0), folder, seed=0)
+    run_experiment(Setup(LossyHopper(), Plants(plant), TARGETS, LearningSettings(NAME, 1, tolerance=0.0)), folder)
     saved = json.loads((folder / "models" / "iteration_1.json").read_text())
     assert (saved["kind"], saved["lagged_inputs"]) == (NAME, "previous_error")
     page = Page(report_of(folder))

@@ -8,14 +8,14 @@ from shutil import copytree
 import pytest
 
 from stepgap.base.errors import InputError
-from stepgap.experiment.loop import run_experiment
+from stepgap.experiment.loop import Plants, Setup, run_experiment
 from stepgap.experiment.resume import Recording
+from stepgap.experiment.run import Run
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.records import recovery
 from stepgap.records.model_files import read_model
 from stepgap.records.recovery import recover_file
-from stepgap.records.run_folder import read_run_folder
 from stepgap.records.steps_csv import RecordError
 from tests.experiment.test_loop import NOMINAL, REALITY, REFERENCE, plant_of
 from tests.full_disk import FILE_TOO_LARGE, largest_file
@@ -25,7 +25,7 @@ LEARNING = LearningSettings(iterations=2, early_stop=False)
 
 def run(folder: Path) -> Path:
     folder.mkdir(exist_ok=True)
-    run_experiment(NOMINAL, plant_of(REALITY), REFERENCE, LEARNING, folder, 3)
+    run_experiment(Setup(NOMINAL, Plants(plant_of(REALITY)), REFERENCE, LEARNING, seed=3), folder)
     return folder
 
 
@@ -65,12 +65,12 @@ def test_a_damaged_run_is_recovered_reported_and_resumed(whole: Path, tmp_path: 
     folder = damaged(whole, tmp_path / "run", line)
     before = record(folder)
     with pytest.raises(RecordError, match=r"line \d+: not the next step .*; `stepgap recover` saves what comes before"):
-        read_run_folder(folder, NOMINAL.space)
+        Run(folder, space=NOMINAL.space).checked()
     messages = recover_file(folder, tmp_path / "out")
     assert record(folder) == before
     assert f"line {line + 1}: not the next step" in messages[0]
     assert messages[-1] == f"{line - 1} steps recovered"
-    found = read_run_folder(tmp_path / "out", NOMINAL.space)
+    found = Run(tmp_path / "out", space=NOMINAL.space).checked()
     assert [deployment.iteration for deployment in found.deployments] == [0]
     assert found.unfinished == {1: line - 1 - len(REFERENCE)}
     assert read_model(tmp_path / "out", 1, NOMINAL.space) is not None

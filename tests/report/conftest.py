@@ -4,7 +4,7 @@ from typing import Any
 import pytest
 
 from stepgap.records.missing import Missing
-from stepgap.report import drawing, run_figures
+from stepgap.report import drawing, figures
 from stepgap.report.drawing import Drawing, draw_figure
 from tests.quick_runs import leave_out_files_of_figures
 
@@ -18,7 +18,7 @@ def unplaced(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def files_of_few_figures(every_format: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures are drawn for the page, but the files of most are empty, since all are written in the same way."""
-    monkeypatch.setattr(run_figures, "draw_figure", drawn_for_few)
+    monkeypatch.setattr(figures, "draw_figure", drawn_for_few)
 
 
 def drawn_for_few(make: Callable[[], Any], subject: str) -> Drawing | Missing:

@@ -3,19 +3,21 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 
 from stepgap.control.reference import Reference
-from stepgap.experiment.loop import run_experiment
+from stepgap.experiment.loop import Plants, Setup, run_experiment
+from stepgap.experiment.run import Given, Run
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep
 from stepgap.plants.model_plant import ModelPlant
+from stepgap.records.missing import Missing
+from stepgap.records.motion_file import INTERVAL
 from stepgap.records.steps_csv import column_names, row_of
 from stepgap.records.summary import MEASURES
-from stepgap.report import NO_CONTEXT, RunContext, read_run_folder, write_report
-from stepgap.report.motion import INTERVAL
-from stepgap.robots.published_result import PublishedResult
+from stepgap.report import write_report
 from stepgap.robots.scene import Link, Motion, Scene
 from stepgap.step import Array, Quantity, StepMap, StepRecord, StepSpace, StepStatus
 from tests.control.maps import YAW, LossyHopper
@@ -65,7 +67,7 @@ def make_run(
         return made
 
     learning = LearningSettings("gp", iterations, tolerance=0.0, online=exploration > 0, exploration=exploration)
-    run_experiment(LossyHopper(), plant, TARGETS, learning, folder, seed=0)
+    run_experiment(Setup(LossyHopper(), Plants(plant), TARGETS, learning), folder)
     return folder
 
 
@@ -134,11 +136,10 @@ def motion(frames: int) -> Motion:
     return Motion(time, np.floor(time / 0.8), np.stack([body, foot], axis=1), touching, np.zeros(frames), signals)
 
 
-def report_of(
-    folder: Path,
-    context: RunContext = NO_CONTEXT,
-    space: StepSpace | None = None,
-    published: PublishedResult | None = None,
-) -> Path:
-    """Writes the report of a run folder and returns the path of the page."""
-    return write_report(read_run_folder(folder, space, published), context).path
+TWIN: Given = {"plant": "simulated twin", "settings": Missing("the settings were not given")}
+"""What is known of a run on the twin besides its files; its settings are not read."""
+
+
+def report_of(folder: Path, **given: Unpack[Given]) -> Path:
+    """Writes the report of a run folder, by default one on the twin, and returns the path of the page."""
+    return write_report(Run(folder, **{**TWIN, **given})).path

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import expect
 
-from stepgap.report import RunContext, read_run_folder
-from stepgap.report.motion import Replay
+from stepgap.experiment.run import Run
+from stepgap.records.motion_file import Replay
 from tests.browser import Watched
 from tests.browser import chromium as chromium  # fixtures
 from tests.browser import watched_page as watched_page
@@ -26,7 +26,7 @@ def fallen(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = make_run(tmp_path_factory.mktemp("fallen") / "run", 1, lasts=(3,))
     with pytest.MonkeyPatch.context() as patch:
         leave_out_files_of_figures(patch)
-        return report_of(folder, RunContext(replay=Replay({0: motion(400)}, SCENE)), LossyHopper().space)
+        return report_of(folder, replay=Replay({0: motion(400)}, SCENE), space=LossyHopper().space)
 
 
 def test_the_replay_scrubs_and_plays(run_folder: Path, watched_page: Watched) -> None:
@@ -87,6 +87,6 @@ def test_values_are_shown_at_the_pointer(fallen: Path, watched_page: Watched) ->
     y = frame["y"] + frame["height"] * (bottom - (bottom - top) * up)
     page.mouse.move(x, y)
     expect(page.locator(".hover-note")).to_have_text(f"{label}\nStep: {steps[20]}\nSpeed [m/s]: {speeds[20]}")
-    assert speeds == [f"{speed:.4g}" for speed in read_run_folder(fallen.parent).steps.of_iteration(1).next_state[:, 0]]
+    assert speeds == [f"{speed:.4g}" for speed in Run(fallen.parent).steps.of_iteration(1).next_state[:, 0]]
     page.mouse.move(1, 1)
     expect(page.locator(".hover-note")).to_be_hidden()

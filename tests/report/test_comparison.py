@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
 from stepgap.records.summary import parse_summary
-from stepgap.report import comparison_html, read_run_folder
-from stepgap.report.comparison import run_names
-from stepgap.report.seed_spread import FEWEST_SEEDS, seed_groups, spread_tables
+from stepgap.report.comparison import FEWEST_SEEDS, comparison_html, run_names, seed_groups, spread_tables
 from stepgap.report.settings_table import changed_settings, differing, flat_settings
 from stepgap.robots.hopper.paper import paper_reference, paper_result
 from tests.report.pages import Page, check_alone
@@ -30,7 +29,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.mark.usefixtures("drawn_page", "unplaced")
 def test_runs_side_by_side(folders: list[Path], tmp_path: Path) -> None:
-    records = [read_run_folder(folder) for folder in folders]
+    records = [Run(folder) for folder in folders]
     (tmp_path / "page.html").write_text(comparison_html(records), encoding="utf-8")
     page = Page(tmp_path / "page.html")
     check_alone(page, 1)
@@ -45,26 +44,26 @@ def test_runs_side_by_side(folders: list[Path], tmp_path: Path) -> None:
 def test_the_papers_band_is_compared_along_its_reference_only(folders: list[Path], tmp_path: Path) -> None:
     targets = paper_reference().targets
     runs = [write_run(tmp_path / name, ("speed", "height"), 227, 1, targets=targets) for name in "ab"]
-    like_paper = [read_run_folder(run, published=paper_result()) for run in runs]
+    like_paper = [Run(run, published=paper_result()) for run in runs]
     band = "until the error stays in the paper&#x27;s band"
     assert band in comparison_html(like_paper)
-    assert band not in comparison_html([like_paper[0], read_run_folder(folders[0], published=paper_result())])
-    assert band not in comparison_html([like_paper[0], read_run_folder(runs[1])])
+    assert band not in comparison_html([like_paper[0], Run(folders[0], published=paper_result())])
+    assert band not in comparison_html([like_paper[0], Run(runs[1])])
 
 
 def test_runs_of_another_state_are_refused(folders: list[Path], tmp_path: Path) -> None:
     other = write_run(tmp_path / "other", ("x",))
     with pytest.raises(ValueError, match=r"^[^\n]*only runs of the same state can be compared$"):
-        comparison_html([read_run_folder(folders[0]), read_run_folder(other)])
+        comparison_html([Run(folders[0]), Run(other)])
     with pytest.raises(ValueError, match="1 runs to compare, but there must be 2 to 12"):
-        comparison_html([read_run_folder(folders[0])])
+        comparison_html([Run(folders[0])])
 
 
 def test_unfinished_runs_are_compared(folders: list[Path], tmp_path: Path) -> None:
     shutil.copytree(folders[0], tmp_path / "run")
     (tmp_path / "run" / "summary.json").unlink()
     (tmp_path / "run" / "experiment.toml").unlink()
-    text = comparison_html([read_run_folder(folders[1]), read_run_folder(tmp_path / "run")])
+    text = comparison_html([Run(folders[1]), Run(tmp_path / "run")])
     assert "No deployment is finished yet." in text
     assert "No experiment.toml in: " in text
 
@@ -85,10 +84,10 @@ def test_settings_that_differ() -> None:
 
 def test_exploratory_steps_are_no_other_reference(folders: list[Path], tmp_path: Path) -> None:
     """Their targets are the predicted states, as in a run with `--explore`."""
-    record = read_run_folder(folders[0])
+    record = Run(folders[0])
     first = next(iter(record.steps))
     steps = Steps(record.space, [replace(first, step=0, target=first.predicted), *record.steps])
-    explored = replace(record, folder=tmp_path, steps=steps)
+    explored = Run(tmp_path, steps=steps, space=record.space, summary=record.summary)
     assert "All runs tracked the same reference." in comparison_html([record, explored])
 
 
@@ -101,9 +100,9 @@ def test_the_spread_is_that_of_runs_that_differ_in_the_seed_only(folders: list[P
         other = seed == len(errors) - 1
         settings = f"seed = {seed}\n[gains]\nstiffness = {2500 if other else 2400}\n"
         (tmp_path / str(seed) / "experiment.toml").write_text(settings)
-        record = read_run_folder(tmp_path / str(seed))
+        record = Run(tmp_path / str(seed))
         summary = parse_summary(json.dumps(content), record.space.state_names, "summary.json")
-        records.append(replace(record, summary=summary))
+        records.append(Run(tmp_path / str(seed), summary=summary))
     assert seed_groups(records) == [[0, 1, 2]]
     assert seed_groups(records[: FEWEST_SEEDS - 1]) == []
     logs = np.log(errors[:3])

@@ -5,25 +5,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
-from stepgap.records.run_folder import RunRecord, read_run_folder
 from stepgap.report.diagnosis_sentences import diagnosis_sentences
 from tests.experiment.test_diagnosis import NOMINAL, SPACE, Error, plain, steps_of, varying, with_memory
 from tests.report.runs import write_run
 
 
 @pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
-    return read_run_folder(write_run(tmp_path_factory.mktemp("runs") / "run", ("speed", "height")))
+def record(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return Run(write_run(tmp_path_factory.mktemp("runs") / "run", ("speed", "height")))
 
 
-def sentences(record: RunRecord, error: Error, steps: int = 200) -> str:
-    changed = replace(record, space=SPACE, steps=steps_of(steps, 1, error))
-    return "\n".join(diagnosis_sentences(changed, NOMINAL))
+def sentences(record: Run, error: Error, steps: int = 200) -> str:
+    changed = Run(record.folder, space=SPACE, steps=steps_of(steps, 1, error), nominal=NOMINAL)
+    return "\n".join(diagnosis_sentences(changed))
 
 
-def test_without_a_deficiency_it_says_so(record: RunRecord) -> None:
+def test_without_a_deficiency_it_says_so(record: Run) -> None:
     assert sentences(record, plain) == (
         "The step before does not help to predict the error of speed and height (200 steps of deployment 0): as far as "
         "they show, the state is sufficient.\n"
@@ -31,14 +31,14 @@ def test_without_a_deficiency_it_says_so(record: RunRecord) -> None:
     )
 
 
-def test_memory_and_noise_are_named_with_their_coordinate(record: RunRecord) -> None:
+def test_memory_and_noise_are_named_with_their_coordinate(record: Run) -> None:
     text = sentences(record, with_memory)
     assert "The step before helps to predict the error of speed: as an input, its error reduces" in text
     assert "error of height" not in text
     assert "The unexplained error of speed depends on state and command" in sentences(record, varying, 227)
 
 
-def test_a_weak_command_and_one_at_its_bound_are_named(record: RunRecord) -> None:
+def test_a_weak_command_and_one_at_its_bound_are_named(record: Run) -> None:
     steps = [
         replace(
             one,
@@ -47,21 +47,23 @@ def test_a_weak_command_and_one_at_its_bound_are_named(record: RunRecord) -> Non
         )
         for one in steps_of(200, 1, plain)
     ]
-    text = "\n".join(diagnosis_sentences(replace(record, space=SPACE, steps=Steps(SPACE, steps)), NOMINAL))
+    text = "\n".join(diagnosis_sentences(Run(record.folder, space=SPACE, steps=Steps(SPACE, steps), nominal=NOMINAL)))
     assert "the commands move height by only" in text
     assert "but its target changes by 2.00 m." in text
     assert "fx was at a bound in 100 % of the steps of deployment 0" in text
 
 
-def test_a_state_in_the_wrong_unit_is_named_even_without_a_nominal_map(record: RunRecord) -> None:
+def test_a_state_in_the_wrong_unit_is_named_even_without_a_nominal_map(record: Run) -> None:
     steps = [
         replace(one, record=replace(one.record, state=one.record.state * [1, 1000])) for one in steps_of(20, 1, plain)
     ]
-    named, rest = diagnosis_sentences(replace(record, space=SPACE, steps=Steps(SPACE, steps)), Missing("no map"))
+    named, rest = diagnosis_sentences(
+        Run(record.folder, space=SPACE, steps=Steps(SPACE, steps), nominal=Missing("no map"))
+    )
     assert named.startswith("In the first 5 steps of deployment 0, height was about 5")
     assert rest == "Not available: no map."
 
 
-def test_what_cannot_be_judged_is_said(record: RunRecord) -> None:
+def test_what_cannot_be_judged_is_said(record: Run) -> None:
     assert "Deployment 0 has 10 steps with a known error, too few" in sentences(record, plain, 10)
-    assert diagnosis_sentences(record, Missing("no map")) == ["Not available: no map."]
+    assert diagnosis_sentences(Run(record.folder, nominal=Missing("no map"))) == ["Not available: no map."]

@@ -8,15 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.experiment.run import Run
 from stepgap.learning.residual import HistoryInputs
 from stepgap.learning.settings import LAGGED_INPUTS
 from stepgap.records.missing import Missing
-from stepgap.report import RunContext, read_run_folder
-from stepgap.report.decimals import decimal
+from stepgap.report.analysis import Analysis, LearnedResidual, input_quantities, reference_gait
 from stepgap.report.gait_table import gait_table
-from stepgap.report.learned import LearnedResidual, input_quantities, read_learned_residual
 from stepgap.report.learned_table import coverage_table, learned_tables
-from stepgap.report.reference_gait import reference_gait
+from stepgap.report.text import decimal
 from tests.control.maps import LossyHopper
 from tests.report.pages import Page, check_alone
 from tests.report.runs import TARGETS, make_run, report_of
@@ -31,10 +30,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_last_model_and_its_numbers(folder: Path) -> None:
     record, saved = (
-        read_run_folder(folder, LossyHopper().space),
+        Run(folder, space=SPACE),
         json.loads((folder / "models" / "iteration_2.json").read_text()),
     )
-    learned = read_learned_residual(folder, 2, record.space)
+    learned = Analysis(record).learned
     assert isinstance(learned, LearnedResidual)
     assert len(learned.residual.regressions) == 2
     text = learned_tables(record, learned)
@@ -49,7 +48,7 @@ def test_the_last_model_and_its_numbers(folder: Path) -> None:
 
 
 def test_a_missing_model_is_reported(folder: Path, tmp_path: Path) -> None:
-    assert read_learned_residual(folder, 0, SPACE) == Missing("deployment 0 used the nominal map")
+    assert Run(folder).residual(0) == Missing("deployment 0 used the nominal map")
     shutil.copytree(folder, tmp_path / "run")
     shutil.rmtree(tmp_path / "run" / "models")
     page = Page(report_of(tmp_path / "run"))
@@ -69,8 +68,9 @@ def test_a_truncated_model_is_refused(folder: Path, tmp_path: Path, part: int) -
     whole = (folder / "models" / "iteration_2.json").read_bytes()
     (tmp_path / "models").mkdir()
     (tmp_path / "models" / "iteration_2.json").write_bytes(whole[:part])
-    with pytest.raises(ValueError, match=r"^[^\n]*iteration_2\.json: not a residual[^\n]*$"):
-        read_learned_residual(tmp_path, 2, SPACE)
+    found = Run(tmp_path, space=SPACE).residual(2)
+    assert isinstance(found, Missing)
+    assert re.fullmatch(r"[^\n]*iteration_2\.json: not a residual[^\n]*", found.reason)
 
 
 @pytest.mark.parametrize(
@@ -79,8 +79,9 @@ def test_a_truncated_model_is_refused(folder: Path, tmp_path: Path, part: int) -
 def test_a_foreign_model_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "models").mkdir()
     (tmp_path / "models" / "iteration_2.json").write_text(text)
-    with pytest.raises(ValueError, match=r"^[^\n]*iteration_2\.json: not a residual[^\n]*$"):
-        read_learned_residual(tmp_path, 2, SPACE)
+    found = Run(tmp_path, space=SPACE).residual(2)
+    assert isinstance(found, Missing)
+    assert re.fullmatch(r"[^\n]*iteration_2\.json: not a residual[^\n]*", found.reason)
 
 
 @pytest.mark.parametrize("lagged_inputs", LAGGED_INPUTS)
@@ -92,8 +93,8 @@ def test_every_input_has_a_name(lagged_inputs, forgetting_time: float) -> None:
 
 
 def test_gaits_hold_the_targets(folder: Path) -> None:
-    record, nominal = read_run_folder(folder), LossyHopper()
-    learned = read_learned_residual(folder, 2, record.space)
+    record, nominal = Run(folder), LossyHopper()
+    learned = Analysis(record).learned
     gait = reference_gait(record, nominal, learned)
     np.testing.assert_array_equal(gait.targets, TARGETS.targets[::10])
     assert [each.name for each in gait.maps] == ["nominal", "corrected"]
@@ -109,7 +110,7 @@ def test_gaits_hold_the_targets(folder: Path) -> None:
 @pytest.mark.usefixtures("drawn_page", "unplaced")
 def test_the_gait_is_on_the_page(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder, tmp_path / "run")
-    page = Page(report_of(tmp_path / "run", RunContext("map", {"seed": 1}, LossyHopper())))
+    page = Page(report_of(tmp_path / "run", nominal=LossyHopper()))
     check_alone(page, 6)
     assert "Nominal map: 4 of 4 targets are held by a constant command within its bounds" in page.text
     assert (tmp_path / "run" / "figures" / "gait.pdf").is_file()
@@ -118,6 +119,6 @@ def test_the_gait_is_on_the_page(folder: Path, tmp_path: Path) -> None:
 def test_a_run_that_still_explores_has_no_gait(folder: Path, tmp_path: Path) -> None:
     header, first, *_ = (folder / "steps.csv").read_text().splitlines(keepends=True)
     (tmp_path / "steps.csv").write_text(header + first.replace("0,1,", "0,0,", 1))
-    page = Page(report_of(tmp_path, RunContext("map", {}, LossyHopper())))
+    page = Page(report_of(tmp_path, nominal=LossyHopper()))
     check_alone(page)
     assert "There is no gait: no target was tracked yet." in page.text

@@ -9,16 +9,16 @@ import pytest
 from matplotlib.figure import Figure
 
 from stepgap.experiment.bands import steps_to_band
+from stepgap.experiment.run import Run
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
-from stepgap.records.run_folder import RunRecord
-from stepgap.report import RunContext, read_run_folder, write_report
+from stepgap.report import write_report
+from stepgap.report.analysis import Analysis
 from stepgap.report.comparison import comparison_html
 from stepgap.report.error_table import band_table
-from stepgap.report.figures import command_figure, error_figure, map_figure, tracking_figure
-from stepgap.report.learned import described_residual
+from stepgap.report.figures.steps import command_figure, error_figure, map_figure, tracking_figure
 from stepgap.robots.hopper.paper import paper_result
 from tests.control.maps import LossyHopper
 from tests.report.pages import Page
@@ -26,9 +26,9 @@ from tests.report.runs import TARGETS, make_run
 
 EXPLORATION = 6
 
-STEP_FIGURES: dict[str, Callable[[RunRecord], Figure]] = {
+STEP_FIGURES: dict[str, Callable[[Run], Figure]] = {
     "tracking": tracking_figure,
-    "commands": lambda record: command_figure(record, None),
+    "commands": command_figure,
     "map": lambda record: map_figure(record, 0),
 }
 """Figures over the step number."""
@@ -40,13 +40,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def record(folder: Path) -> RunRecord:
-    return read_run_folder(folder)
+def record(folder: Path) -> Run:
+    return Run(folder)
 
 
-def test_the_model_after_the_run_is_described(record: RunRecord) -> None:
+def test_the_model_after_the_run_is_described(record: Run) -> None:
     final = Learner.start(LossyHopper(), record.steps, LearningSettings("gp"), 1).residual
-    written = write_report(record, RunContext("map", {"seed": 1}, LossyHopper(), final=final))
+    written = write_report(Run(record.folder, nominal=LossyHopper(), final=final))
     text = Page(written.path).text
     assert "Deployment 0 learned while it ran. A further deployment would begin with the residual 'gp'" in text
     assert f"of the recorded {len(TARGETS) + EXPLORATION} steps" in text
@@ -55,8 +55,8 @@ def test_the_model_after_the_run_is_described(record: RunRecord) -> None:
     assert not [part for part in written.missing if "model" in part]
 
 
-def test_a_model_that_is_not_known_is_not_denied(record: RunRecord) -> None:
-    written = write_report(record, RunContext("map", {"seed": 1}, LossyHopper(), final=Missing("nobody kept it")))
+def test_a_model_that_is_not_known_is_not_denied(record: Run) -> None:
+    written = write_report(Run(record.folder, nominal=LossyHopper(), final=Missing("nobody kept it")))
     text = Page(written.path).text
     reason = "deployment 0 learned while it ran, so no model was saved before it, and nobody kept it"
     assert f"There is no model to describe: {reason}." in text
@@ -67,24 +67,26 @@ def test_a_model_that_is_not_known_is_not_denied(record: RunRecord) -> None:
     assert ", and closed loop" not in text
 
 
-def test_an_unfinished_deployment_that_learns_did_not_use_the_nominal_map(record: RunRecord) -> None:
-    running = replace(record, summary=replace(record.summary, deployments=()))
-    assert running.residual_of(0) is None
+def test_an_unfinished_deployment_that_learns_did_not_use_the_nominal_map(record: Run) -> None:
+    none_finished = replace(record.summary, deployments=())
+    running = Run(record.folder, summary=none_finished, final=Missing("it is still learned"))
+    assert running.residual_name(0) is None
     first = Steps(record.space, list(record.steps)[:1])
-    assert replace(running, steps=first).residual_of(0) == "none", "nothing was learned before the first step"
-    learned = described_residual(running, Missing("it is still learned"))
+    one_step = Run(record.folder, summary=none_finished, steps=first)
+    assert one_step.residual_name(0) == "none", "nothing was learned before the first step"
+    learned = Analysis(running).learned
     assert learned == Missing(
         "deployment 0 learned while it ran, so no model was saved before it, and it is still learned"
     )
 
 
-def test_the_axis_of_deployments_says_which_maps_were_used(record: RunRecord, tmp_path: Path) -> None:
+def test_the_axis_of_deployments_says_which_maps_were_used(record: Run, tmp_path: Path) -> None:
     assert error_figure(record).axes[-1].get_xlabel() == "Deployment (all of this run: corrected map)"
-    offline = read_run_folder(make_run(tmp_path / "offline", iterations=0))
+    offline = Run(make_run(tmp_path / "offline", iterations=0))
     assert "0: nominal map" in error_figure(offline).axes[-1].get_xlabel()
 
 
-def test_all_figures_of_steps_have_the_same_steps(record: RunRecord) -> None:
+def test_all_figures_of_steps_have_the_same_steps(record: Run) -> None:
     limits = {name: make(record).axes[-1].get_xlim() for name, make in STEP_FIGURES.items()}
     assert len(set(limits.values())) == 1
     low, high = limits["tracking"]
@@ -92,7 +94,7 @@ def test_all_figures_of_steps_have_the_same_steps(record: RunRecord) -> None:
     assert 0 < high - len(TARGETS) < 2
 
 
-def test_predictions_of_exploratory_steps_are_no_reference(record: RunRecord) -> None:
+def test_predictions_of_exploratory_steps_are_no_reference(record: Run) -> None:
     for panel in tracking_figure(record).axes:
         (reference,) = (line for line in panel.lines if line.get_label() == "reference")
         np.testing.assert_array_equal(reference.get_xdata(), np.arange(1, len(TARGETS) + 1))
@@ -102,11 +104,11 @@ def test_predictions_of_exploratory_steps_are_no_reference(record: RunRecord) ->
     assert [np.asarray(line.get_xdata())[0] for line in changes] == [11, 21, 31]
 
 
-def test_steps_to_the_band_include_exploratory_ones(record: RunRecord, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hops_to_the_band_include_exploratory_ones(record: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     tracking = steps_to_band(record.steps.tracking_errors(), paper_result().band)
     assert tracking is not None
-    monkeypatch.setattr(RunRecord, "compared_result", paper_result())
-    total, steps = len(TARGETS) + EXPLORATION, tracking + EXPLORATION
-    assert f'<th scope="row">all</th><td>{total}</td><td>{steps}</td>' in band_table(record)
-    other = replace(record, folder=record.folder.parent / "other")
-    assert f'<th scope="row">steps</th><td>{steps}</td><td>{steps}</td>' in comparison_html([record, other])
+    monkeypatch.setattr(Run, "compared_result", paper_result())
+    total, hops = len(TARGETS) + EXPLORATION, tracking + EXPLORATION
+    assert f'<th scope="row">all</th><td>{total}</td><td>{hops}</td>' in band_table(record)
+    other = Run(record.folder.parent / "other", steps=record.steps, space=record.space, summary=record.summary)
+    assert f'<th scope="row">steps</th><td>{hops}</td><td>{hops}</td>' in comparison_html([record, other])

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.report import RunContext, read_run_folder
-from stepgap.report.motion import INTERVAL, Replay
+from stepgap.experiment.run import Run
+from stepgap.records.motion_file import INTERVAL, Replay
 from stepgap.report.replay_view import LEVELS, MOST_FRAMES, replay_view
 from tests.control.maps import LossyHopper
 from tests.report.pages import Page, check_alone
@@ -24,7 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("frames", [1, 500, 2 * MOST_FRAMES + 1])
 def test_channels_are_read_back(folder: Path, frames: int) -> None:
     shown = motion(frames)
-    page = replay_view(read_run_folder(folder, LossyHopper().space), Replay({1: shown}, SCENE))
+    page = replay_view(Run(folder, space=LossyHopper().space, replay=Replay({1: shown}, SCENE)))
     found = re.search(r'id="replay-data">(.*?)</script>', page)
     assert found
     data = json.loads(found[1])
@@ -56,7 +56,7 @@ def test_channels_are_read_back(folder: Path, frames: int) -> None:
 
 def test_a_page_with_a_replay_stands_alone(folder: Path) -> None:
     replay = Replay({0: motion(300), 1: motion(200)}, SCENE)
-    page = Page(report_of(folder, RunContext(replay=replay)))
+    page = Page(report_of(folder, replay=replay))
     check_alone(page)
     names = {given.get("id") for _, given in page.tags}
     assert {"replay-canvas", "replay-slider", "replay-play", "replay-deployment", "replay-moment"} <= names

@@ -13,17 +13,16 @@ from matplotlib.image import imread
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from stepgap.experiment.bands import interval_coverage
-from stepgap.records.run_folder import RunRecord
+from stepgap.experiment.run import Run
+from stepgap.learning.steps import Steps
 from stepgap.records.summary import MEASURED, MEASURES, NoiseFloor
-from stepgap.report import RunContext, read_run_folder
-from stepgap.report.decimals import decimal
 from stepgap.report.drawing import LOOK
-from stepgap.report.figures import command_figure, error_figure, tracking_figure
-from stepgap.report.page import captions
-from stepgap.report.run_figures import draw_run_figures
+from stepgap.report.figures import drawn_figures
+from stepgap.report.figures.steps import command_figure, error_figure, map_caption, tracking_figure
+from stepgap.report.text import decimal
 from stepgap.robots.hopper.paper import STATE_NAMES, paper_reference, paper_result
 from stepgap.step import Quantity, StepSpace
-from tests.control.maps import YAW, LossyHopper
+from tests.control.maps import LossyHopper
 from tests.quick_runs import leave_out_files_of_figures
 from tests.report.pages import Page, check_alone, check_same_files
 from tests.report.runs import make_run, report_of, write_run, write_summary
@@ -133,16 +132,16 @@ def test_it_computes_with_one_thread_of_blas(written: Path, tmp_path: Path, monk
 
     def counted(*arguments: Any) -> Any:
         threads.update(each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas")
-        return draw_run_figures(*arguments)
+        return drawn_figures(*arguments)
 
-    monkeypatch.setattr("stepgap.report.draw_run_figures", counted)
+    monkeypatch.setattr("stepgap.report.drawn_figures", counted)
     with threadpool_limits(2, user_api="blas"):
         report_of(shutil.copytree(written, tmp_path / "run"))
     assert threads == {1}
 
 
 def test_curves_are_the_steps(written: Path) -> None:
-    record = read_run_folder(written)
+    record = Run(written)
     curves = {line.get_label(): np.asarray(line.get_ydata()) for line in tracking_figure(record).axes[1].lines}
     last = record.steps.of_iteration(2)
     np.testing.assert_array_equal(curves["reference"], last.target[:, 1])
@@ -155,12 +154,12 @@ def test_curves_are_the_steps(written: Path) -> None:
 
 def test_legends_with_all_entries_are_within_their_figures(written: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As in a run along the paper's reference, whose noise floor is known."""
-    monkeypatch.setattr(RunRecord, "compared_result", paper_result())
-    record = read_run_folder(written)
+    monkeypatch.setattr(Run, "compared_result", paper_result())
+    record = Run(written)
     floor = np.full(2, 0.01)
-    record = replace(record, summary=replace(record.summary, noise_floor=NoiseFloor(floor, floor, 100.0)))
+    record = Run(written, summary=replace(record.summary, noise_floor=NoiseFloor(floor, floor, 100.0)))
     with rc_context(LOOK):
-        figures = tracking_figure(record), command_figure(record, None), error_figure(record)
+        figures = tracking_figure(record), command_figure(record), error_figure(record)
         for figure in figures:
             figure.draw_without_rendering()
             (legend,) = figure.legends
@@ -182,11 +181,12 @@ def test_a_part_of_the_papers_reference_is_another_one(
     tmp_path: Path, steps: int, failed: int, finished: int, like: bool
 ) -> None:
     folder = write_run(tmp_path / "run", STATE_NAMES, steps, 2, targets=paper_reference().targets[:steps])
-    record = read_run_folder(folder, published=paper_result())
+    record = Run(folder, published=paper_result())
     deployments = tuple(replace(each, failed_steps=failed) for each in record.deployments[:finished])
-    found = replace(record, summary=replace(record.summary, deployments=deployments)).compared_result
+    summary = replace(record.summary, deployments=deployments)
+    found = Run(folder, published=record.published, summary=summary).compared_result
     assert found is (record.published if like else None)
-    assert read_run_folder(folder).compared_result is None
+    assert Run(folder).compared_result is None
 
 
 @pytest.mark.usefixtures("drawn_page", "unplaced")
@@ -242,7 +242,7 @@ def test_hostile_text_stays_text(tmp_path: Path) -> None:
     (folder / "experiment.toml").write_text(f"robot = '''{HOSTILE}'''\n")
     (tmp_path / "precious").write_text("precious")
     (folder / "report.html.partial").symlink_to(tmp_path / "precious")
-    page = Page(report_of(folder, RunContext(HOSTILE)))
+    page = Page(report_of(folder, plant=HOSTILE))
     check_alone(page)
     assert page.text.count(HOSTILE) >= 6
     assert (tmp_path / "precious").read_text() == "precious"
@@ -259,7 +259,7 @@ def test_equal_file_names_are_kept_apart(tmp_path: Path) -> None:
 
 def test_units_of_a_given_space(tmp_path: Path) -> None:
     space = StepSpace((Quantity("tilt", "rad", -1, 1),), (Quantity("push", "N", -1, 1),))
-    page = Page(report_of(write_run(tmp_path / "run", ("tilt",), steps=2), RunContext("hardware of ours"), space))
+    page = Page(report_of(write_run(tmp_path / "run", ("tilt",), steps=2), plant="hardware of ours", space=space))
     assert "Error of tilt [rad]" in page.text
     assert "this run: hardware of ours" in page.text
 
@@ -283,9 +283,9 @@ def test_decimal(value: float, text: str) -> None:
 
 
 def test_jumps_of_the_standard_deviation_are_explained_where_the_yaw_is_known(written: Path) -> None:
-    record = read_run_folder(written)
-    assert "It is larger where state and command are farther" in captions(record)["map_0"]
-    assert "It jumps where the estimate" not in captions(record)["map_0"]
-    steps = record.steps.in_space(replace(record.space, context=(YAW,))).with_columns(context=0.1)
-    with_yaw = replace(record, steps=steps)
-    assert "It jumps where the estimate" in captions(with_yaw)["map_0"]
+    run = Run(written)
+    assert "It is larger where state and command are farther" in map_caption(run, 0)
+    assert "It jumps where the estimate" not in map_caption(run, 0)
+    steps = [replace(logged, record=replace(logged.record, yaw_after=0.1)) for logged in run.steps]
+    with_yaw = Run(written, summary=run.summary, steps=Steps(run.space, steps))
+    assert "It jumps where the estimate" in map_caption(with_yaw, 0)

@@ -1,7 +1,6 @@
 """Sentences on a run claim no more than its numbers support."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from stepgap.experiment.bands import rmse_interval
+from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
-from stepgap.records.run_folder import RunRecord, read_run_folder
 from stepgap.records.summary import parse_summary
-from stepgap.report.intervals import rmse_interval
 from stepgap.report.sentences import headline, sentences
 from stepgap.step import Quantity, StepSpace
 from tests.control.maps import LossyHopper
@@ -24,13 +23,13 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_run(tmp_path_factory.mktemp("sentences") / "run")
 
 
-def changed(run: Path, floor: float, **last: Any) -> RunRecord:
+def changed(run: Path, floor: float, **last: Any) -> Run:
     """The run with a noise floor and with other values of its last deployment."""
     content = json.loads((run / "summary.json").read_text())
     content["repeatability"] = dict.fromkeys(("speed", "height"), floor)
     content["iterations"][-1] |= last
-    record = read_run_folder(run, LossyHopper().space)
-    return replace(record, summary=parse_summary(json.dumps(content), record.space.state_names, "summary.json"))
+    space = LossyHopper().space
+    return Run(run, space=space, summary=parse_summary(json.dumps(content), space.state_names, "summary.json"))
 
 
 def test_an_error_above_three_noise_floors_is_not_called_tracking(run: Path) -> None:
@@ -47,7 +46,7 @@ def test_the_noise_floor_has_its_number_of_steps_and_its_interval(run: Path) -> 
     freedom = {"repeatability_freedom": {"speed": 60, "height": None}, "repeatability_steps": 240}
     content = json.loads((run / "summary.json").read_text()) | freedom
     (run / "summary.json").write_text(json.dumps(content))
-    text = " ".join(sentences(changed(run, 0.01), "twin"))
+    text = " ".join(sentences(changed(run, 0.01)))
     ends = 0.01 * np.sqrt(60 / 83.298), 0.01 * np.sqrt(60 / 40.482)
     assert f"speed 0.0100 m/s (95 % interval {ends[0]:.5f} to {ends[1]:.4f}), height 0.0100 m, from 240 steps" in text
 
@@ -69,11 +68,11 @@ def test_intervals_contain_the_rmse_about_as_often_as_they_say(memory: float) ->
 
 
 def test_cut_commands_and_targets_that_were_not_held_are_listed(run: Path) -> None:
-    text = " ".join(sentences(changed(run, 0.001, cut=7, unreachable=[[0.3, 0.7]], missed=[[0.1, 0.6]] * 8), "twin"))
+    text = " ".join(sentences(changed(run, 0.001, cut=7, unreachable=[[0.3, 0.7]], missed=[[0.1, 0.6]] * 8)))
     assert "Limits cut 7 of 40 commands of deployment 2" in text
     assert "Unreachable according to the map of deployment 2: 1 target (0.3 m/s 0.7 m)." in text
     assert "Unreachable according to the nominal map" not in text
     assert "although reachable according to the map: 8 targets (0.1 m/s 0.6 m; " in text
     assert "; and 2 more)" in text
-    text = " ".join(sentences(changed(run, 0.001, cut=0, unreachable=[], missed=[]), "twin"))
+    text = " ".join(sentences(changed(run, 0.001, cut=0, unreachable=[], missed=[])))
     assert not any(word in text for word in ("cut", "Unreachable", "Missed"))

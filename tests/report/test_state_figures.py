@@ -5,14 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.experiment.run import Run
 from stepgap.learning.observations import Observations
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.records.missing import Missing
-from stepgap.report import read_run_folder
-from stepgap.report.learned import LearnedResidual, read_learned_residual
-from stepgap.report.reference_gait import central_target, centre_of, reference_gait
-from stepgap.report.state_figure import state_error_figure
-from stepgap.report.surface_figure import influential, surface_figure
+from stepgap.report.analysis import Analysis, LearnedResidual, central_target, centre_of, reference_gait
+from stepgap.report.figures.state_errors import state_error_figure
+from stepgap.report.figures.surface import influential, surface_figure
 from stepgap.robots.hopper.paper import paper_reference
 from tests.control.maps import LossyHopper
 from tests.report.runs import make_run
@@ -35,8 +34,8 @@ def learned_from(kind: str) -> LearnedResidual:
 
 
 def test_errors_are_drawn_against_every_coordinate(folder: Path) -> None:
-    steps = read_run_folder(folder).steps.of_iteration(1)
-    figure = state_error_figure(read_run_folder(folder))
+    steps = Run(folder).steps.of_iteration(1)
+    figure = state_error_figure(Run(folder))
     values = np.hstack([steps.state, steps.requested])
     for index, axes in enumerate(figure.axes):
         row, column = divmod(index, 4)
@@ -71,8 +70,8 @@ def test_a_surface_of_any_shape_can_be_drawn(kind: str) -> None:
 
 
 def test_the_other_inputs_are_those_of_the_middle_gait(folder: Path) -> None:
-    record = read_run_folder(folder)
-    learned = read_learned_residual(folder, 1, record.space)
+    record = Run(folder)
+    learned = Analysis(record).learned
     assert isinstance(learned, LearnedResidual)
     gait = reference_gait(record, LossyHopper(), learned)
     centre = centre_of(learned, gait)

@@ -8,6 +8,7 @@ import pytest
 
 from stepgap.base.errors import InputError
 from stepgap.experiment.replay import replay
+from stepgap.experiment.run import Run
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.plants.ticks.tick_ring import TickRing
@@ -40,7 +41,7 @@ def found(source: Source, iteration: int) -> list[Motion]:
 
 
 def test_motion_is_that_of_the_replay(run_folder: Path) -> None:
-    source, table = Source(run_folder), replay(run_folder, 1, 8)
+    source, table = Source(run_folder), replay(Run(run_folder), 1, 8)
     hops = found(source, 1)
     assert len(hops) == 1 + STEPS
     assert sum(len(hop.time) for hop in hops) == len(table)
@@ -56,7 +57,7 @@ def test_the_last_moment_of_a_step_is_at_its_apex(run_folder: Path) -> None:
 
 
 def test_a_ring_gives_the_completed_hops(run_folder: Path) -> None:
-    table = replay(run_folder, 1, 8)
+    table = replay(Run(run_folder), 1, 8)
     ticks = table.selected(TICK_UNITS).rows
     with TickRing.create(2 + len(TICK_UNITS), 2**12) as ring:
         source = Source(run_folder, ring)
@@ -72,7 +73,7 @@ def test_a_ring_gives_the_completed_hops(run_folder: Path) -> None:
 
 
 def test_a_rigs_motion_comes_from_its_tick_log(copy: Path) -> None:
-    table = replay(copy, 0)
+    table = replay(Run(copy), 0)
     source = Source(copy)
     source.settings = source.settings.__class__(plant="ethercat", rig="elsewhere.toml")
     with TickLog(copy / "ticks" / "ticks-0.mcap", LOG_UNITS) as log:

@@ -41,7 +41,7 @@ HOPPING, REST = "hopping", "rest"
 LOADING = "loading"
 PARTS = (
     (LOADING, ("importlib", "numba/core/")),
-    ("report", ("stepgap/report/", "stepgap/cli/run_report")),
+    ("report", ("stepgap/report/",)),
     (HOPPING, ("stepgap/plants/", "stepgap/robots/hopper/twin/twin")),
     ("learning", ("stepgap/learning/learner",)),
     ("planning", ("stepgap/control/",)),

@@ -222,13 +222,15 @@ def _read_log(path: Path, columns: Path | None, names: ColumnNames) -> "Steps":
 
 def _steps_of_run(path: Path) -> "tuple[Steps, StepSpace | None]":
     """Steps of a run or of a `steps.csv`, with the ranges of its settings if they are known."""
-    from stepgap.experiment.inputs import recorded_robot
+    from stepgap.experiment.run import Run
+    from stepgap.records.missing import Missing
     from stepgap.records.steps_csv import RecordError, read_step_log, space_of_header
 
     file = path / "steps.csv" if path.is_dir() else path
     try:
-        robot = recorded_robot(file.parent)
-        return read_step_log(file, space_of_header(file)), robot.space if robot else None
+        space, settings = space_of_header(file), Run(file.parent).settings
+        known = None if isinstance(settings, Missing) else settings.robot.space
+        return read_step_log(file, space), known if known and known.has_names_of(space) else None
     except (OSError, RecordError, ValueError) as error:
         hint = "give a run or its steps.csv; for any other CSV file name its columns, see --help"
         raise InputError(f"--from: {message_of(error)}; {hint}") from None

@@ -19,8 +19,8 @@ def report(folders: list[Path], /, *, out: Path | None = None) -> None:
         out: New HTML file for a comparison. [default: comparison.html next to the first run, or the next free name]
     """
     from stepgap.cli.progress import progress_bar
-    from stepgap.cli.run_report import compare_runs, report_run
-    from stepgap.report import FolderReport
+    from stepgap.experiment.run import Run
+    from stepgap.report import FolderReport, compare_runs, write_report
 
     def is_report(found: object) -> bool:
         return isinstance(found, FolderReport)
@@ -39,7 +39,8 @@ def report(folders: list[Path], /, *, out: Path | None = None) -> None:
         raise InputError("--out: valid only with several runs; the report of one run is written into its folder")
     else:
         with progress_bar("report") as progress:
-            page, left_out = kinds[other[0]].write(folders[0]) if other else report_run(folders[0], progress)
+            run = Run(folders[0], on_replay=progress)
+            page, left_out = kinds[other[0]].write(run.folder) if other else write_report(run)
         if left_out:
             warn(f"missing in the report: {'; '.join(left_out)}")
     print(page)

@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from cyclopts import Parameter
 
@@ -17,12 +17,10 @@ from stepgap.cli.options import Address, FileName, Flag, FolderName, Integer, Na
 from stepgap.cli.terminal import announces_compilation, check_consent, is_output_error, warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
-    from stepgap.control.reference import Reference
+    from stepgap.experiment.loop import Setup
     from stepgap.experiment.nominal import Nominal
-    from stepgap.experiment.plants import Plants
     from stepgap.experiment.settings import Experiment
     from stepgap.experiment.tick_recorder import TickRecorder
-    from stepgap.learning.steps import Steps
     from stepgap.plants.compiled_rig import Rows
     from stepgap.plants.ticks.stream import OnTicks
     from stepgap.report import WrittenReport
@@ -100,16 +98,6 @@ class Display:
     json: Flag = False
 
 
-class Prepared(NamedTuple):
-    """An experiment that is ready to run."""
-
-    folder: Path
-    settings: "Experiment"
-    nominal: "Nominal"
-    reference: "Reference"
-    known: "Steps"
-
-
 NO_SHORTHAND, NORMAL = Shorthand(), Display()
 
 
@@ -138,8 +126,9 @@ def run(
         extend: Make this many more redeployments of the finished run in --out.
     """
     from stepgap.base.signals import terminated_as_interrupted
-    from stepgap.experiment.inputs import write_experiment
-    from stepgap.experiment.run_start import folder_to_continue, run_folder, start_folder
+    from stepgap.experiment.inputs import load_reference, write_experiment
+    from stepgap.experiment.plants import PlantRequest
+    from stepgap.experiment.run_start import folder_to_continue, load_setup, run_folder, start_folder
 
     if arm:
         check_consent("--arm")
@@ -156,22 +145,26 @@ def run(
     if continued:
         out = folder_to_continue("--resume" if resume else "--extend", experiment, out, changes)
     with run_folder(out) as folder:
-        ready = _prepare(experiment, folder, changes, continued, extend)
-        recorder, live = _watchers(ready, display)
-        plants = _choose_plants(ready, arm, recorder, live, program or [])
-        files = (ready.folder, ready.settings, ready.reference, ready.known, ready.nominal.surrogate)
-        on_execution = partial(write_experiment, *files) if extend is not None else lambda: None
+        settings = _settings(experiment, folder, changes, continued, extend)
+        reference = load_reference(settings, settings.robot.space)
+        nominal = _load_nominal(settings)
+        recorder, live = _watchers(settings, folder, display)
+        on_ticks = _all_of(recorder.on_ticks, live)
+        request = PlantRequest(settings, reference, folder, arm, on_ticks, program or [])
+        setup = load_setup(request, nominal.map)
+        write = partial(write_experiment, folder, settings, reference, setup.known, nominal.surrogate)
         if not continued:
-            start_folder(*files)
+            start_folder(folder, write)
+        on_execution = write if extend is not None else lambda: None
         try:
             with terminated_as_interrupted(), live or nullcontext():
-                _execute(ready, plants, recorder, live, display, on_execution)
-                _finish(_report(ready.folder, recorder, display), live, display)
+                _execute(setup, folder, recorder, live, display, on_execution)
+                _finish(_report(folder, recorder, display), live, display)
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"; {_how_to_resume(ready.folder, arm, program)}") from None
+            raise KeyboardInterrupt(f"; {_how_to_resume(folder, arm, program)}") from None
         except OSError as error:
             if is_output_error(error):
-                warn(f"the run was stopped; {_how_to_resume(ready.folder, arm, program)}")
+                warn(f"the run was stopped; {_how_to_resume(folder, arm, program)}")
             raise
 
 
@@ -188,26 +181,21 @@ def _check_address(display: Display) -> None:
     free_port(display.host or HERE, display.port)
 
 
-def _prepare(
+def _settings(
     experiment: Path | None, folder: Path, changes: Sequence[tuple[str, str]], continued: bool, extend: int | None
-) -> Prepared:
-    """Reads all inputs of a run and checks that the nominal map can track the reference; writes nothing."""
-    from stepgap.experiment.inputs import load_known, load_reference
-    from stepgap.experiment.run_start import check_reach, extended
+) -> "Experiment":
+    """Settings of a run, whose names of state and command can be columns of `steps.csv`."""
+    from stepgap.experiment.run import Run
+    from stepgap.experiment.run_start import extended
     from stepgap.experiment.settings import read_experiment
     from stepgap.records.steps_csv import check_names
 
-    if continued:
-        settings = read_experiment(folder / "experiment.toml")
-        settings = settings if extend is None else extended(folder, settings, extend)
+    if extend is not None:
+        settings = extended(Run(folder), extend)
     else:
-        settings = read_experiment(experiment, changes)
+        settings = read_experiment(folder / "experiment.toml" if continued else experiment, changes)
     check_names(settings.robot.space)
-    reference = load_reference(settings, settings.robot.space)
-    nominal = _load_nominal(settings)
-    check_reach(nominal.map, reference, settings.reference)
-    known = load_known(settings, settings.robot.space)
-    return Prepared(folder, settings, nominal, reference, known=known)
+    return settings
 
 
 def _load_nominal(settings: "Experiment") -> "Nominal":
@@ -228,32 +216,22 @@ def _load_nominal(settings: "Experiment") -> "Nominal":
     return nominal
 
 
-def _watchers(ready: Prepared, display: Display) -> "tuple[TickRecorder, LiveView | None]":
+def _watchers(settings: "Experiment", folder: Path, display: Display) -> "tuple[TickRecorder, LiveView | None]":
     """The recorder of the ticks that the report will show, and the live page, if it is wanted."""
     from stepgap.experiment.replay import find_kinematics
     from stepgap.experiment.tick_recorder import TickRecorder
     from stepgap.records.missing import Missing
-    from stepgap.report.motion import INTERVAL
+    from stepgap.records.motion_file import INTERVAL
     from stepgap.view.live import LiveView
     from stepgap.view.source import VIEW_INTERVAL
 
     units, per_frame, per_view = {}, 1, 1
-    if ready.settings.simulated:  # a rig has its own tick logs
-        kinematics = find_kinematics(ready.settings)
+    if settings.simulated:  # a rig has its own tick logs
+        kinematics = find_kinematics(settings)
         if not isinstance(kinematics, Missing):
             units, per_frame, per_view = kinematics.units, kinematics.every(INTERVAL), kinematics.every(VIEW_INTERVAL)
     page = (display.host or "127.0.0.1", display.port, units, per_view)
-    return TickRecorder(units, per_frame), LiveView(ready.folder, *page) if display.view else None
-
-
-def _choose_plants(
-    ready: Prepared, arm: bool, recorder: "TickRecorder", live: "LiveView | None", program: Sequence[str]
-) -> "Plants":
-    """Chooses the plants of the settings; their ticks go to the recorder and to the live page."""
-    from stepgap.experiment.plants import PlantRequest, choose_plants
-
-    on_ticks = _all_of(recorder.on_ticks, live)
-    return choose_plants(PlantRequest(ready.settings, ready.reference, ready.folder, arm, on_ticks, program))
+    return TickRecorder(units, per_frame), LiveView(folder, *page) if display.view else None
 
 
 def _all_of(record: "OnTicks", live: "LiveView | None") -> "OnTicks":
@@ -269,8 +247,8 @@ def _all_of(record: "OnTicks", live: "LiveView | None") -> "OnTicks":
 
 
 def _execute(
-    ready: Prepared,
-    plants: "Plants",
+    setup: "Setup",
+    folder: Path,
     recorder: "TickRecorder",
     live: "LiveView | None",
     display: Display,
@@ -281,32 +259,21 @@ def _execute(
     from stepgap.cli.progress import RunProgress, printing_events
     from stepgap.experiment.loop import run_experiment
 
-    space, learning = ready.nominal.map.space, ready.settings.learning
-    with RunProgress(space, len(ready.reference), learning.iterations, display.quiet) as progress, settled_heap():
+    space, iterations = setup.nominal.space, setup.learning.iterations
+    with RunProgress(space, len(setup.reference), iterations, display.quiet) as progress, settled_heap():
         observer = printing_events(progress.observer, space) if display.json else progress.observer
         observer = replace(recorder.observing(observer), on_execution=on_execution)
-        run_experiment(
-            ready.nominal.map,
-            plants.make,
-            ready.reference,
-            learning,
-            ready.folder,
-            ready.settings.seed,
-            live.observing(observer) if live else observer,
-            plants.measure_noise_floor,
-            plants.replays,
-            ready.known,
-            ready.settings.control,
-        )
+        run_experiment(setup, folder, live.observing(observer) if live else observer)
 
 
 def _report(folder: Path, recorder: "TickRecorder", display: Display) -> "WrittenReport":
     """Writes the report of the run."""
     from stepgap.cli.progress import progress_bar
-    from stepgap.cli.run_report import report_run
+    from stepgap.experiment.run import Run
+    from stepgap.report import write_report
 
     with progress_bar("report", display.quiet) as progress:
-        return report_run(folder, progress, recorder.kept)
+        return write_report(Run(folder, ticks=recorder.kept, on_replay=progress))
 
 
 def _finish(report: "WrittenReport", live: "LiveView | None", display: Display) -> None:

@@ -6,12 +6,10 @@ from pathlib import Path
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.files import read_bounded_text, write_whole
 from stepgap.control.reference import Reference, read_reference, reference_text
-from stepgap.experiment.settings import LARGEST_NOMINAL_FILE, Experiment, read_experiment
+from stepgap.experiment.settings import LARGEST_NOMINAL_FILE, Experiment
 from stepgap.experiment.settings_text import experiment_toml
 from stepgap.learning.steps import Steps, joined
-from stepgap.records.run_folder import RunRecord, read_run_folder
-from stepgap.records.steps_csv import RecordError, read_step_log, space_of_header, text_of
-from stepgap.robots.robot import Robot
+from stepgap.records.steps_csv import RecordError, read_step_log, text_of
 from stepgap.step import StepSpace
 
 SURROGATE = "nominal_map.json"
@@ -60,40 +58,6 @@ def load_known(experiment: Experiment, space: StepSpace) -> Steps:
     if not len(known):
         raise InputError(f"{files[-1]}: no step yet; {wanted} with at least one step")
     return known
-
-
-def read_run(folder: Path, robot: Robot | None) -> RunRecord:
-    """Reads the folder of a run of this robot, which gives units, ranges and the published result.
-
-    Args:
-        folder: The run folder.
-        robot: The robot, as from `recorded_robot`; None if it is not known.
-
-    Raises:
-        ValueError: The content of a file is wrong; the message names the file and the rule.
-        OSError: The folder or a file cannot be read.
-    """
-    return read_run_folder(folder) if robot is None else read_run_folder(folder, robot.space, robot.published())
-
-
-def recorded_robot(folder: Path) -> Robot | None:
-    """The robot of a run, which knows the units and ranges of state and command.
-
-    None if its settings are not known, or are not those of its steps; then only the names in `steps.csv` are known.
-    """
-    try:
-        return robot_of_steps(folder, read_experiment(folder / "experiment.toml"))
-    except InputError:
-        return None
-
-
-def robot_of_steps(folder: Path, experiment: Experiment) -> Robot | None:
-    """The robot of an experiment, if its state and command are those of the steps in this folder; else None."""
-    robot = experiment.robot
-    try:
-        return robot if robot.space.has_names_of(space_of_header(folder / "steps.csv")) else None
-    except (ValueError, OSError):
-        return None
 
 
 def experiment_files(

@@ -1,6 +1,6 @@
 """The experiment loop (Sec. 4.4 of the paper): deploy, learn the map's error, recompute the controller, deploy again.
 
-It does not depend on a robot: it needs only a nominal `StepMap`, a function that makes a `Plant`, and a `Reference`.
+It does not depend on a robot: a `Setup` needs only a nominal `StepMap`, `Plants`, and a `Reference`.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial, reduce
 from math import inf
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -60,57 +61,77 @@ class Observer:
     on_execution: Callable[[], None] = lambda: None
 
 
-def run_experiment(
-    nominal: StepMap,
-    make_plant: Callable[[np.random.Generator], Plant],
-    reference: Reference,
-    learning: LearningSettings,
-    folder: Path,
-    seed: int,
-    observer: Observer = Observer(),
-    measure_noise_floor: MeasureNoiseFloor | None = None,
-    replays: bool = True,
-    known: Steps | None = None,
-    control: ControlSettings = ALL_RULES,
-) -> list[Deployment]:
+class Plants(NamedTuple):
+    """Functions that make and measure the plants of a run.
+
+    Attributes:
+        make: Makes the plant of one deployment from its random generator.
+        replays: Whether plants made from the same generator take the same steps again. If not, as on hardware, the
+            steps of an interrupted deployment are kept, and the next deployment starts.
+        measure_noise_floor: Measures the noise floor; None where that is not possible: then it is estimated from steady
+            steps.
+    """
+
+    make: Callable[[np.random.Generator], Plant]
+    replays: bool = True
+    measure_noise_floor: MeasureNoiseFloor | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """What an experiment runs.
+
+    Attributes:
+        nominal: Map of the physics model.
+        plants: Makes the plants; that of deployment K draws from `deployment_generator(seed, K)`, and the measurement
+            of the noise floor after it from `random_stream(seed, K, 1)`.
+        reference: Reference to track.
+        learning: Settings of learning.
+        control: Settings of step control.
+        seed: Random seed.
+        known: Steps with the same state and command, recorded earlier, that are used for learning before the first
+            deployment; even if they come from another robot or map, the errors of this nominal map are learned.
+    """
+
+    nominal: StepMap
+    plants: Plants
+    reference: Reference
+    learning: LearningSettings = LearningSettings()
+    control: ControlSettings = ALL_RULES
+    seed: int = 0
+    known: Steps | None = None
+
+
+def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) -> list[Deployment]:
     """Runs the experiment, or resumes one that was interrupted, and keeps its record in `folder`.
 
     Writes `steps.csv` as steps happen, `models/iteration_K.json` before deployment K and `summary.json` after every
     deployment. No recorded step is lost; `experiment.resume` describes how a run is resumed.
 
     Args:
-        nominal: Map of the physics model.
-        make_plant: Makes the plant of one deployment from its random generator.
-        reference: Reference to track.
-        learning: Settings of learning.
+        setup: What is run.
         folder: An existing folder.
-        seed: Random seed; deployment K draws from `deployment_generator(seed, K)`.
         observer: Progress callbacks.
-        measure_noise_floor: Measures the noise floor under the last controller; it draws from
-            `random_stream(seed, K, 1)` after deployment K. Without it, the noise floor is estimated from steady steps.
-        replays: Whether plants made from the same generator take the same steps again. If not, as on hardware, the
-            steps of an interrupted deployment are kept, and the next deployment starts.
-        known: Steps with the same state and command, recorded earlier, that are used for learning before the first
-            deployment; even if they come from another robot or map, the errors of this nominal map are learned.
-        control: Settings of step control.
 
     Raises:
         ValueError: The reference does not fit this map.
         RecordError: The record in the folder belongs to another experiment, another process is writing it, or a step
             cannot be recorded.
     """
+    nominal, plants, reference, seed = setup.nominal, setup.plants, setup.reference, setup.seed
     reference.check(nominal.space)
-    past, scale, deployments = as_past(known or Steps(nominal.space)), nominal.space.state_scale, list[Deployment]()
-    with one_blas_thread(), Recording(folder, nominal.space, seed, past, replays) as recording:
+    past, scale = as_past(setup.known or Steps(nominal.space)), nominal.space.state_scale
+    deployments = list[Deployment]()
+    with one_blas_thread(), Recording(folder, nominal.space, seed, past, plants.replays) as recording:
         log = Steps(recording.space)
         while True:
             iteration = len(deployments)
             observer.on_phase("learning", 0, 0)
-            learner = Learner.start(nominal, Steps(recording.space) + past + log, learning, iteration)
+            learner = Learner.start(nominal, Steps(recording.space) + past + log, setup.learning, iteration)
             observer.on_outliers(len(learner.residual.outliers))
             if iteration > 0 or len(past):
                 recording.write_model(learner)
-            execute = partial(_execute, learner, make_plant, reference, seed, observer, control)
+            execute = partial(_execute, learner, setup, observer)
             steps = _observed(recording.steps(iteration, execute), recording.space, observer)
             log += steps
             floor = estimate_noise_floor(steps, reference)
@@ -120,34 +141,27 @@ def run_experiment(
             summary = _summary(deployments, log, floor, seed, past)
             recording.write_summary(summary)
             observer.on_deployment(deployments[-1])
-            if is_finished(deployments, scale, learning):
+            if is_finished(deployments, scale, setup.learning):
                 break
         recording.check_finished()
-        if measure_noise_floor:
+        if plants.measure_noise_floor:
             noise_floor = recording.measured_noise_floor(len(deployments))
             if noise_floor is None:
                 last_map = reduce(Learner.after, steps.completed(), learner).step_map()
                 progress = partial(observer.on_phase, "measuring the noise floor")
-                noise_floor = measure_noise_floor(last_map, random_stream(seed, iteration, 1), progress)
+                noise_floor = plants.measure_noise_floor(last_map, random_stream(seed, iteration, 1), progress)
             summary = replace(summary, noise_floor=noise_floor, noise_floor_measured=True)
             recording.write_summary(summary)
     return deployments
 
 
-def _execute(
-    learner: Learner,
-    make_plant: Callable[[np.random.Generator], Plant],
-    reference: Reference,
-    seed: int,
-    observer: Observer,
-    control: ControlSettings,
-) -> ExecutedSteps:
+def _execute(learner: Learner, setup: Setup, observer: Observer) -> ExecutedSteps:
     """Executes a deployment on a new plant, whose fault is reported at the end."""
     iteration = learner.iteration
     observer.on_execution()
-    plant = make_plant(deployment_generator(seed, iteration))
-    exploration = 0 if iteration else learner.settings.exploration
-    yield from deploy(learner, plant, reference, iteration, exploration, control)
+    plant = setup.plants.make(deployment_generator(setup.seed, iteration))
+    exploration = 0 if iteration else setup.learning.exploration
+    yield from deploy(learner, plant, setup.reference, iteration, exploration, setup.control)
     if plant.fault:
         observer.on_fault(plant.fault)
 

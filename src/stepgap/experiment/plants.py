@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,10 +13,9 @@ from stepgap.base.errors import InputError
 from stepgap.base.plugins import load_plugin, plugin_names
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
-from stepgap.experiment.loop import MeasureNoiseFloor
+from stepgap.experiment.loop import Plants
 from stepgap.experiment.noise_floor import measure_noise_floor
 from stepgap.experiment.settings import PROCESS, Experiment
-from stepgap.plants.plant import Plant
 from stepgap.plants.process.line_channel import Child, Connection
 from stepgap.plants.process.process_plant import ProcessPlant
 from stepgap.plants.ticks.stream import OnTicks
@@ -35,20 +33,6 @@ ANY_RIG = "any-rig"
 
 LARGEST_PORT = 65535
 """Largest TCP port."""
-
-
-class Plants(NamedTuple):
-    """Functions that make and measure the plants of a run.
-
-    Attributes:
-        make: Makes the plant of one deployment from its random generator.
-        replays: Whether the same generator gives the same steps again.
-        measure_noise_floor: Measures the noise floor; None where that is not possible.
-    """
-
-    make: Callable[[np.random.Generator], Plant]
-    replays: bool
-    measure_noise_floor: MeasureNoiseFloor | None = None
 
 
 @dataclass(frozen=True, eq=False)

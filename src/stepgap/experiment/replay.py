@@ -1,8 +1,10 @@
-"""The ticks of a recorded deployment: simulated again, or read from the tick log of a rig."""
+"""The ticks of a recorded deployment: simulated again, or read from the tick log of a rig; the motion in them."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,7 +12,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.versions import versions_here
 from stepgap.experiment.loop import deployment_generator
 from stepgap.experiment.plants import simulation_of
-from stepgap.experiment.settings import PROCESS, Experiment, read_experiment
+from stepgap.experiment.settings import PROCESS, Experiment
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.ticks.rig_state import RigState
@@ -18,21 +20,51 @@ from stepgap.plants.ticks.stream import numbered
 from stepgap.plants.ticks.tick_log import TickLogError, read_ticks
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
-from stepgap.records.steps_csv import RecordError, read_step_log, row_of
-from stepgap.records.summary import read_summary
+from stepgap.records.motion_file import INTERVAL, Replay, motion_path, read_motion, write_motion
+from stepgap.records.steps_csv import RecordError, digest, row_of
 from stepgap.rigs.entry_points import load_rig
 from stepgap.rigs.rig import RigFault
-from stepgap.robots.scene import Kinematics
+from stepgap.robots.scene import Kinematics, Motion
 from stepgap.step import Array
+
+if TYPE_CHECKING:  # a run has a replay
+    from stepgap.experiment.run import Run
+
+
+def replay_of(run: "Run", kinematics: Kinematics) -> Replay:
+    """Motions of the first and the last deployment of a run, from `replay/`, or made and written there.
+
+    Raises:
+        InputError: The ticks are not known, or differ from the recorded steps.
+    """
+    measured, scene = [*kinematics.units, "step"], kinematics.scene
+    file = run.settings_file
+    text = None if isinstance(file, Missing) else file.text
+
+    def motion(iteration: int) -> Motion:
+        path, steps = motion_path(run.folder, iteration), digest(run.steps.of_iteration(iteration))
+        origin = sha256(f"measured {INTERVAL} {scene} {iteration} {steps} {text}".encode()).hexdigest()
+        kept = read_motion(path, scene, origin)
+        return kept or write_motion(path, kinematics.motion(ticks(iteration).selected(measured)), origin)
+
+    def ticks(iteration: int) -> TickTable:
+        if iteration in run.ticks:
+            return run.ticks[iteration]
+        if run.needed(run.settings).simulated:
+            return replay(run, iteration, kinematics.every(INTERVAL), run.on_replay)
+        return logged_ticks(run, iteration).resampled(1 / INTERVAL)
+
+    ends = dict.fromkeys((run.shown_iterations[0], run.shown_iterations[-1]))
+    return Replay({iteration: motion(iteration) for iteration in ends}, scene)
 
 
 def replay(
-    folder: Path, iteration: int, every: int = 1, progress: Callable[[int, int], None] = lambda done, total: None
+    run: "Run", iteration: int, every: int = 1, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> TickTable:
     """The ticks of a recorded deployment of a simulated plant, simulated again from its seed and commands.
 
     Args:
-        folder: The run folder.
+        run: The run.
         iteration: Number of the deployment.
         every: Interval of the kept ticks; 1 keeps every tick.
         progress: Called with the number of finished steps and their total number.
@@ -44,19 +76,18 @@ def replay(
         InputError: The run cannot be read, has no such deployment, was not simulated, or has no ticks.
         RecordError: The simulated steps differ from the recorded ones.
     """
-    experiment, steps = _read(folder, iteration)
-    tables = []
-    for done, table in enumerate(_replayed_steps(folder, experiment, steps, every)):
+    settings, steps, tables = run.needed(run.settings), _steps_of(run, iteration), list[TickTable]()
+    for done, table in enumerate(_replayed_steps(run, steps, every)):
         tables.append(table)
         progress(done, len(steps))
     if not any(map(len, tables)):
-        raise InputError(f"plant '{experiment.plant}': reports no ticks, so the motion between the steps is unknown")
+        raise InputError(f"plant '{settings.plant}': reports no ticks, so the motion between the steps is unknown")
     return TickTable(tables[0].units, np.concatenate([table.rows for table in tables]))
 
 
-def replayed_steps(folder: Path, iteration: int, every: int = 1) -> Iterator[TickTable]:
+def replayed_steps(run: "Run", iteration: int, every: int = 1) -> Iterator[TickTable]:
     """Yields the ticks of `replay` step by step as they are simulated; the first ones are those of the start."""
-    return _replayed_steps(folder, *_read(folder, iteration), every)
+    return _replayed_steps(run, _steps_of(run, iteration), every)
 
 
 def find_kinematics(settings: Experiment) -> Kinematics | Missing:
@@ -86,24 +117,19 @@ def tick_units_of(settings: Experiment) -> Mapping[str, str]:
     return {**kinematics.observed_units, "step": ""}
 
 
-def logged_ticks(folder: Path, steps: Steps, settings: Experiment) -> TickTable:
+def logged_ticks(run: "Run", iteration: int) -> TickTable:
     """Reads the ticks of a rig's deployment from its log, with a column `step`; only ticks with sensor values are kept.
 
     They begin when torque is given, and end with the last step or, if it failed, when the robot is at rest. The ends of
     steps are those that the robot's control detects; step 0 is the one after the release.
 
-    Args:
-        folder: The run folder.
-        steps: Steps of the deployment, at least one.
-        settings: Settings of the run.
-
     Raises:
-        InputError: The log does not exist, is incomplete, or has fewer steps than the deployment.
+        InputError: The run has no such deployment, or the log does not exist, is incomplete, or has fewer steps.
     """
-    iteration, first = int(steps.iteration[0]), int(steps.number[0])
-    path, control = folder / "ticks" / f"ticks-{iteration}.mcap", settings.robot.control()
+    robot, steps = run.needed(run.robot), _steps_of(run, iteration)
+    path, control = run.folder / "ticks" / f"ticks-{iteration}.mcap", robot.control()
     if control is None:
-        raise InputError(f"robot '{settings.robot.name}' has no control for a rig, so its ticks cannot be read")
+        raise InputError(f"robot '{robot.name}' has no control for a rig, so its ticks cannot be read")
     try:
         ticks = TickTable(*read_ticks(path))
         ends = control.step_ends(ticks)
@@ -114,31 +140,29 @@ def logged_ticks(folder: Path, steps: Steps, settings: Experiment) -> TickTable:
     if len(ends) < len(steps):
         raise InputError(f"{path}: has fewer steps than deployment {iteration}, so ticks and steps cannot be matched")
     kept = (ticks["state"] >= RigState.STAND) & (step <= len(steps)) & np.isfinite(ticks.rows).all(axis=1)
-    numbers = (step + first - 1).astype(float)
+    numbers = (step + int(steps.number[0]) - 1).astype(float)
     return TickTable({**ticks.units, "step": ""}, np.column_stack([ticks.rows, numbers])[kept])
 
 
-def _read(folder: Path, iteration: int) -> tuple[Experiment, Steps]:
-    """Reads the settings of a run and the steps of one of its deployments."""
-    settings, path = read_experiment(folder / "experiment.toml"), folder / "steps.csv"
-    try:
-        log = read_step_log(path, settings.robot.space)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; {folder} must be the folder of a run") from None
-    steps = log.of_iteration(iteration)
+def _steps_of(run: "Run", iteration: int) -> Steps:
+    """The steps of a deployment, at least one."""
+    steps = run.steps.of_iteration(iteration)
     if not len(steps):
-        there = ", ".join(map(str, log.iterations)) or "none"
-        raise InputError(f"{path}: no step of deployment {iteration}; recorded deployments: {there}")
-    return settings, steps
+        there = ", ".join(map(str, run.steps.iterations)) or "none"
+        raise InputError(
+            f"{run.folder / 'steps.csv'}: no step of deployment {iteration}; recorded deployments: {there}"
+        )
+    return steps
 
 
-def _replayed_steps(folder: Path, settings: Experiment, steps: Steps, every: int) -> Iterator[TickTable]:
+def _replayed_steps(run: "Run", steps: Steps, every: int) -> Iterator[TickTable]:
     """Yields the ticks of each step after a check that the step equals the recorded one."""
+    settings = run.needed(run.settings)
     if not settings.simulated:
         raise InputError(
             f"plant '{settings.plant}': a deployment of a rig cannot be simulated again; its ticks are in ticks/"
         )
-    units, names, rows = tick_units_of(settings), settings.robot.space.state_names, list[Array]()
+    units, rows = tick_units_of(settings), list[Array]()
     first, *_ = steps
 
     def on_ticks(ticks: Rows, step: int) -> None:
@@ -154,25 +178,21 @@ def _replayed_steps(folder: Path, settings: Experiment, steps: Steps, every: int
         try:
             plant.start()
         except RigFault as fault:
-            raise RecordError(f"{_mismatch(folder, first, names)} ({fault})") from None
+            raise RecordError(f"{_mismatch(run, first)} ({fault})") from None
         yield drained()
         for logged in steps:
             simulated = replace(logged, record=plant.take_step(logged.record.command))
             if row_of(simulated, steps.space) != row_of(logged, steps.space):
-                raise RecordError(_mismatch(folder, logged, names))
+                raise RecordError(_mismatch(run, logged))
             yield drained()
 
 
-def _mismatch(folder: Path, logged: LoggedStep, names: tuple[str, ...]) -> str:
+def _mismatch(run: "Run", logged: LoggedStep) -> str:
     """The message that a step could not be reproduced, with a possible reason."""
     here = versions_here()
-    try:
-        recorded = read_summary(folder / "summary.json", names).versions
-    except (ValueError, OSError):
-        recorded = ()
-    changed = [f"{name} {then}, here {here[name]}" for name, then in recorded if here.get(name, then) != then]
+    changed = [f"{name} {then}, here {here[name]}" for name, then in run.versions if here.get(name, then) != then]
     reason = (
         f"it was run with {'; '.join(changed)}" if changed else "the record was changed, or is from another machine"
     )
     step = f"step {logged.step} of deployment {logged.iteration}"
-    return f"{folder / 'steps.csv'}: {step} could not be reproduced exactly; {reason}"
+    return f"{run.folder / 'steps.csv'}: {step} could not be reproduced exactly; {reason}"

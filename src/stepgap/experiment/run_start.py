@@ -1,25 +1,24 @@
-"""Checks of `stepgap run` before the first step: a new folder, and a reference that the model can track."""
+"""The start of a run, before the first step: its folder, and a reference that the nominal map can track."""
 
 import fcntl
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-from stepgap.base.errors import InputError, message_of
+from stepgap.base.errors import InputError
 from stepgap.base.output_files import free_name
 from stepgap.control.limit_cycle import fixed_point
 from stepgap.control.reference import Reference
-from stepgap.experiment.inputs import write_experiment
-from stepgap.experiment.loop import is_finished
+from stepgap.experiment.inputs import load_known
+from stepgap.experiment.loop import Setup, is_finished
+from stepgap.experiment.plants import PlantRequest, choose_plants
 from stepgap.experiment.resume import check_no_step_is_lost
+from stepgap.experiment.run import Run
 from stepgap.experiment.settings import Experiment
-from stepgap.learning.steps import Steps
-from stepgap.records.run_folder import INPUT_FILES
-from stepgap.records.steps_csv import read_step_log
-from stepgap.records.summary import read_summary
+from stepgap.records.recovery import INPUT_FILES
 from stepgap.step import StepFailed, StepMap
 
 ALSO_WRITTEN = (*INPUT_FILES, "report.html", "figures", "replay", "ticks")
@@ -59,8 +58,26 @@ def _made(wanted: Path) -> Path:
         raise InputError(f"{error.filename}: cannot be written: {error.strerror}; choose a folder by --out") from None
 
 
-def start_folder(folder: Path, settings: Experiment, reference: Reference, known: Steps, surrogate: str = "") -> None:
-    """Creates the run's folder with its resolved settings; refuses a folder that already holds a run."""
+def load_setup(request: PlantRequest, nominal: StepMap) -> Setup:
+    """What an experiment with these settings runs.
+
+    Args:
+        request: Settings and reference, and what else its plants are made from.
+        nominal: Nominal map of the settings.
+
+    Raises:
+        InputError: The map cannot hold a target, the known steps are not valid, or no plant can be made.
+    """
+    settings = request.settings
+    path = Path(settings.reference)
+    check_reach(nominal, request.reference, path.name if path.parent == request.folder else settings.reference)
+    known = load_known(settings, settings.robot.space)
+    plants = choose_plants(request)
+    return Setup(nominal, plants, request.reference, settings.learning, settings.control, settings.seed, known)
+
+
+def start_folder(folder: Path, write: Callable[[], None]) -> None:
+    """Creates the run's folder, into which `write` writes its experiment; refuses one that already holds a run."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with _locked(folder):
@@ -68,7 +85,7 @@ def start_folder(folder: Path, settings: Experiment, reference: Reference, known
                 raise InputError(f"{folder}: already holds a run; continue it by --resume, or choose another --out")
             if there := [name for name in ALSO_WRITTEN if (folder / name).exists()]:
                 raise InputError(f"{folder}: {there[0]} already exists and would be overwritten; choose another --out")
-            write_experiment(folder, settings, reference, known, surrogate)
+            write()
     except OSError as error:
         raise InputError(
             f"{error.filename or folder}: cannot be written: {error.strerror}; choose another --out"
@@ -107,12 +124,11 @@ def folder_to_continue(
     return out
 
 
-def extended(folder: Path, settings: Experiment, redeployments: int) -> Experiment:
+def extended(run: Run, redeployments: int) -> Experiment:
     """Settings with which a finished run continues for a number of redeployments, whether the error still falls or not.
 
     Args:
-        folder: The run folder.
-        settings: The settings of the run.
+        run: The run.
         redeployments: At least 1.
 
     Raises:
@@ -120,18 +136,13 @@ def extended(folder: Path, settings: Experiment, redeployments: int) -> Experime
     """
     if redeployments < 1:
         raise InputError(f"--extend: {redeployments} redeployments; give an integer from 1 on")
-    space, remedy = settings.robot.space, f"finish it by: stepgap run --out {folder} --resume"
-    try:
-        deployments = read_summary(folder / "summary.json", space.state_names).deployments
-        recorded = read_step_log(folder / "steps.csv", space)
-    except (OSError, ValueError) as error:
-        raise InputError(message_of(error)) from None
-    check_no_step_is_lost(folder, recorded)
-    done = len(deployments)
-    if len(recorded.iterations) > done:
-        raise InputError(f"{folder}: the run was interrupted in deployment {done}; {remedy}")
-    if not is_finished(deployments, space.state_scale, settings.learning):
-        raise InputError(f"{folder}: the run was interrupted before deployment {done}; {remedy}")
+    settings, remedy = run.needed(run.settings), f"finish it by: stepgap run --out {run.folder} --resume"
+    check_no_step_is_lost(run.folder, run.steps)
+    done = len(run.deployments)
+    if len(run.steps.iterations) > done:
+        raise InputError(f"{run.folder}: the run was interrupted in deployment {done}; {remedy}")
+    if not is_finished(run.deployments, run.space.state_scale, settings.learning):
+        raise InputError(f"{run.folder}: the run was interrupted before deployment {done}; {remedy}")
     learning = replace(settings.learning, iterations=done - 1 + redeployments, early_stop=False)
     return replace(settings, learning=learning)
 

@@ -16,12 +16,14 @@ from stepgap.base.settings_file import (
     merge_all,
     parse_toml,
     read_toml,
+    read_toml_text,
     to_table,
     with_table,
 )
 from stepgap.control.settings import ControlSettings
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.process.process_plant import Timeouts
+from stepgap.records.missing import Missing
 from stepgap.robots.entry_points import load_robot, robot_names, simulations_of
 from stepgap.robots.robot import Robot
 
@@ -70,6 +72,19 @@ SHORT_OPTIONS = {
     "warm_start": "warm-start",
 }
 """Names of the options that differ from the names of their settings."""
+
+
+@dataclass(frozen=True)
+class SettingsFile:
+    """Content of an `experiment.toml`, which may have settings that this version does not know.
+
+    Attributes:
+        text: Text of the file.
+        table: Content of the file as a TOML table.
+    """
+
+    text: str
+    table: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -162,6 +177,19 @@ def read_experiment(path: Path | None, overrides: Iterable[tuple[str, str]] = ()
         experiment = with_absolute_paths(changed_experiment(experiment, table, locate), path.parent)
     changes = nested((name, value) for name, value in overrides if name != ROBOT)
     return changed_experiment(experiment, changes, lambda name: f"--{SHORT_OPTIONS.get(name, name)}")
+
+
+def read_settings_file(path: Path) -> SettingsFile | Missing:
+    """Reads an `experiment.toml` as it is.
+
+    Raises:
+        InputError: It is not a TOML file.
+    """
+    if not path.exists():
+        return Missing(f"the folder contains no {path.name}")
+    if not path.is_file():
+        raise InputError(f"{path}: not a file; it must be a text file that the run wrote")
+    return SettingsFile(*read_toml_text(path, "the file that the run wrote"))
 
 
 def with_absolute_paths(experiment: Experiment, folder: Path) -> Experiment:

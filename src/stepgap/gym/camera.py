@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.ticks.stream import OnTicks, numbered, thinned
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.report.colours import BLACK, BLUE, GREY, LIGHT, SKY
+from stepgap.report.drawing import BLACK, BLUE, GREY, LIGHT, SKY
 from stepgap.robots.scene import Kinematics, Scene
 from stepgap.step import Array
 

@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 
 from stepgap.hardware.incident import Incident, bit_numbers, namers_of
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.report.colours import BLACK, BLUE, GREY, LIGHT, SKY, VERMILLION
-from stepgap.report.figures import plain
+from stepgap.report.drawing import BLACK, BLUE, GREY, LIGHT, SKY, VERMILLION, plain
 from stepgap.step import Array
 
 CURVES = (BLUE, VERMILLION, BLACK, SKY, GREY)

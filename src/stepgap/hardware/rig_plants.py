@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.base.errors import InputError
-from stepgap.experiment.plants import PlantRequest, Plants
+from stepgap.experiment.loop import Plants
+from stepgap.experiment.plants import PlantRequest
 from stepgap.hardware.commissioning.check import checked
 from stepgap.hardware.commissioning.jog import JOG
 from stepgap.hardware.commissioning.proof import proven

@@ -2,7 +2,8 @@
 
 import zipfile
 import zlib
-from dataclasses import fields
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from io import BytesIO
 from pathlib import Path
 from typing import Final
@@ -12,11 +13,27 @@ import numpy as np
 from stepgap.base.files import write_whole
 from stepgap.robots.scene import Motion, Scene
 
+INTERVAL: Final = 0.01
+"""Time between two frames of a replay [s]; the nearest multiple of the time between two ticks is used."""
+
 LARGEST_MOTION: Final = 2**27
 """Largest motion file that is read [bytes]."""
 
 ORIGIN: Final = "origin"
 """Entry that identifies the data from which a motion was computed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """Motions of a robot in several deployments.
+
+    Attributes:
+        motions: Motions by number of the deployment.
+        scene: What is drawn.
+    """
+
+    motions: Mapping[int, Motion]
+    scene: Scene
 
 
 def motion_path(folder: Path, iteration: int) -> Path:

@@ -15,10 +15,12 @@ from stepgap.control.reference import read_reference
 from stepgap.learning.steps import Steps
 from stepgap.plants.ticks.tick_log import TickLogError, recover_ticks
 from stepgap.records.model_files import model_path, read_model
-from stepgap.records.run_folder import INPUT_FILES
 from stepgap.records.steps_csv import LARGEST_STEPS_FILE, digest, read_step_log, recover_steps, space_of_header, text_of
 from stepgap.records.summary import read_summary, write_summary
 from stepgap.step import StepSpace
+
+INPUT_FILES = ("reference.csv", "warm_start.csv", "nominal_map.json", "nominal_map.toml", "nominal_map.csv")
+"""Files of a run folder, besides `experiment.toml`, that are written before the first step."""
 
 
 def recover_file(path: Path, out: Path) -> list[str]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepgap.base.errors import InputError
-from stepgap.records.run_folder import RunRecord
+from stepgap.learning.steps import Steps
 from stepgap.records.steps_csv import AFTER, column_names, values_of
 from stepgap.step import Quantity, StepSpace
 
@@ -45,16 +45,16 @@ class Column:
     values: np.ndarray
 
 
-def step_columns(record: RunRecord, iteration: int | None = None) -> list[Column]:
+def step_columns(recorded: Steps, iteration: int | None = None) -> list[Column]:
     """Columns of the steps of one deployment, or of all.
 
     Raises:
         InputError: There is no such deployment.
     """
-    steps = record.steps if iteration is None else record.steps.of_iteration(iteration)
+    steps = recorded if iteration is None else recorded.of_iteration(iteration)
     if not len(steps):
-        there = ", ".join(map(str, record.steps.iterations))
-        raise InputError(f"--deployment {iteration}: no step of it in {record.folder}; there are {there}")
+        there = ", ".join(map(str, recorded.iterations))
+        raise InputError(f"--deployment {iteration}: no step of it in the run; there are {there}")
     legend = _legend(steps.space)
     rows = [list(values_of(logged, steps.space).values()) for logged in steps]
     return [

@@ -1,13 +1,11 @@
 """Reports: figures and page of a run, and the comparison of several runs.
 
-A report is made from a finished record alone: the run folder as `records.run_folder` reads it, and a `run_context` with
-the nominal map and the motions. Nothing here builds a plant or a twin.
+A report is made from a `Run` alone. Nothing here builds a plant or a twin, except to simulate a lost replay again.
 
-`learned` reads the learned residual; `reference_gait` computes the limit cycles. `run_figures` draws the figures, which
-`figures` and the modules named after a figure make; `error_table`, `learned_table` and `settings_table` make the
-tables, `sentences` the text, `replay_view` the replay. `page` puts all on one page, next to published results, and
-`missing_parts` lists the missing parts. `comparison` makes the page of several runs, and the package `sweep` the report
-of a sweep. `fit`, `fit_results` and `model_application` are the output of `stepgap fit`.
+`analysis` computes what is learned and the limit cycles; the modules in `figures` each draw and describe some figures;
+`error_table`, `learned_table`, `gait_table` and `settings_table` make the tables, `sentences` and
+`diagnosis_sentences` the text, `replay_view` the replay. `page` puts all on one page, next to published results, and
+lists the missing parts. `comparison` makes the page of several runs. `text`, `html` and `drawing` are for all pages.
 """
 
 from collections.abc import Callable
@@ -16,28 +14,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 from stepgap.base.blas import one_blas_thread
+from stepgap.base.errors import InputError, message_of
 from stepgap.base.files import write_whole
-from stepgap.records.missing import Missing
-from stepgap.records.run_folder import RunRecord, read_run_folder
-from stepgap.report.comparison import comparison_html
+from stepgap.experiment.run import Run
+from stepgap.report.analysis import Analysis
+from stepgap.report.comparison import compare_runs, comparison_html
 from stepgap.report.drawing import write_figures
-from stepgap.report.learned import LearnedResidual, described_residual
-from stepgap.report.missing_parts import missing_parts
-from stepgap.report.page import report_html
-from stepgap.report.reference_gait import ReferenceGait, reference_gait
-from stepgap.report.run_context import NO_CONTEXT, RunContext
-from stepgap.report.run_figures import draw_run_figures
+from stepgap.report.figures import drawn_figures
+from stepgap.report.page import missing_parts, report_html
 
-__all__ = [
-    "NO_CONTEXT",
-    "FolderReport",
-    "RunContext",
-    "RunRecord",
-    "WrittenReport",
-    "comparison_html",
-    "read_run_folder",
-    "write_report",
-]
+__all__ = ["FolderReport", "WrittenReport", "compare_runs", "comparison_html", "write_report"]
 
 
 class WrittenReport(NamedTuple):
@@ -65,43 +51,25 @@ class FolderReport:
     write: Callable[[Path], WrittenReport]
 
 
-def write_report(record: RunRecord, context: RunContext = NO_CONTEXT) -> WrittenReport:
+def write_report(run: Run) -> WrittenReport:
     """Writes `figures/*.png`, `figures/*.pdf` and `report.html` of a run, whether or not it is finished.
 
     Each file is replaced atomically: readers see the old or the new content, never a part.
 
     Args:
-        record: The run; the files are written into its folder.
-        context: Information that is not in the files of the run.
+        run: The run; the files are written into its folder.
 
     Raises:
-        ValueError: The nominal map has another state or command than the run.
-        OSError: A file cannot be read or written.
+        InputError: A file of the run is not valid, or the given nominal map has another state or command than the run,
+            or the report cannot be written.
     """
-    with one_blas_thread():
-        learned = _learned(record, context)
-        gait = _gait(record, context, learned)
-        bounds = None if isinstance(context.nominal, Missing) else context.nominal.space
-        drawings = draw_run_figures(record, learned, gait, bounds)
-        wanted = {f"map_{index}": f"map_{name}" for index, name in enumerate(record.space.state_names)}
-        write_figures(record.folder, {wanted.get(name, name): drawing for name, drawing in drawings.items()})
-        path = record.folder / "report.html"
-        write_whole(path, report_html(record, drawings, context, learned, gait))
-        return WrittenReport(path, tuple(missing_parts(record, context, learned, gait)))
-
-
-def _learned(record: RunRecord, context: RunContext) -> LearnedResidual | Missing:
-    """The last learned residual, or the reason why it is left out."""
+    analysis = Analysis(run.checked())
     try:
-        return described_residual(record, context.final)
-    except ValueError as error:
-        return Missing(str(error))
-
-
-def _gait(record: RunRecord, context: RunContext, learned: LearnedResidual | Missing) -> ReferenceGait | Missing:
-    """Limit cycles at the targets, or the reason why they are not known."""
-    if isinstance(context.nominal, Missing):
-        return context.nominal
-    if not len(record.steps.of_iteration(record.shown_iterations[-1]).tracking()):
-        return Missing("no target was tracked yet")
-    return reference_gait(record, context.nominal, learned)
+        with one_blas_thread():
+            figures = drawn_figures(analysis)
+            write_figures(run.folder, {figure.file: figure.drawing for figure in figures})
+            path = run.folder / "report.html"
+            write_whole(path, report_html(analysis, figures))
+            return WrittenReport(path, tuple(missing_parts(analysis)))
+    except OSError as error:
+        raise InputError(message_of(error)) from None

@@ -3,20 +3,36 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from scipy.special import stdtrit
 
-from stepgap.records.run_folder import RunRecord
-from stepgap.report.decimals import decimal
-from stepgap.report.drawing import draw_figure
+from stepgap.base.errors import InputError
+from stepgap.base.files import create
+from stepgap.base.output_files import check_new, writing
+from stepgap.experiment.run import Run
+from stepgap.records.missing import Missing
+from stepgap.report.drawing import BLACK, BLUE, LIGHT, VERMILLION, axis_label, draw_figure, log_scale, plain
 from stepgap.report.error_table import steps_in_words
+from stepgap.report.figures.steps import (
+    as_pixels,
+    draw_tracking,
+    drawn_values,
+    finish,
+    show_steps,
+    step_numbers,
+    step_panels,
+    write_note,
+)
 from stepgap.report.html import bullets, page, paragraph, picture, section, table
-from stepgap.report.seed_spread import spread_tables
 from stepgap.report.sentences import end_in_a_word, headline
 from stepgap.report.settings_table import DASH, differing, flat_settings
-from stepgap.report.units import with_unit
+from stepgap.report.text import decimal, with_unit
 from stepgap.step import Array
+
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from matplotlib.figure import Figure
 
 MOST_RUNS: Final = 12
 """Largest number of runs on one page, so that their curves can be distinguished."""
@@ -33,43 +49,59 @@ TRACKING_CAPTION: Final = (
     "Tracking in the last deployment of each run: the state at the end of each step, and the reference."
 )
 
+RUN_COLOURS: Final = (BLUE, VERMILLION, BLACK, "#009E73", "#CC79A7")
+RUN_MARKERS: Final = ("o", "s", "^", "D", "v", "x", "P")
+RUN_LINES: Final = ("-", "--", "-.", ":")
+
+FEWEST_SEEDS: Final = 3
+"""Smallest number of seeds whose spread is shown."""
+
 SPREAD_NOTE: Final = (
     "These runs have the same settings and versions, except the seed, so they repeat one experiment: their spread is "
     "that of its random influences. Geometric means; their intervals count the runs as independent."
 )
 
 
-def comparison_html(records: Sequence[RunRecord]) -> str:
+def compare_runs(folders: Sequence[Path], page: Path) -> None:
+    """Writes one page that compares several runs.
+
+    Args:
+        folders: The run folders.
+        page: File to write, which must not exist.
+
+    Raises:
+        InputError: A run cannot be read or compared, or the page cannot be written.
+    """
+    check_new(page, "--out")
+    if len({folder.resolve() for folder in folders}) < len(folders):
+        raise InputError("a run is given twice; give each run once")
+    text = comparison_html([Run(folder).checked() for folder in folders])
+    with writing(page, "--out"):
+        create(page, text)
+
+
+def comparison_html(runs: Sequence[Run]) -> str:
     """HTML of the comparison page.
 
     Args:
-        records: At least two runs.
+        runs: At least two runs.
 
     Raises:
-        ValueError: There are too few or too many runs, or their states differ.
+        InputError: There are too few or too many runs, or their states differ.
     """
-    _check(records)
-    names = run_names([record.folder for record in records])
+    _check(runs)
+    names = run_names([run.folder for run in runs])
 
-    def errors() -> object:
-        from stepgap.report.figures import comparison_figure
-
-        return comparison_figure(records, names)
-
-    def tracking() -> object:
-        from stepgap.report.figures import comparison_tracking_figure
-
-        return comparison_tracking_figure(records, names)
-
-    pictures = [picture(draw_figure(errors, "the errors"), "errors-", CAPTION)]
-    if same_reference(records):
-        pictures.append(picture(draw_figure(tracking, "the tracking"), "tracking-", TRACKING_CAPTION))
-    spreads = spread_tables(records, names)
+    pictures = [picture(draw_figure(lambda: comparison_figure(runs, names), "the errors"), "errors-", CAPTION)]
+    if same_reference(runs):
+        drawing = draw_figure(lambda: comparison_tracking_figure(runs, names), "the tracking")
+        pictures.append(picture(drawing, "tracking-", TRACKING_CAPTION))
+    spreads = spread_tables(runs, names)
     return page(
         "StepGap comparison",
         [
-            f"<h1>StepGap comparison of {len(records)} runs</h1>",
-            bullets([f"{name}: {headline(record)}" for name, record in zip(names, records, strict=True)]),
+            f"<h1>StepGap comparison of {len(runs)} runs</h1>",
+            bullets([f"{name}: {headline(run)}" for name, run in zip(names, runs, strict=True)]),
             section("figure", "Figures", *pictures),
             *(
                 [section("spread", "Spread over seeds", paragraph(SPREAD_NOTE), _side_by_side(spreads))]
@@ -79,23 +111,23 @@ def comparison_html(records: Sequence[RunRecord]) -> str:
             section(
                 "numbers",
                 "Errors by deployment",
-                paragraph(_references(records)),
-                _side_by_side(_tables(records, names)),
+                paragraph(_references(runs)),
+                _side_by_side(_tables(runs, names)),
             ),
-            section("settings", "Settings and versions that differ", _settings(records, names)),
+            section("settings", "Settings and versions that differ", _settings(runs, names)),
         ],
     )
 
 
-def _check(records: Sequence[RunRecord]) -> None:
-    """Raises ValueError unless the runs can be compared."""
-    if not 2 <= len(records) <= MOST_RUNS:
-        raise ValueError(f"{len(records)} runs to compare, but there must be 2 to {MOST_RUNS}")
-    first = records[0]
-    for record in records:
-        if record.space.state_names != first.space.state_names:
-            raise ValueError(
-                f"{record.folder}: its state is {', '.join(record.space.state_names)}, but that of {first.folder} is "
+def _check(runs: Sequence[Run]) -> None:
+    """Raises InputError unless the runs can be compared."""
+    if not 2 <= len(runs) <= MOST_RUNS:
+        raise InputError(f"{len(runs)} runs to compare, but there must be 2 to {MOST_RUNS}")
+    first = runs[0]
+    for run in runs:
+        if run.space.state_names != first.space.state_names:
+            raise InputError(
+                f"{run.folder}: its state is {', '.join(run.space.state_names)}, but that of {first.folder} is "
                 f"{', '.join(first.space.state_names)}; only runs of the same state can be compared"
             )
 
@@ -112,26 +144,26 @@ def run_names(folders: Sequence[Path]) -> list[str]:
     return [name if names.count(name) == 1 else f"{name} ({row + 1})" for row, name in enumerate(names)]
 
 
-def same_reference(records: Sequence[RunRecord]) -> bool:
+def same_reference(runs: Sequence[Run]) -> bool:
     """Whether the runs tracked the same reference, as far as all of them tracked it."""
-    targets = [record.steps.of_iteration(record.shown_iterations[0]).tracking().target for record in records]
+    targets = [run.steps.of_iteration(run.shown_iterations[0]).tracking().target for run in runs]
     shortest = min(map(len, targets))
     return all(np.array_equal(each[:shortest], targets[0][:shortest]) for each in targets)
 
 
-def _references(records: Sequence[RunRecord]) -> str:
+def _references(runs: Sequence[Run]) -> str:
     """Sentence on whether the runs have the same reference, so that their errors can be compared."""
-    if same_reference(records):
+    if same_reference(runs):
         return "All runs tracked the same reference. Errors are next state − target."
     return "These runs tracked different references: compare trends, not numbers. Errors are next state − target."
 
 
-def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
-    numbers = sorted({entry.iteration for record in records for entry in record.deployments})
-    entries = [{entry.iteration: entry for entry in record.deployments} for record in records]
+def _tables(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
+    numbers = sorted({entry.iteration for run in runs for entry in run.deployments})
+    entries = [{entry.iteration: entry for entry in run.deployments} for run in runs]
     found = []
     for measure, label in COMPARED.items():
-        for index, quantity in enumerate(records[0].space.state):
+        for index, quantity in enumerate(runs[0].space.state):
             rows = [
                 [
                     str(number),
@@ -144,38 +176,133 @@ def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
         [
             str(number),
             *(
-                f"{each[number].steps}, {end_in_a_word(record, each[number])}" if number in each else DASH
-                for record, each in zip(records, entries, strict=True)
+                f"{each[number].steps}, {end_in_a_word(run, each[number])}" if number in each else DASH
+                for run, each in zip(runs, entries, strict=True)
             ),
         ]
         for number in numbers
     ]
     found.append(table("Steps, and how the deployment ended", ["deployment", *names], rows))
-    results = [record.compared_result for record in records]
+    results = [run.compared_result for run in runs]
     if len({result and result.source for result in results}) == 1 and results[0]:
         caption = f"Number of steps, exploratory ones included, until the error stays in {results[0].source}'s band"
-        steps = [_to_band(record, results[0].band) for record in records]
+        steps = [_to_band(run, results[0].band) for run in runs]
         found.append(table(caption, ["", *names], [["steps", *steps]]))
     return found
 
 
-def _to_band(record: RunRecord, band: Array) -> str:
+def _to_band(run: Run, band: Array) -> str:
     """Number of steps until the error stays in the band, over all deployments of a run."""
-    if not record.deployments:
+    if not run.deployments:
         return DASH
-    logs = [record.steps.of_iteration(entry.iteration) for entry in record.deployments]
-    return steps_in_words(logs, band, end_in_a_word(record, record.deployments[-1]))
+    logs = [run.steps.of_iteration(entry.iteration) for entry in run.deployments]
+    return steps_in_words(logs, band, end_in_a_word(run, run.deployments[-1]))
 
 
-def _settings(records: Sequence[RunRecord], names: Sequence[str]) -> str:
+def _settings(runs: Sequence[Run], names: Sequence[str]) -> str:
     columns = [
-        flat_settings(record.settings.table if record.settings else {})
-        | {f"version of {name}": text for name, text in record.summary.versions}
-        for record in records
+        flat_settings({} if isinstance(run.settings_file, Missing) else run.settings_file.table)
+        | {f"version of {name}": text for name, text in run.summary.versions}
+        for run in runs
     ]
-    without = [name for name, record in zip(names, records, strict=True) if record.settings is None]
+    without = [name for name, run in zip(names, runs, strict=True) if isinstance(run.settings_file, Missing)]
     note = paragraph(f"No experiment.toml in: {', '.join(without)}.") if without else ""
     rows = differing(columns)
     if not rows:
         return note or paragraph("None: these runs were made with the same settings and versions.")
     return note + table("", ["setting", *names], rows)
+
+
+def spread_tables(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
+    """Tables of the RMSE over seeds, for each group of runs that differ in the seed only, and each state coordinate."""
+    return [
+        _spread_table([runs[row] for row in group], [names[row] for row in group], index)
+        for group in seed_groups(runs)
+        for index in range(len(runs[0].space.state))
+    ]
+
+
+def seed_groups(runs: Sequence[Run]) -> list[list[int]]:
+    """Indices of runs with the same settings and versions, but with at least `FEWEST_SEEDS` different seeds."""
+    groups: dict[object, dict[int | None, int]] = {}
+    for row, run in enumerate(runs):
+        if not isinstance(run.settings_file, Missing):
+            settings = flat_settings({name: v for name, v in run.settings_file.table.items() if name != "seed"})
+            key = tuple(sorted(settings.items())), run.summary.versions
+            groups.setdefault(key, {}).setdefault(run.summary.seed, row)
+    return [list(rows.values()) for rows in groups.values() if len(rows) >= FEWEST_SEEDS]
+
+
+def _spread_table(runs: Sequence[Run], names: Sequence[str], index: int) -> str:
+    numbers = sorted({entry.iteration for run in runs for entry in run.deployments})
+    rows = []
+    for number in numbers:
+        entries = [entry for run in runs for entry in run.deployments if entry.iteration == number]
+        errors = np.array([entry.errors["rmse"][index] for entry in entries])
+        rows.append([str(number), *_spread(errors[np.isfinite(errors)])])
+    return table(
+        f"Spread over seeds of the RMSE of {with_unit(runs[0].space.state[index])}: {', '.join(names)}",
+        ["deployment", "runs", "geometric mean", "95 % interval of the mean", "smallest", "largest"],
+        rows,
+    )
+
+
+def _spread(errors: Array) -> list[str]:
+    """Cells: number of errors, geometric mean with Student's interval of the mean logarithm, smallest and largest."""
+    count = len(errors)
+    if not count or not (errors > 0).all():
+        return [str(count), *["–"] * 4]
+    logs = np.log(errors)
+    half = stdtrit(count - 1, 0.975) * logs.std(ddof=1) / np.sqrt(count) if count > 1 else np.nan
+    ends = [decimal(float(np.exp(logs.mean() + sign * half))) for sign in (-1, 1)]
+    interval = f"{ends[0]} … {ends[1]}" if count > 1 else "–"
+    extremes = (decimal(float(value)) for value in (errors.min(), errors.max()))
+    return [str(count), decimal(float(np.exp(logs.mean()))), interval, *extremes]
+
+
+def comparison_figure(runs: Sequence[Run], names: Sequence[str]) -> "Figure":
+    """RMSE of the state coordinates by deployment, with a curve for each run."""
+    state = runs[0].space.state
+    figure, panels = step_panels(len(state))
+    for row, (run, name) in enumerate(zip(runs, names, strict=True)):
+        numbers = [deployment.iteration for deployment in run.deployments]
+        look: dict[str, Any] = {
+            "color": RUN_COLOURS[row % len(RUN_COLOURS)],
+            "marker": RUN_MARKERS[row % len(RUN_MARKERS)],
+        }
+        for index, panel in enumerate(panels):
+            values = [deployment.errors["rmse"][index] for deployment in run.deployments]
+            if np.isfinite(values).any():
+                panel.plot(numbers, values, **look, linestyle=RUN_LINES[row % len(RUN_LINES)], label=plain(name))
+    for panel, quantity in zip(panels, state, strict=True):
+        panel.set_ylabel(f"RMSE of\n{axis_label(quantity, capital=False)}")
+        log_scale(panel, drawn_values(panel))
+        if not panel.lines:
+            write_note(panel, "There is no error yet.")
+    finish(figure, panels, "Deployment")
+    return figure
+
+
+def comparison_tracking_figure(runs: Sequence[Run], names: Sequence[str]) -> "Figure":
+    """State coordinates against the step number in the last deployment of each run, with the reference of the longest.
+
+    The runs must have the same reference.
+    """
+    state = runs[0].space.state
+    figure, panels = step_panels(len(state))
+    last = [run.steps.of_iteration(run.shown_iterations[-1]).tracking() for run in runs]
+    longest = max(last, key=len)
+    show_steps(panels, longest)
+    for index, (panel, quantity) in enumerate(zip(panels, state, strict=True)):
+        reference = {"color": LIGHT, "linewidth": 3.5, "drawstyle": "steps-mid", "label": "reference"}
+        panel.plot(step_numbers(longest), longest.target[:, index], **reference, **as_pixels(longest))
+        for row, (steps, name) in enumerate(zip(last, names, strict=True)):
+            look = {
+                "color": RUN_COLOURS[row % len(RUN_COLOURS)],
+                "linestyle": RUN_LINES[row % len(RUN_LINES)],
+                "linewidth": 0.8,
+            }
+            draw_tracking(panel, steps, index, plain(name), {**look, **as_pixels(steps)})
+        panel.set_ylabel(axis_label(quantity))
+    finish(figure, panels, "Step")
+    return figure

@@ -3,12 +3,12 @@
 import numpy as np
 
 from stepgap.experiment.diagnosis import SMALLEST_GAIN, Diagnosis, diagnose, part_at_bounds
+from stepgap.experiment.run import Run
 from stepgap.experiment.state_ranges import far_states
 from stepgap.learning.observations import Observations, observe
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
-from stepgap.records.run_folder import RunRecord
-from stepgap.report.decimals import decimal
+from stepgap.report.text import decimal
 from stepgap.step import StepMap, StepSpace
 
 WORTH_MENTION = 1.25
@@ -18,23 +18,18 @@ OFTEN = 0.1
 """Part of the steps from which on a command at its bound is worth a sentence."""
 
 
-def diagnosis_sentences(record: RunRecord, nominal: StepMap | Missing) -> list[str]:
-    """Sentences on the first recorded deployment, and on commands at their bounds in the last one.
-
-    Args:
-        record: The run.
-        nominal: Map of the physics model, or the reason why it is not known.
-    """
-    first = record.steps.of_iteration(record.steps.iterations[0])
-    if isinstance(nominal, Missing):
-        return [*far_states(first), f"Not available: {nominal.reason}."]
-    return [*far_states(first), *_of_nominal(record, nominal)]
+def diagnosis_sentences(run: Run) -> list[str]:
+    """Sentences on the first recorded deployment, and on commands at their bounds in the last one."""
+    first = run.steps.of_iteration(run.steps.iterations[0])
+    if isinstance(run.nominal, Missing):
+        return [*far_states(first), f"Not available: {run.nominal.reason}."]
+    return [*far_states(first), *_of_nominal(run, run.nominal)]
 
 
-def _of_nominal(record: RunRecord, nominal: StepMap) -> list[str]:
+def _of_nominal(run: Run, nominal: StepMap) -> list[str]:
     """The sentences for which the errors of the nominal map are needed."""
-    first, last = record.steps.iterations[0], record.steps.iterations[-1]
-    steps, space = record.steps.of_iteration(first), record.space
+    first, last = run.steps.iterations[0], run.steps.iterations[-1]
+    steps, space = run.steps.of_iteration(first), run.space
     observed = observe(steps, nominal)
     found = diagnose(observed, nominal)
     if not found.known:
@@ -42,7 +37,7 @@ def _of_nominal(record: RunRecord, nominal: StepMap) -> list[str]:
         return [f"{counted}, too few to diagnose lagged inputs and noise.", *_authority(found, space, steps)]
     deployments = {first: observed}
     if last != first:
-        deployments[last] = observe(record.steps.of_iteration(last), nominal)
+        deployments[last] = observe(run.steps.of_iteration(last), nominal)
     return [
         *_lagged_inputs(found, space, first),
         *_noise(found, space),

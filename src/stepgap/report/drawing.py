@@ -1,15 +1,44 @@
-"""Drawing of figures for files and for the page."""
+"""Drawing of figures for files and for the page, with the values of their curves, which the page shows at the pointer.
 
+matplotlib is imported when a figure is drawn, so that a report without it lacks only its figures. Figures are made
+without `pyplot`, so that none stays open.
+"""
+
+import json
 import re
 from collections.abc import Callable, Container, Mapping
+from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
 
 from stepgap.base.files import write_whole
 from stepgap.base.garbage_collection import paused_collection
 from stepgap.records.missing import Missing
-from stepgap.report.hover import hover_values
+from stepgap.step import Array, Quantity
+
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BLACK: Final = "#000000"
+BLUE: Final = "#0072b2"
+VERMILLION: Final = "#d55e00"
+SKY: Final = "#56b4e9"
+GREY: Final = "#767676"
+LIGHT: Final = "#b8b8b8"
+"""Colours of figures and charts, after Okabe and Ito; colour-blind readers can distinguish them."""
+
+WIDTH: Final = 7.16
+"""Width of every figure [inches]: both columns of a journal's page, so that fonts are printed in their size."""
+
+MOST_VECTORS: Final = 2000
+"""Number of steps above which curves are drawn as pixels inside the vector graphic, so that its file stays small."""
+
+LONGEST_LABEL: Final = 26
+"""Largest number of drawn characters of a name."""
 
 DOTS_PER_INCH: Final = 200
 """Resolution of the PNG files."""
@@ -35,9 +64,14 @@ _REMEDY: Final = (
     "environment variable MPLBACKEND"
 )
 
-
 LONGEST_ERROR: Final = 120
 """Largest number of quoted characters of an error."""
+
+HOVER_SCRIPT: Final = files("stepgap.report").joinpath("hover.js").read_text(encoding="utf-8")
+"""Script that shows the values; it does nothing on a page without figures."""
+
+MOST_VALUES: Final = 2000
+"""Number of points above which the values of a curve are not on the page, so that it stays small."""
 
 
 class Drawing(NamedTuple):
@@ -69,6 +103,20 @@ def draw_figure(make: Callable[[], Any], subject: str) -> Drawing | Missing:
     except (ImportError, OSError, RuntimeError, ValueError) as error:
         short = " ".join(str(error).split())[:LONGEST_ERROR]
         return Missing(f"no figure of {subject} could be drawn ({type(error).__name__}: {short}); {_REMEDY}")
+
+
+def new_figure(height: float) -> "Figure":
+    """An empty figure of the usual width.
+
+    Args:
+        height: Its height [inches].
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def _drawn(make: Callable[[], Any]) -> Drawing:
@@ -115,3 +163,78 @@ def _saved(figure: Any, file_format: str) -> bytes:
     stream = BytesIO()
     figure.savefig(stream, format=file_format, dpi=DOTS_PER_INCH, metadata=dict(UNDATED.get(file_format, {})))
     return stream.getvalue()
+
+
+def axis_label(quantity: Quantity, capital: bool = True) -> str:
+    """Name of a coordinate with its unit, if the unit is known."""
+    name = plain(quantity.name.replace("_", " "))
+    return f"{name[:1].upper() + name[1:] if capital else name}{unit_label(quantity)}"
+
+
+def plain(text: str) -> str:
+    """Text that the figures' font contains: one short line of Latin, Greek or Cyrillic letters, without formulae."""
+    known = "".join(letter if letter.isprintable() and ord(letter) < 0x500 else "?" for letter in text)
+    return (known if len(known) <= LONGEST_LABEL else f"{known[: LONGEST_LABEL - 1]}…").replace("$", r"\$")
+
+
+def unit_label(quantity: Quantity) -> str:
+    """The unit in brackets after a space; empty where it is not known."""
+    return f" [{plain(quantity.unit)}]" if quantity.unit else ""
+
+
+def log_scale(panel: "Axes", values: Array) -> None:
+    """Sets a logarithmic axis with plain numbers for these values, if there are positive ones."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    if not (values > 0).any():
+        return
+    panel.set_yscale("log", nonpositive="mask")
+    if values[values > 0].max() < 1e3 * values[values > 0].min():
+        panel.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    panel.yaxis.set_minor_formatter(NullFormatter())
+
+
+def hover_values(figure: Any) -> str:
+    """The curves of a figure that is laid out, as JSON for `hover.js`.
+
+    It is a list of panels. A panel has its `box` (left, top, right, bottom, as fractions of the figure), its axes `x`
+    and `y` (lower end, upper end, whether it is logarithmic, label) and its `curves` (label, x and y of the points, as
+    text of four digits).
+
+    Args:
+        figure: A `matplotlib.figure.Figure`.
+    """
+    panels = [_panel(axes) for axes in figure.axes]
+    return json.dumps([panel for panel in panels if panel["curves"]], separators=(",", ":"), ensure_ascii=False)
+
+
+def _panel(axes: Any) -> dict[str, Any]:
+    box = axes.get_position()
+    return {
+        "box": [round(float(edge), 4) for edge in (box.x0, 1 - box.y1, box.x1, 1 - box.y0)],
+        "x": [*map(float, axes.get_xlim()), axes.get_xscale() == "log", _shared_label(axes)],
+        "y": [*map(float, axes.get_ylim()), axes.get_yscale() == "log", _in_one_line(axes.get_ylabel())],
+        "curves": [curve for line in axes.lines if line.get_transform() == axes.transData for curve in _curve(line)],
+    }
+
+
+def _curve(line: Any) -> list[list[Any]]:
+    """Label and points of a line; nothing if there are none or too many."""
+    points = np.column_stack([np.asarray(values, float) for values in (line.get_xdata(), line.get_ydata())])
+    points, label = points[np.isfinite(points).all(axis=1)], str(line.get_label())
+    if not 0 < len(points) <= MOST_VALUES:
+        return []
+    values = [[f"{value:.4g}" for value in column] for column in points.T]
+    return [["" if label.startswith("_") else _in_one_line(label), *values]]
+
+
+def _shared_label(axes: Any) -> str:
+    """Label of the horizontal axis, which only the lowest of several panels shows."""
+    labels = [axes.get_xlabel(), *(each.get_xlabel() for each in axes.get_shared_x_axes().get_siblings(axes))]
+    return _in_one_line(next(filter(None, labels), ""))
+
+
+def _in_one_line(text: str) -> str:
+    """Text of a label in one line."""
+    return " ".join(text.replace("\\$", "$").split())

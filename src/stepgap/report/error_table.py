@@ -5,26 +5,25 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from stepgap.experiment.bands import WINDOW, executed_steps_to_band, window_errors
+from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
-from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURED, MEASURES, Deployment
-from stepgap.report.decimals import decimal
 from stepgap.report.html import safe, table
 from stepgap.report.sentences import end_in_a_word
-from stepgap.report.units import unit_suffix, with_unit
+from stepgap.report.text import decimal, unit_suffix, with_unit
 from stepgap.robots.published_result import PublishedResult
 from stepgap.step import Array
 
 
-def error_table(record: RunRecord, row: int, plant: str) -> str:
+def error_table(run: Run, row: int) -> str:
     """Errors of one state coordinate by deployment, next to published ones for the same reference."""
-    quantity, published = record.space.state[row], record.compared_result
-    entries = {deployment.iteration: deployment for deployment in record.deployments}
+    quantity, published = run.space.state[row], run.compared_result
+    entries = {deployment.iteration: deployment for deployment in run.deployments}
     known = [measure for measure in MEASURES if measure in MEASURED or _is_known(measure, row, entries.values())]
     decimals, lines = _decimals([entry.errors[measure][row] for entry in entries.values() for measure in MEASURES]), []
     for iteration in sorted(set(entries) | set(range(published.last + 1) if published else ())):
         entry = entries.get(iteration)
-        counts = [entry.residual, str(entry.steps), end_in_a_word(record, entry)] if entry else ["–"] * 3
+        counts = [entry.residual, str(entry.steps), end_in_a_word(run, entry)] if entry else ["–"] * 3
         ours = [entry.errors[measure][row] if entry else None for measure in known]
         theirs = [published.error(measure, iteration, row) for measure in MEASURED] if published else []
         texts = "".join(f"<td>{safe(count)}</td>" for count in counts)
@@ -33,7 +32,7 @@ def error_table(record: RunRecord, row: int, plant: str) -> str:
         )
     return (
         f'<div class="wide"><table><caption>Error of {safe(with_unit(quantity))}</caption>'
-        f"<thead>{_heads(plant, published, known)}</thead><tbody>\n" + "\n".join(lines) + "\n</tbody></table></div>"
+        f"<thead>{_heads(run.plant, published, known)}</thead><tbody>\n" + "\n".join(lines) + "\n</tbody></table></div>"
     )
 
 
@@ -79,10 +78,10 @@ def _cells(values: Iterable[float | None], kind: str, decimals: int | None = Non
     return "".join(cells)
 
 
-def band_table(record: RunRecord) -> str:
+def band_table(run: Run) -> str:
     """Number of steps until the error stays as small as the published one; empty for other references."""
-    published, state = record.compared_result, record.space.state
-    if not published or not record.deployments:
+    published, state = run.compared_result, run.space.state
+    if not published or not run.deployments:
         return ""
     limits = [f"{limit:g}{unit_suffix(each)} in {each.name}" for limit, each in zip(published.band, state, strict=True)]
     caption = (
@@ -93,12 +92,12 @@ def band_table(record: RunRecord) -> str:
     first, *others = map(with_unit, state)
     heads = ["deployment", "steps", "to the band", f"best {WINDOW} steps: {first}", *others]
     rows, steps, logs = [], 0, []
-    for entry in record.deployments:
-        log = record.steps.of_iteration(entry.iteration)
-        to_band = steps_in_words([log], published.band, end_in_a_word(record, entry))
+    for entry in run.deployments:
+        log = run.steps.of_iteration(entry.iteration)
+        to_band = steps_in_words([log], published.band, end_in_a_word(run, entry))
         rows.append([str(entry.iteration), str(entry.steps), to_band, *_best([log])])
         steps, logs = steps + entry.steps, [*logs, log]
-    to_band = steps_in_words(logs, published.band, end_in_a_word(record, record.deployments[-1]))
+    to_band = steps_in_words(logs, published.band, end_in_a_word(run, run.deployments[-1]))
     rows.append(["all", str(steps), to_band, *_best(logs)])
     return table(caption, heads, rows)
 

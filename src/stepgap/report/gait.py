@@ -1,13 +1,10 @@
-"""Limit cycles and one-step reachable sets, as text and as figures."""
+"""A limit cycle and its one-step reachable set, as text and as a figure, for `stepgap gait`."""
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from stepgap.control.limit_cycle import FixedPoint, ReachableSet
-from stepgap.report.colours import BLACK, BLUE, GREY, VERMILLION
-from stepgap.report.figures import WIDTH, axis_label
-from stepgap.report.reference_gait import ReferenceGait
+from stepgap.report.drawing import axis_label
 from stepgap.step import Array, StepSpace, StepStatus
 
 
@@ -81,52 +78,6 @@ def gait_figure(space: StepSpace, point: FixedPoint, reachable: ReachableSet) ->
     circle.plot(point.floquet_multipliers.real, point.floquet_multipliers.imag, "s", ms=7, color="#0072B2")
     verdict = ("stable" if point.stable else "not stable") if point.held else "not held"
     circle.set(aspect="equal", xlabel="real part", ylabel="imaginary part", title=f"Floquet multipliers ({verdict})")
-    return figure
-
-
-def reference_gait_figure(gait: ReferenceGait) -> Figure:
-    """Draws the reachable set from the central target, and the Floquet multipliers at all targets, map by map.
-
-    There must be two state coordinates and two commands.
-    """
-    figure = Figure(figsize=(WIDTH, 3.7), layout="constrained")
-    plane, sizes = figure.subplots(1, 2, width_ratios=[1.5, 1])
-    sizes.axhline(1, color=GREY, linewidth=1)
-    looks = ({"color": VERMILLION, "linestyle": "-.", "marker": "x"}, {"color": BLUE, "linestyle": "-", "marker": "o"})
-    for each, look in zip(gait.maps, looks, strict=False):
-        border, line = each.reachable.boundary, {name: look[name] for name in ("color", "linestyle")}
-        plane.plot(
-            *np.vstack([border, border[:1]]).T,
-            **line,
-            linewidth=1.3,
-            label=f"boundary of the reachable set, {each.name} map",
-        )
-        found = [
-            (row, abs(value))
-            for row, point in enumerate(each.points, 1)
-            if point
-            for value in point.floquet_multipliers
-        ]
-        mark = {"color": look["color"], "marker": look["marker"], "markerfacecolor": "none", "linestyle": ""}
-        sizes.plot(*np.array(found).reshape(-1, 2).T, **mark, label=f"open loop, {each.name} map")
-        if each.multipliers:
-            rows = np.arange(1, len(each.points) + 1)
-            sizes.vlines(rows, *each.multipliers.open_loop.T[[0, 2]], color=look["color"], linewidth=0.8)
-            low, middle, high = each.multipliers.closed_loop.T
-            sizes.vlines(rows, low, high, color=BLACK, linewidth=0.8)
-            sizes.plot(rows, middle, "_", color=BLACK, label=f"closed loop, {each.name} map")
-    plane.plot(*gait.targets.T, ".", color=BLACK, label="targets")
-    plane.plot(*gait.centre, "s", markersize=7, markerfacecolor="none", color=BLACK, label="start of the step")
-    first, second = gait.space.state
-    plane.set(xlabel=f"Next {axis_label(first, capital=False)}", ylabel=f"Next {axis_label(second, capital=False)}")
-    plane.set_title("(a) One-step reachable set", loc="left", fontsize="medium")
-    sizes.set(xlabel="Target, in the order of the reference", ylabel="Magnitude |λ| of the multipliers")
-    sizes.set_ylim(bottom=0)
-    sizes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    sizes.set_title("(b) Floquet multipliers", loc="left", fontsize="medium")
-    for panel in (plane, sizes):
-        panel.spines[["top", "right"]].set_visible(False)
-    figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return figure
 
 

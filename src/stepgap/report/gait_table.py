@@ -5,19 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from stepgap.control.limit_cycle import FixedPoint
-from stepgap.records.run_folder import RunRecord
-from stepgap.report.decimals import decimal
+from stepgap.report.analysis import MapGait, Multipliers, ReferenceGait
 from stepgap.report.html import table
-from stepgap.report.intervals import between
-from stepgap.report.measured_loop import MeasuredLoop, measured_loop
-from stepgap.report.reference_gait import MapGait, Multipliers, ReferenceGait
-from stepgap.report.units import with_unit
+from stepgap.report.measured_loop import MeasuredLoop
+from stepgap.report.text import between, decimal, with_unit
 from stepgap.step import Array
-
-
-def measured_loops(record: RunRecord) -> list[MeasuredLoop | None]:
-    """The measured closed loop of each finished deployment; None where it is not known."""
-    return [measured_loop(record.steps.of_iteration(deployment.iteration)) for deployment in record.deployments]
 
 
 def measured_sentences(loops: Sequence[MeasuredLoop | None]) -> list[str]:

@@ -13,8 +13,7 @@ from importlib.resources import files
 from typing import Final
 
 from stepgap.records.missing import Missing
-from stepgap.report.drawing import Drawing
-from stepgap.report.hover import HOVER_SCRIPT
+from stepgap.report.drawing import HOVER_SCRIPT, Drawing
 
 STYLE: Final = files("stepgap.report").joinpath("page.css").read_text(encoding="utf-8")
 """Style sheet of every page."""

@@ -7,13 +7,12 @@ import numpy as np
 
 from stepgap.base.normal import INTERVAL_95
 from stepgap.experiment.bands import interval_coverage
+from stepgap.experiment.run import Run
 from stepgap.learning.regression import Parameter
 from stepgap.records.missing import Missing
-from stepgap.records.run_folder import RunRecord
-from stepgap.report.decimals import decimal
+from stepgap.report.analysis import LearnedResidual, input_quantities
 from stepgap.report.html import table
-from stepgap.report.learned import LearnedResidual, input_quantities
-from stepgap.report.units import with_unit
+from stepgap.report.text import decimal, with_unit
 from stepgap.step import Array
 
 UNIT_NOTES: Final = {
@@ -25,13 +24,13 @@ UNIT_NOTES: Final = {
 """Meaning of the units of a `Parameter`."""
 
 
-def learned_sentences(record: RunRecord, learned: LearnedResidual | Missing) -> list[str]:
+def learned_sentences(run: Run, learned: LearnedResidual | Missing) -> list[str]:
     """Sentences on the model of the error, and on the meaning of the tables."""
     if isinstance(learned, Missing):
         return [f"There is no model to describe: {learned.reason}."]
     name, before = f"the residual '{learned.residual.name}'", "previous"
     model = f"Deployment {learned.iteration} began with {name}"
-    if learned.iteration > record.shown_iterations[-1]:
+    if learned.iteration > run.shown_iterations[-1]:
         before = "recorded"
         model = f"Deployment {learned.iteration - 1} learned while it ran. A further deployment would begin with {name}"
     if not learned.steps:
@@ -57,32 +56,32 @@ def _outliers(outliers: Sequence[tuple[int, int]]) -> list[str]:
     return [f"{'Step' if len(outliers) == 1 else 'Steps'} {'; '.join(lists)} {verb} not learned from."]
 
 
-def learned_tables(record: RunRecord, learned: LearnedResidual | Missing) -> str:
+def learned_tables(run: Run, learned: LearnedResidual | Missing) -> str:
     """Tables of the parameters: those with a value for each input by input, all others by state coordinate."""
     if isinstance(learned, Missing) or not learned.steps:
         return ""
     found = [{each.name: each for each in regression.parameters()} for regression in learned.residual.regressions]
     names = list(dict.fromkeys(name for parameters in found for name in parameters))
     by_input = [name for name in names if any(np.ndim(each[name].value) for each in found if name in each)]
-    tables = [_by_input(record, learned, [each.get(name) for each in found]) for name in by_input]
+    tables = [_by_input(run, learned, [each.get(name) for each in found]) for name in by_input]
     rest = [name for name in names if name not in by_input]
     heads = ["coordinate", *rest, "leave-one-out RMSE", "RMS of error / std", "within 95 %"]
     rows = [
         [with_unit(quantity), *(_format(each.get(name)) for name in rest), *_left_out(learned, row)]
-        for row, (quantity, each) in enumerate(zip(record.space.state, found, strict=True))
+        for row, (quantity, each) in enumerate(zip(run.space.state, found, strict=True))
     ]
     return "".join(tables) + table("The model of each coordinate, in its unit", heads, rows)
 
 
-def _by_input(record: RunRecord, learned: LearnedResidual, parameters: list[Parameter | None]) -> str:
+def _by_input(run: Run, learned: LearnedResidual, parameters: list[Parameter | None]) -> str:
     """Table of a parameter with a value for each input, for the regressions of all state coordinates."""
     (name, _, unit, _), *_ = (parameter for parameter in parameters if parameter)
     rows = []
-    for row, quantity in enumerate(input_quantities(record.space, learned.residual.history_inputs)):
+    for row, quantity in enumerate(input_quantities(run.space, learned.residual.history_inputs)):
         values = learned.residual.regressions[0].points[:, row]
         known = f"{decimal(values.min())} … {decimal(values.max())}"
         rows.append([with_unit(quantity), known, *(_format(parameter, row) for parameter in parameters)])
-    heads = ["input", "range of the data", *(f"for {quantity.name}" for quantity in record.space.state)]
+    heads = ["input", "range of the data", *(f"for {quantity.name}" for quantity in run.space.state)]
     return table(f"{name[:1].upper()}{name[1:]}, {UNIT_NOTES[unit]}", heads, rows)
 
 
@@ -103,11 +102,11 @@ def _rms(errors: Array) -> float:
     return float(np.sqrt(np.mean(errors**2)))
 
 
-def coverage_table(record: RunRecord) -> str:
+def coverage_table(run: Run) -> str:
     """Table of the coverage of the 95 % prediction intervals by deployment; empty if there were no intervals."""
     rows = []
-    for iteration in record.steps.iterations:
-        held = list(zip(*interval_coverage(record.steps.of_iteration(iteration)), strict=True))
+    for iteration in run.steps.iterations:
+        held = list(zip(*interval_coverage(run.steps.of_iteration(iteration)), strict=True))
         if any(known for _, known in held):
             rows.append(
                 [str(iteration), *(f"{n} of {known} ({100 * n / known:.1f} %)" if known else "–" for n, known in held)]
@@ -116,6 +115,6 @@ def coverage_table(record: RunRecord) -> str:
         return ""
     return table(
         "Steps that ended within their 95 % prediction interval",
-        ["deployment", *record.space.state_names],
+        ["deployment", *run.space.state_names],
         rows,
     )

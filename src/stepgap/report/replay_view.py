@@ -7,11 +7,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
-from stepgap.records.run_folder import RunRecord
+from stepgap.records.motion_file import INTERVAL
 from stepgap.report.html import absence, safe
-from stepgap.report.motion import INTERVAL, Replay
 from stepgap.robots.scene import Motion, Scene
 from stepgap.step import Array, Quantity
 
@@ -39,11 +39,12 @@ CONTROLS: Final = """<div id="replay-view">
 CHARTS: Final = '<div id="replay-signals" role="img" aria-label="Curves over the step that is shown"></div>'
 
 
-def replay_view(record: RunRecord, replay: Replay | Missing) -> str:
+def replay_view(run: Run) -> str:
     """Canvas, controls and data of the replay, or the reason why there are none."""
+    replay = run.replay
     if isinstance(replay, Missing):
         return absence("replay", replay)
-    scene, space = replay.scene, record.steps.space
+    scene, space = replay.scene, run.steps.space
     names, known = list(scene.points), scene.height in space.state_names
     data = {
         "levels": LEVELS,
@@ -56,7 +57,7 @@ def replay_view(record: RunRecord, replay: Replay | Missing) -> str:
         "signals": list(scene.signals.items()),
         "state": [_described(quantity) for quantity in space.state],
         "command": [_described(quantity) for quantity in space.command],
-        "motions": [_packed(number, motion, scene, record.steps) for number, motion in replay.motions.items()],
+        "motions": [_packed(number, motion, scene, run.steps) for number, motion in replay.motions.items()],
     }
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     kept = f'<script type="application/json" id="replay-data">{text}</script>'

@@ -5,12 +5,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stepgap.experiment.bands import rmse_interval
 from stepgap.experiment.outcome import TRACKED
-from stepgap.records.run_folder import RunRecord
+from stepgap.experiment.run import Run
 from stepgap.records.summary import Deployment
-from stepgap.report.decimals import decimal
-from stepgap.report.intervals import between, rmse_interval
-from stepgap.report.units import unit_suffix
+from stepgap.report.text import between, capitalised, decimal, unit_suffix
 from stepgap.robots.published_result import PublishedResult
 from stepgap.step import Array, StepStatus, ending_of
 
@@ -18,54 +17,49 @@ MOST_NAMED = 6
 """Largest number of targets that a sentence names."""
 
 
-def headline(record: RunRecord) -> str:
+def headline(run: Run) -> str:
     """Sentence on whether the run tracked its reference."""
-    if not record.deployments:
+    if not run.deployments:
         return "No deployment is finished yet."
-    first, last = record.deployments[0], record.deployments[-1]
+    first, last = run.deployments[0], run.deployments[-1]
     if last.failed_steps:
-        return f"It did not track to the end: {_ended(record, last)}."
+        return f"It did not track to the end: {_ended(run, last)}."
     to_end = f"the last deployment made all its {_count(last.steps, 'step')} without a fall"
     if first is last:
         return f"One deployment so far, so there is nothing to compare with: {to_end}."
-    far = _beyond_noise(record, last)
+    far = _beyond_noise(run, last)
     verdict = f"It did not track: {far}. But {to_end}" if far else f"It tracked: {to_end}"
     if (last.errors["rmse"] < first.errors["rmse"]).all():
         return f"{verdict}, and every tracking error is smaller than in deployment {first.iteration}."
     if first.failed_steps:
-        return f"{verdict}, whereas {_ended(record, first)}."
+        return f"{verdict}, whereas {_ended(run, first)}."
     if np.isnan(last.errors["rmse"] - first.errors["rmse"]).any():
         return f"No fall, but not every tracking error is known: {to_end}."
     return f"No fall, but not better in every coordinate: {to_end}."
 
 
-def sentences(record: RunRecord, plant: str) -> list[str]:
-    """Sentences on errors, failed steps and unfinished deployments, and the published result for the same reference.
-
-    Args:
-        record: The run.
-        plant: Name of the plant that executed the steps.
-    """
+def sentences(run: Run) -> list[str]:
+    """Sentences on errors, failed steps and unfinished deployments, and the published result for the same reference."""
     found = []
-    if len(record.deployments) > 1:
-        found += [_change(record, row) for row in range(len(record.space.state))]
+    if len(run.deployments) > 1:
+        found += [_change(run, row) for row in range(len(run.space.state))]
     found += [
-        f"{capitalised(_ended(record, deployment))}; its errors include only the steps before."
-        for deployment in record.deployments
+        f"{capitalised(_ended(run, deployment))}; its errors include only the steps before."
+        for deployment in run.deployments
         if deployment.failed_steps
     ]
-    found += _floor(record)
-    found += _limits(record)
+    found += _floor(run)
+    found += _limits(run)
     found.append(
-        f"{_count(len(record.steps), 'step')} recorded in {_count(len(record.steps.iterations), 'deployment')} "
-        f"on the {plant}, {_failures(record)}."
+        f"{_count(len(run.steps), 'step')} recorded in {_count(len(run.steps.iterations), 'deployment')} "
+        f"on the {run.plant}, {_failures(run)}."
     )
     found += [
         f"Deployment {iteration} is running or was interrupted: "
         f"its {_count(steps, 'step')} so far are not included in the errors."
-        for iteration, steps in record.unfinished.items()
+        for iteration, steps in run.unfinished.items()
     ]
-    if theirs := record.compared_result:
+    if theirs := run.compared_result:
         found.append(_published(theirs))
     return found
 
@@ -76,10 +70,10 @@ def improvement(first: Deployment, last: Deployment, measure: str) -> Array:
     return np.divide(before, after, out=np.full(len(before), np.nan), where=(before > 0) & (after > 0))
 
 
-def _change(record: RunRecord, row: int) -> str:
+def _change(run: Run, row: int) -> str:
     """Sentence on the errors of one state coordinate in the first and the last deployment."""
-    first, last, quantity = record.deployments[0], record.deployments[-1], record.space.state[row]
-    interval, parts = rmse_interval(record.steps.of_iteration(last.iteration))[:, row], []
+    first, last, quantity = run.deployments[0], run.deployments[-1], run.space.state[row]
+    interval, parts = rmse_interval(run.steps.of_iteration(last.iteration))[:, row], []
     for measure in ("rmse", "mae"):
         before, after = first.errors[measure][row], last.errors[measure][row]
         factor = improvement(first, last, measure)[row]
@@ -99,20 +93,20 @@ def _times(factor: float) -> str:
     return f"{decimal(1 / factor, 2)} times larger"
 
 
-def _floor(record: RunRecord) -> list[str]:
+def _floor(run: Run) -> list[str]:
     """Sentence on the noise floor of the plant, and on the ratio of the last errors to it."""
-    known = [row for row, value in enumerate(record.noise_floor) if value > 0]
+    known = [row for row, value in enumerate(run.noise_floor) if value > 0]
     if not known:
         return []
-    state, floor = record.space.state, record.noise_floor
-    values = _with_intervals(record, floor, record.noise_floor_interval, known)
-    count = f"from {_count(record.noise_floor_steps, 'step')}, " if record.noise_floor_steps else ""
-    errors = record.deployments[-1].errors["steady_rmse"]
+    state, floor = run.space.state, run.noise_floor
+    values = _with_intervals(run, floor, run.noise_floor_interval, known)
+    count = f"from {_count(run.noise_floor_steps, 'step')}, " if run.noise_floor_steps else ""
+    errors = run.deployments[-1].errors["steady_rmse"]
     ratios = ", ".join(f"{decimal(errors[row] / floor[row], 2)} times that in {state[row].name}" for row in known)
     how = (
         f"is {values}, {count}measured with the same command and the same motion at the start, but "
-        f"{_differences(record, known)}"
-        if record.summary.noise_floor_measured
+        f"{_differences(run, known)}"
+        if run.summary.noise_floor_measured
         else f"is at most about {values}, {count}the residual standard error of a linear fit to the steady steps of "
         "the last deployment; the true noise floor may be smaller"
     )
@@ -120,14 +114,14 @@ def _floor(record: RunRecord) -> list[str]:
     return [f"The noise floor (standard deviation of repeated steps) {how}.{compared}"]
 
 
-def _differences(record: RunRecord, rows: Sequence[int]) -> str:
+def _differences(run: Run, rows: Sequence[int]) -> str:
     """In what repeated steps differ, and what this means for a controller."""
-    periodic = record.steps.space.periodic
-    if periodic is None or not np.isfinite(record.steps.phase).any():
+    periodic = run.steps.space.periodic
+    if periodic is None or not np.isfinite(run.steps.phase).any():
         return (
             "with other noise. A controller that does not know the noise cannot have smaller steady errors on average"
         )
-    alone = _with_intervals(record, record.noise_floor_same_phase, record.noise_floor_same_phase_interval, rows)
+    alone = _with_intervals(run, run.noise_floor_same_phase, run.noise_floor_same_phase_interval, rows)
     return (
         f"at another {periodic.name} and with other noise. A controller that knows neither noise nor {periodic.name} "
         "cannot have smaller steady errors on average. One that estimates the periodic disturbance (learning.drift) "
@@ -135,27 +129,27 @@ def _differences(record: RunRecord, rows: Sequence[int]) -> str:
     )
 
 
-def _with_intervals(record: RunRecord, floor: Array, ends: Array, rows: Sequence[int]) -> str:
+def _with_intervals(run: Run, floor: Array, ends: Array, rows: Sequence[int]) -> str:
     """Standard deviations (n,) of some coordinates, with their intervals (2, n) where these are known."""
-    state = record.space.state
+    state = run.space.state
     return ", ".join(
         f"{state[row].name} {decimal(floor[row])}{unit_suffix(state[row])}{between(ends[:, row])}" for row in rows
     )
 
 
-def _beyond_noise(record: RunRecord, deployment: Deployment) -> str:
+def _beyond_noise(run: Run, deployment: Deployment) -> str:
     """Phrase on the errors of a deployment that exceed three noise floors; empty if there are none."""
-    ratios = deployment.errors["rmse"] / np.where(record.noise_floor > 0, record.noise_floor, np.nan)
+    ratios = deployment.errors["rmse"] / np.where(run.noise_floor > 0, run.noise_floor, np.nan)
     large = [row for row, ratio in enumerate(ratios) if ratio > TRACKED]
-    named = [f"the error of {record.space.state[row].name} is {decimal(ratios[row], 2)} noise floors" for row in large]
+    named = [f"the error of {run.space.state[row].name} is {decimal(ratios[row], 2)} noise floors" for row in large]
     return " and ".join(named)
 
 
-def _limits(record: RunRecord) -> list[str]:
+def _limits(run: Run) -> list[str]:
     """Sentences on cut commands, and on targets that were not held."""
-    if not record.deployments:
+    if not run.deployments:
         return []
-    first, last = record.deployments[0], record.deployments[-1]
+    first, last = run.deployments[0], run.deployments[-1]
     found = []
     if last.cut:
         found.append(
@@ -164,22 +158,20 @@ def _limits(record: RunRecord) -> list[str]:
         )
     for of_map, entry in {"nominal map": first, f"map of deployment {last.iteration}": last}.items():
         if len(entry.unreachable):
-            found.append(f"Unreachable according to the {of_map}: {_targets(record, entry.unreachable)}.")
+            found.append(f"Unreachable according to the {of_map}: {_targets(run, entry.unreachable)}.")
     if len(last.missed):
         found.append(
             f"Missed in deployment {last.iteration}, with a steady error above {TRACKED:g} noise floors, although "
-            f"reachable according to the map: {_targets(record, last.missed)}."
+            f"reachable according to the map: {_targets(run, last.missed)}."
         )
     return found
 
 
-def _targets(record: RunRecord, targets: Array) -> str:
+def _targets(run: Run, targets: Array) -> str:
     """Targets with their units."""
     count = _count(len(targets), "target")
     texts = [
-        " ".join(
-            f"{value:.4g}{unit_suffix(quantity)}" for value, quantity in zip(target, record.space.state, strict=True)
-        )
+        " ".join(f"{value:.4g}{unit_suffix(quantity)}" for value, quantity in zip(target, run.space.state, strict=True))
         for target in targets[:MOST_NAMED]
     ]
     more = f"; and {len(targets) - MOST_NAMED} more" if len(targets) > MOST_NAMED else ""
@@ -199,36 +191,31 @@ def _count(number: int, noun: str) -> str:
     return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"
 
 
-def _ended(record: RunRecord, deployment: Deployment) -> str:
+def _ended(run: Run, deployment: Deployment) -> str:
     """Phrase on how a deployment was aborted."""
-    status = _last_status(record, deployment)
+    status = _last_status(run, deployment)
     return f"deployment {deployment.iteration} {ending_of(status)} at step {deployment.steps}"
 
 
-def end_in_a_word(record: RunRecord, deployment: Deployment) -> str:
+def end_in_a_word(run: Run, deployment: Deployment) -> str:
     """How a deployment ended, for a table: complete, or the status of its last step."""
-    return _last_status(record, deployment).label.replace("_", " ") if deployment.failed_steps else "complete"
+    return _last_status(run, deployment).label.replace("_", " ") if deployment.failed_steps else "complete"
 
 
-def _last_status(record: RunRecord, deployment: Deployment) -> StepStatus:
-    return list(record.steps.of_iteration(deployment.iteration))[-1].record.status
+def _last_status(run: Run, deployment: Deployment) -> StepStatus:
+    return list(run.steps.of_iteration(deployment.iteration))[-1].record.status
 
 
-def _failures(record: RunRecord) -> str:
+def _failures(run: Run) -> str:
     """Numbers of the steps without a next state, by their status."""
-    found = Counter(map(StepStatus, record.steps.status.tolist()))
+    found = Counter(logged.record.status for logged in run.steps)
     falls, stops = found[StepStatus.FELL], found[StepStatus.STOPPED]
     doubts = found[StepStatus.DOUBTFUL]
-    others = record.steps.failed_steps - falls - stops - doubts
+    others = run.steps.failed_steps - falls - stops - doubts
     parts = [
-        *([_count(falls, "fall")] if falls or not record.steps.failed_steps else []),
+        *([_count(falls, "fall")] if falls or not run.steps.failed_steps else []),
         *([f"{_count(stops, 'step')} stopped by the plant"] if stops else []),
         *([f"{_count(doubts, 'step')} stopped because of a doubtful sensor"] if doubts else []),
         *([f"{_count(others, 'step')} without a next state for other reasons"] if others else []),
     ]
     return ", ".join(parts)
-
-
-def capitalised(text: str) -> str:
-    """The text as the beginning of a sentence."""
-    return text[:1].upper() + text[1:]

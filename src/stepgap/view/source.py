@@ -12,17 +12,15 @@ from threading import Event, Thread
 import numpy as np
 
 from stepgap.base.errors import InputError, message_of
-from stepgap.experiment.nominal import load_nominal
-from stepgap.experiment.replay import find_kinematics, logged_ticks, replayed_steps
-from stepgap.experiment.settings import read_experiment
+from stepgap.experiment.replay import logged_ticks, replayed_steps
+from stepgap.experiment.run import Run
 from stepgap.learning.observations import next_history
 from stepgap.learning.residual import Residual
-from stepgap.learning.steps import LoggedStep, Steps
+from stepgap.learning.steps import LoggedStep
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
-from stepgap.records.model_files import read_model
-from stepgap.records.steps_csv import read_step_log
+from stepgap.records.model_files import model_path
 from stepgap.robots.scene import Kinematics, Motion
 from stepgap.step import Array
 
@@ -44,24 +42,22 @@ class Source:
     Attributes:
         settings: Settings of the experiment.
         space: State and command of its steps.
-        kinematics: How its robot is drawn; None if it is not.
+        kinematics: How its robot is drawn, as a simulated plant where its motion is not known; None if it is not.
 
     Raises:
         InputError: It is not a run folder, a model in it is not valid, or it has no step and no run is adding one.
-        RecordError: The steps cannot be read.
     """
 
     def __init__(self, folder: Path, ring: TickRing | None = None):
-        self.folder, self._ring = folder, ring
-        if not (folder / "experiment.toml").is_file():
-            raise InputError(f"{folder}: contains no experiment.toml; give the folder of a run")
-        self.settings = read_experiment(folder / "experiment.toml")
-        self.nominal = load_nominal(self.settings).map
+        self.folder, self._ring, self._run = folder, ring, Run(folder)
+        self.settings = self._run.needed(self._run.settings)
+        self.nominal = self._run.needed(self._run.nominal)
         self.space = self.nominal.space
-        self._missing: Missing | None = None
-        self._has_motion = True
-        self.kinematics = self._find_kinematics()
-        self._size, self._log = -1, Steps(self.space)
+        found = self._run.kinematics
+        self._missing = found if isinstance(found, Missing) else None
+        self._has_motion = self._missing is None
+        self.kinematics = self.settings.robot.kinematics() if isinstance(found, Missing) else found
+        self._size = -1
         self._steps: dict[int, list[LoggedStep]] = {}
         self._motion: dict[int, list[Motion | None]] = {}
         self._loaders: dict[int, Thread] = {}
@@ -134,8 +130,9 @@ class Source:
         residual, steps = self._model(iteration), self.steps(iteration)
         if residual is None or not 0 < number <= len(steps):
             return None
-        row = np.flatnonzero(self._log.iteration == iteration)[number - 1]
-        return residual.conditioned_on(next_history(self._log.selected(slice(row)), self.nominal, iteration))
+        log = self._run.steps
+        row = np.flatnonzero(log.iteration == iteration)[number - 1]
+        return residual.conditioned_on(next_history(log.selected(slice(row)), self.nominal, iteration))
 
     def poll(self) -> bool:
         """Reads new data; returns whether there were new steps."""
@@ -145,23 +142,11 @@ class Source:
         return grown
 
     def _model(self, iteration: int) -> Residual | None:
+        """Residual with which a deployment began; None if it has no file."""
         if iteration not in self._models:
-            try:
-                self._models[iteration] = read_model(self.folder, iteration, self.space)
-            except (OSError, ValueError) as error:
-                raise InputError(message_of(error)) from None
+            exists = model_path(self.folder, iteration).exists()
+            self._models[iteration] = self._run.needed(self._run.residual(iteration)) if exists else None
         return self._models[iteration]
-
-    def _find_kinematics(self) -> Kinematics | None:
-        """Kinematics of the robot; where its motion is not known, those of its simulated plants."""
-        try:
-            found = find_kinematics(self.settings)
-        except InputError as error:
-            found = Missing(str(error))
-        if not isinstance(found, Missing):
-            return found
-        self._missing, self._has_motion = found, False
-        return self.settings.robot.kinematics()
 
     def _still(self, state: Array) -> Motion:
         """The robot at rest in a state at the section; a pause if it is not drawn."""
@@ -173,17 +158,19 @@ class Source:
         return Motion(np.array([0.0, STILL]), at_rest, positions, np.zeros((2, feet)), at_rest, np.zeros((2, signals)))
 
     def _read_steps(self) -> bool:
-        path = self.folder / "steps.csv"
         try:
-            size = path.stat().st_size
-            if size == self._size:
-                return False
-            self._log, self._size = read_step_log(path, self.space), size
+            size = (self.folder / "steps.csv").stat().st_size
         except FileNotFoundError:
             return False
         except OSError as error:
-            raise InputError(f"{path}: {error.strerror}; {self.folder} must be the folder of a run") from None
-        self._steps = {iteration: list(self._log.of_iteration(iteration)) for iteration in self._log.iterations}
+            raise InputError(message_of(error)) from None
+        if size == self._size:
+            return False
+        self._run, self._size = Run(self.folder, settings=self.settings, space=self.space, nominal=self.nominal), size
+        steps = defaultdict(list)
+        for logged in self._run.steps:
+            steps[logged.iteration].append(logged)
+        self._steps = dict(steps)
         return True
 
     def _drain(self, ring: TickRing) -> None:
@@ -214,14 +201,13 @@ class Source:
             self._missing = Missing(str(error))
 
     def _simulate(self, iteration: int, motions: list[Motion | None], kinematics: Kinematics) -> None:
-        for table in replayed_steps(self.folder, iteration, kinematics.every(VIEW_INTERVAL)):
+        for table in replayed_steps(self._run, iteration, kinematics.every(VIEW_INTERVAL)):
             motions.append(kinematics.motion(table) if len(table) else None)
             if self._closed.is_set():
                 return
 
     def _read_log(self, iteration: int, motions: list[Motion | None], kinematics: Kinematics) -> None:
-        steps = self.steps(iteration)
-        ticks = logged_ticks(self.folder, self._log.of_iteration(iteration), self.settings)
+        steps, ticks = self.steps(iteration), logged_ticks(self._run, iteration)
         for step in range(steps[0].step - 1, steps[-1].step + 1):
             rows = ticks.rows[ticks["step"] == step][:: kinematics.every(VIEW_INTERVAL)]
             motions.append(kinematics.motion(TickTable(ticks.units, rows)) if len(rows) else None)

@@ -23,8 +23,8 @@ from scipy.io import loadmat
 
 from stepgap.cli.app import main
 from stepgap.cli.doctor import _packages_of, doctor
-from stepgap.experiment.loaded_run import load_run
 from stepgap.experiment.replay import replay
+from stepgap.experiment.run import Run, load_run
 from stepgap.export.controller.model_reading import read_portable
 from stepgap.learning.steps import Steps
 from stepgap.plants.ticks.tick_log import TickLog, read_ticks
@@ -150,7 +150,7 @@ def test_without_pyarrow_the_message_names_the_package(
 def test_every_tick_of_a_deployment(run: Path, stepgap: Command) -> None:
     assert stepgap("export", run, "--to", "mcap") == CommandResult(0, "run/export/ticks_1.mcap\n", "")
     units, ticks = read_ticks(Path("run/export/ticks_1.mcap"))
-    simulated = replay(run, 1)
+    simulated = replay(Run(run), 1)
     assert units == simulated.units
     np.testing.assert_array_equal(ticks, simulated.rows)
     with Path("run/export/ticks_1.mcap").open("rb") as file:
@@ -201,7 +201,7 @@ def test_a_foxglove_layout_plots_every_field_of_the_log_once(run: Path, stepgap:
     assert len(paths) == len(set(paths))
     assert set(paths) == fields - {"ticks.time"}
     assert sorted(placed(layout["layout"])) == sorted(panels)
-    units = replay(run, 0, 1000).units
+    units = replay(Run(run), 0, 1000).units
     for panel in panels.values():
         names = [path["value"].removeprefix("ticks.") for path in panel["paths"]]
         assert {units[name] or "without unit" for name in names} == {panel["title"]}
@@ -301,7 +301,7 @@ def test_the_intact_ticks_of_a_damaged_log(stepgap: Command) -> None:
         ("export none --to mat", ["none/steps.csv: no such file"]),
         ("export none --to mcap", ["none/steps.csv: no such file"]),
         ("export none --to mjcf", ["none/experiment.toml: No such file"]),
-        ("export run --to csv --iteration 2", ["--deployment 2: no step of it in run; there are 0, 1"]),
+        ("export run --to csv --iteration 2", ["--deployment 2: no step of it in the run; there are 0, 1"]),
         ("export run --to mcap --iteration 2", ["no step of deployment 2; recorded deployments: 0, 1"]),
         ("export run --to mjcf --deployment 1", ["--deployment: the model is the same in all deployments"]),
         ("export run --to csv --deployment -1", ["--deployment"]),

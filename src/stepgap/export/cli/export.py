@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter, validators
 
-from stepgap.base.errors import InputError, message_of
+from stepgap.base.errors import InputError
 from stepgap.base.files import create, new_folder
 from stepgap.base.output_files import check_new, free_name, write_new, write_together, writing
 from stepgap.cli.options import Integer
@@ -13,7 +13,7 @@ from stepgap.cli.terminal import announces_compilation
 from stepgap.export.cli.export_controller import CONTROLLER_FILES, controller_file
 
 if TYPE_CHECKING:
-    from stepgap.records.run_folder import RunRecord
+    from stepgap.experiment.settings import Experiment
 
 
 @announces_compilation
@@ -67,15 +67,16 @@ def _export_c(folder: Path, iteration: int | None, real: Literal["double", "floa
 
 
 def _export_steps(folder: Path, to: str, iteration: int | None, out: Path | None) -> None:
+    from stepgap.experiment.run import Run
     from stepgap.export.data.matlab import matlab_file
     from stepgap.export.data.text import columns_text, steps_text
     from stepgap.records.parquet_file import parquet_file
     from stepgap.records.step_columns import step_columns
 
-    record = _read_run(folder)
-    columns = step_columns(record, iteration)
+    run = Run(folder).checked()
+    columns = step_columns(run.steps, iteration)
     contents = {
-        "mat": lambda: matlab_file(record, columns),
+        "mat": lambda: matlab_file(run, columns),
         "csv": lambda: steps_text(columns),
         "parquet": lambda: parquet_file(columns),
     }
@@ -91,17 +92,16 @@ def _export_steps(folder: Path, to: str, iteration: int | None, out: Path | None
 def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None:
     from stepgap.cli.progress import progress_bar
     from stepgap.experiment.replay import replay
-    from stepgap.experiment.settings import read_experiment
+    from stepgap.experiment.run import Run
     from stepgap.export.data.ticks import copy_ticks, write_ticks
 
-    record = _read_run(folder)
-    settings = read_experiment(folder / "experiment.toml")
-    if settings.simulated:
-        chosen = record.steps.iterations[-1] if iteration is None else iteration
+    run = Run(folder).checked()
+    if run.needed(run.settings).simulated:
+        chosen = run.steps.iterations[-1] if iteration is None else iteration
         if out:
             check_new(out, "--out")
         with progress_bar("steps") as progress:
-            ticks = replay(folder, chosen, progress=progress)
+            ticks = replay(run, chosen, progress=progress)
         target = _target(folder, f"ticks{_suffix(chosen)}.mcap", out)
         write_ticks(ticks, target)
         print(target)
@@ -117,13 +117,12 @@ def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None
 
 def _export_layout(folder: Path, iteration: int | None, out: Path | None) -> None:
     from stepgap.experiment.replay import tick_units_of
-    from stepgap.experiment.settings import read_experiment
     from stepgap.export.data.foxglove import foxglove_layout
     from stepgap.export.data.ticks import logged_units
 
     if iteration is not None:
         raise InputError("--deployment: the layout is the same for all deployments; leave this option out")
-    settings = read_experiment(folder / "experiment.toml")
+    settings = _settings_of(folder)
     units = tick_units_of(settings) if settings.simulated else logged_units(_logs_of_rig(folder))
     write_new(_target(folder, "foxglove.json", out), "--out", foxglove_layout(units))
 
@@ -139,13 +138,12 @@ def _logs_of_rig(folder: Path) -> Path:
 def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None:
     from stepgap.experiment.loop import deployment_generator
     from stepgap.experiment.plants import simulation_of
-    from stepgap.experiment.settings import read_experiment
     from stepgap.export.data.mjcf_files import mjcf_files
     from stepgap.robots.hopper.twin.simulation import HopperSimulation
 
     if iteration is not None:
         raise InputError("--deployment: the model is the same in all deployments; leave this option out")
-    settings = read_experiment(folder / "experiment.toml")
+    settings = _settings_of(folder)
     simulation = simulation_of(settings) if settings.simulated else None
     if not isinstance(simulation, HopperSimulation):
         raise InputError(f"robot '{settings.robot.name}', plant '{settings.plant}': only the hopper's twin is exported")
@@ -165,14 +163,12 @@ def _export_controller(folder: Path, to: str, iteration: int | None, fmi: Litera
     write_new(_target(folder, f"{name.stem}{_suffix(iteration)}{name.suffix}", out), "--out", content)
 
 
-def _read_run(folder: Path) -> "RunRecord":
-    """Reads the record in the folder of a run."""
-    from stepgap.experiment.inputs import read_run, recorded_robot
+def _settings_of(folder: Path) -> "Experiment":
+    """Settings of the run in a folder."""
+    from stepgap.experiment.run import Run
 
-    try:
-        return read_run(folder, recorded_robot(folder))
-    except (ValueError, OSError) as error:
-        raise InputError(message_of(error)) from None
+    run = Run(folder)
+    return run.needed(run.settings)
 
 
 def _suffix(iteration: int | None) -> str:

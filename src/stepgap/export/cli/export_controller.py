@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, get_args
 
 if TYPE_CHECKING:
-    from stepgap.experiment.loaded_run import LoadedRun
+    from stepgap.experiment.run import Run
     from stepgap.export.controller.portable_controller import PortableController
 
 ControllerFormat = Literal["model", "onnx", "casadi", "fmu"]
@@ -30,11 +30,11 @@ def controller_file(folder: Path, to: str, deployment: int | None, fmi: Literal[
         InputError: The run cannot be read or has no such deployment, or its controller has no portable form.
     """
     from stepgap.base.random_streams import random_stream
-    from stepgap.experiment.loaded_run import load_run
+    from stepgap.experiment.run import load_run
     from stepgap.export.controller.portable_controller import portable_controller
 
     run = load_run(folder)
-    controller = portable_controller(run, deployment, random_stream(run.settings.seed, 0, 3))
+    controller = portable_controller(run, deployment, random_stream(run.needed(run.settings).seed, 0, 3))
     content = _content(run, controller, to, deployment, fmi)
     for sentence in (*map(str, controller.approximations), *controller.notes):
         print(sentence, file=sys.stderr)
@@ -55,14 +55,14 @@ def c_files(folder: Path, target: Path, deployment: int | None, real: Literal["d
     """
     from stepgap.base.errors import InputError
     from stepgap.base.random_streams import random_stream
-    from stepgap.experiment.loaded_run import load_run
+    from stepgap.experiment.run import load_run
     from stepgap.export.controller.c_source import c_source
     from stepgap.export.controller.portable_controller import portable_controller
 
     if target.suffix != ".c":
         raise InputError(f"--out {target}: the name must end with .c; the header beside it ends with .h")
     run = load_run(folder)
-    controller = portable_controller(run, deployment, random_stream(run.settings.seed, 0, 3))
+    controller = portable_controller(run, deployment, random_stream(run.needed(run.settings).seed, 0, 3))
     source = c_source(controller, target.stem, real)
     for sentence in (*map(str, controller.approximations), *controller.notes):
         print(sentence, file=sys.stderr)
@@ -70,7 +70,7 @@ def c_files(folder: Path, target: Path, deployment: int | None, real: Literal["d
 
 
 def _content(
-    run: "LoadedRun", controller: "PortableController", to: str, deployment: int | None, fmi: Literal[2, 3]
+    run: "Run", controller: "PortableController", to: str, deployment: int | None, fmi: Literal[2, 3]
 ) -> str | bytes:
     from stepgap.export.controller.casadi_function import casadi_text
     from stepgap.export.controller.model_document import filter_after, model_document, model_text

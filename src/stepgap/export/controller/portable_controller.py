@@ -20,7 +20,7 @@ import numpy as np
 from stepgap.base.errors import InputError
 from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.settings import ControlSettings
-from stepgap.experiment.loaded_run import LoadedRun
+from stepgap.experiment.run import Run
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process import GaussianProcess
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
@@ -117,7 +117,7 @@ class PortableController:
         return CautiousController(self.map, self.map.nominal, self.failures, self.settings)
 
 
-def portable_controller(run: LoadedRun, deployment: int | None, rng: np.random.Generator) -> PortableController:
+def portable_controller(run: Run, deployment: int | None, rng: np.random.Generator) -> PortableController:
     """Brings the controller at the start of a deployment into portable form.
 
     Args:
@@ -128,11 +128,11 @@ def portable_controller(run: LoadedRun, deployment: int | None, rng: np.random.G
     Raises:
         InputError: There is no such deployment, or its controller has no portable form.
     """
-    learner = run.learner(deployment)
-    residual = learner.residual
+    learner, settings = run.learner(deployment), run.needed(run.settings)
+    residual, learning = learner.residual, settings.learning
     _check_inputs(residual)
-    noise = residual.noise_std / run.nominal.space.state_scale
-    nominal, replaced = _portable_nominal(run.nominal, noise, rng)
+    noise = residual.noise_std / learner.nominal.space.state_scale
+    nominal, replaced = _portable_nominal(learner.nominal, noise, rng)
     points = _random_points(nominal.space, rng)
     names = nominal.space.state_names
     found = [
@@ -140,16 +140,15 @@ def portable_controller(run: LoadedRun, deployment: int | None, rng: np.random.G
         for regression, name, scale in zip(residual.regressions, names, nominal.space.state_scale, strict=True)
     ]
     corrected = CorrectedMap(nominal, replace(residual, regressions=tuple(regression for regression, _ in found)))
-    learning = run.settings.learning
     return PortableController(
         corrected,
         learner.failures,
-        replace(run.settings.control, table=0),
+        replace(settings.control, table=0),
         drift=learning.drift and residual.kind != "none",
         monitor=learning.monitor,
         reject_outliers=learning.reject_outliers and len(residual.regressions[0].points) >= LEAST_KNOWN,
         approximations=(*replaced, *(loss for _, loss in found if loss)),
-        notes=_notes(run, learner.steps_to_learn),
+        notes=_notes(settings.control.table, learner.steps_to_learn),
     )
 
 
@@ -161,9 +160,9 @@ def _check_inputs(residual: Residual) -> None:
         )
 
 
-def _notes(run: LoadedRun, steps_to_learn: float) -> tuple[str, ...]:
+def _notes(table: int, steps_to_learn: float) -> tuple[str, ...]:
     notes = []
-    if run.settings.control.table:
+    if table:
         notes.append("control.table: the commands are solved for, not taken from a table")
     if steps_to_learn > 0:
         notes.append("learning.online: the residual is that of the start of the deployment; it learns no further step")

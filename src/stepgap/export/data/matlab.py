@@ -10,7 +10,8 @@ from scipy.io import savemat
 
 from stepgap.base.errors import InputError
 from stepgap.base.ranges import LARGEST_INTEGER
-from stepgap.records.run_folder import RunRecord
+from stepgap.experiment.run import Run
+from stepgap.records.missing import Missing
 from stepgap.records.step_columns import Column
 from stepgap.records.summary import MEASURES, NoiseFloor, Summary
 
@@ -18,7 +19,7 @@ LONGEST_FIELD_NAME = 63
 """Largest length of a field's name in MATLAB."""
 
 
-def matlab_file(record: RunRecord, columns: Sequence[Column]) -> bytes:
+def matlab_file(run: Run, columns: Sequence[Column]) -> bytes:
     """Content of the MAT-file, with the variables `steps`, `units`, `meanings`, `settings` and `summary`.
 
     Raises:
@@ -28,8 +29,8 @@ def matlab_file(record: RunRecord, columns: Sequence[Column]) -> bytes:
         "steps": {column.name: _column(column.values) for column in columns},
         "units": {column.name: column.unit for column in columns},
         "meanings": {column.name: column.meaning for column in columns},
-        "settings": _struct(record.settings.table if record.settings else {}),
-        "summary": _summary(record.summary, record.space.state_names),
+        "settings": _struct({} if isinstance(run.settings_file, Missing) else run.settings_file.table),
+        "summary": _summary(run.summary, run.space.state_names),
     }
     _check_names(variables)
     stream = BytesIO()

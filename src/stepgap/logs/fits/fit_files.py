@@ -7,8 +7,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from stepgap.logs.fits.validation import Validation
-from stepgap.report.colours import BLACK, BLUE, VERMILLION
-from stepgap.report.figures import axis_label
+from stepgap.report.drawing import BLACK, BLUE, VERMILLION, axis_label
 from stepgap.step import Quantity
 
 PANEL = 4.2

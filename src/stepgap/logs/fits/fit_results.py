@@ -15,7 +15,7 @@ from stepgap.logs.fits.fit import BASELINES, FitData, gains, heaviest_residual
 from stepgap.logs.fits.model_averaging import averaged, correlation_of_successive, residual_weights
 from stepgap.logs.fits.validation import Folds, HeldOut, Reduction, Validation
 from stepgap.logs.foreign_log import describe_left_out
-from stepgap.report.units import with_unit
+from stepgap.report.text import with_unit
 from stepgap.step import Array, Quantity
 
 FIT_SCHEMA = 4

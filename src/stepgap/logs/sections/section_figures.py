@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from stepgap.logs.sections.signals import Signal
 from stepgap.logs.sections.step_extraction import ExtractedSteps
 from stepgap.logs.sections.steps_table import label_of
-from stepgap.report.colours import BLACK, BLUE, LIGHT, VERMILLION
-from stepgap.report.figures import plain
+from stepgap.report.drawing import BLACK, BLUE, LIGHT, VERMILLION, plain
 from stepgap.step import Array
 
 SECTIONS_IN_ROW = 25

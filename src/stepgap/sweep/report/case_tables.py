@@ -6,9 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from stepgap.report.decimals import decimal
 from stepgap.report.html import paragraph, table
-from stepgap.report.units import with_unit
+from stepgap.report.text import decimal, with_unit
 from stepgap.step import Quantity
 from stepgap.sweep.report.cases import LevelCodes, SweepCases
 

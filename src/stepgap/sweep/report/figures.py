@@ -8,8 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from stepgap.report.colours import BLACK, BLUE, GREY, LIGHT, SKY, VERMILLION
-from stepgap.report.figures import WIDTH, axis_label, log_scale, plain
+from stepgap.report.drawing import BLACK, BLUE, GREY, LIGHT, SKY, VERMILLION, WIDTH, axis_label, log_scale, plain
 from stepgap.step import Array, Quantity
 from stepgap.sweep.report.cases import SweepAxis, SweepCases
 from stepgap.sweep.report.levels import Estimates, level_means, quartiles, shares

@@ -8,12 +8,13 @@ from typing import Any, Final
 import numpy as np
 
 from stepgap.base.files import write_whole
+from stepgap.experiment.settings import SettingsFile, read_settings_file
 from stepgap.records.missing import Missing
-from stepgap.records.run_folder import SettingsFile, read_settings_file
 from stepgap.report import WrittenReport
 from stepgap.report.drawing import Drawing, draw_figure, write_figures
 from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section
 from stepgap.report.settings_table import changed_settings
+from stepgap.report.text import capitalised
 from stepgap.step import Quantity
 from stepgap.sweep.report.case_tables import failed_cases, worst_cases
 from stepgap.sweep.report.cases import SweepAxis, SweepCases, sweep_cases
@@ -168,7 +169,7 @@ def _figure_name(name: str, sweep: _Sweep) -> str:
 
 
 def _html(
-    sweep: _Sweep, drawings: Mapping[str, Drawing | Missing], context: SweepContext, settings: SettingsFile | None
+    sweep: _Sweep, drawings: Mapping[str, Drawing | Missing], context: SweepContext, settings: SettingsFile | Missing
 ) -> str:
     cases = sweep.cases
     title = f"StepGap report of a sweep: {sweep.folder.resolve().name}"
@@ -228,10 +229,10 @@ def _levels(sweep: _Sweep) -> list[str]:
     return [paragraph(LEVELS_NOTE), *tables] if tables else []
 
 
-def _settings(cases: SweepCases, defaults: Mapping[str, Any] | Missing, settings: SettingsFile | None) -> list[str]:
+def _settings(cases: SweepCases, defaults: Mapping[str, Any] | Missing, settings: SettingsFile | Missing) -> list[str]:
     constants = [f"{name}: {text} in all cases of the table" for name, text in cases.constants.items()]
-    if settings is None:
-        return [bullets(constants), paragraph("The folder contains no experiment.toml.")]
+    if isinstance(settings, Missing):
+        return [bullets(constants), paragraph(f"{capitalised(settings.reason)}.")]
     if isinstance(defaults, Missing):
         changed = absence("comparison with the default settings", defaults)
     else:

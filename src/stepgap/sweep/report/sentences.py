@@ -6,8 +6,7 @@ from typing import Final
 import numpy as np
 
 from stepgap.records.missing import Missing
-from stepgap.report.decimals import decimal
-from stepgap.report.units import unit_suffix
+from stepgap.report.text import decimal, unit_suffix
 from stepgap.step import Array, Quantity
 from stepgap.sweep.report.cases import SweepCases
 from stepgap.sweep.report.levels import overall_mean

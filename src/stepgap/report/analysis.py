@@ -1,27 +1,63 @@
-"""Limit cycles at the targets of a run and one-step reachable sets, on the nominal and on the corrected map."""
+"""What a report computes from a run: its learned residual, its limit cycles and its measured closed loops.
+
+The limit cycles at the targets and the one-step reachable sets are those of the nominal and of the corrected map.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from functools import cached_property
+from typing import Final, final
 
 import numpy as np
 
+from stepgap.base.errors import InputError
 from stepgap.control.closed_loop import largest_multiplier, step_controller_gain
 from stepgap.control.limit_cycle import FixedPoint, ReachableSet, fixed_point, reachable_set
+from stepgap.experiment.run import Run
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gradient_samples import gradient_samples
 from stepgap.learning.observations import next_history
-from stepgap.learning.residual import join_points
+from stepgap.learning.regression import Prediction
+from stepgap.learning.residual import HistoryInputs, Residual, join_points
 from stepgap.records.missing import Missing
-from stepgap.records.run_folder import RunRecord
-from stepgap.report.learned import LearnedResidual
-from stepgap.step import Array, StepFailed, StepMap, StepSpace
+from stepgap.report.measured_loop import MeasuredLoop, measured_loop
+from stepgap.step import Array, Quantity, StepFailed, StepMap, StepSpace
 
 MOST_GAITS: Final = 40
 """Largest number of targets whose limit cycles are computed."""
 
 GRADIENTS: Final = 400
 """Number of gradients of the learned residual that are drawn for an interval."""
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedResidual:
+    """A residual, which was fitted to the steps of earlier deployments, and the deployment that begins with it.
+
+    Attributes:
+        iteration: Number of the deployment; after an online run that of the next one, which was not executed.
+        residual: Residual at the start of the deployment.
+    """
+
+    iteration: int
+    residual: Residual
+
+    @property
+    def steps(self) -> int:
+        """Number of steps to which the residual was fitted; 0 for a residual that does not keep them."""
+        return len(self.residual.regressions[0].values)
+
+    @cached_property
+    def leave_one_out(self) -> list[Prediction]:
+        """Predictions by each regression of each of its N values from all others."""
+        singles = [slice(row, row + 1) for row in range(self.steps)]
+        return [regression.left_out(singles) for regression in self.residual.regressions]
+
+    @property
+    def standardised_errors(self) -> list[Array]:
+        """Differences of the values from their leave-one-out predictions, in standard deviations; shapes (N,)."""
+        pairs = zip(self.residual.regressions, self.leave_one_out, strict=True)
+        return [(regression.values - predicted.mean) / predicted.std for regression, predicted in pairs]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,35 +112,103 @@ class ReferenceGait:
     maps: tuple[MapGait, ...]
 
     @property
+    def centre_named(self) -> str:
+        """The target from which the reachable sets start, with names and units."""
+        parts = zip(self.centre, self.space.state, strict=True)
+        return ", ".join(f"{quantity.name} {value:.4g} {quantity.unit}".rstrip() for value, quantity in parts)
+
+    @property
     def has_closed_loop(self) -> bool:
         """Whether there is a corrected map, with whose step controller the closed loop was computed."""
         return any(each.multipliers for each in self.maps)
 
 
-def reference_gait(record: RunRecord, nominal: StepMap, learned: LearnedResidual | Missing) -> ReferenceGait:
+@final
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """What a report computes from a run, each part when it is first used.
+
+    Attributes:
+        run: The run, which has at least one step.
+    """
+
+    run: Run
+
+    @cached_property
+    def learned(self) -> LearnedResidual | Missing:
+        """The residual with which the last deployment began.
+
+        If that is deployment 0, and it learned from the nominal map on, it is the residual fitted afterwards to all
+        steps.
+        """
+        if not self.run.has_unsaved_residual:
+            last = self.run.shown_iterations[-1]
+            residual = self.run.residual(last)
+            return residual if isinstance(residual, Missing) else LearnedResidual(last, residual)
+        final = self.run.final
+        if isinstance(final, Missing):
+            return Missing(f"deployment 0 learned while it ran, so no model was saved before it, and {final.reason}")
+        return LearnedResidual(1, final)
+
+    @property
+    def has_learned_steps(self) -> bool:
+        """Whether the learned residual is known and keeps the steps to which it was fitted."""
+        return not isinstance(self.learned, Missing) and self.learned.steps > 0
+
+    @cached_property
+    def gait(self) -> ReferenceGait | Missing:
+        """Limit cycles at the targets of the last deployment.
+
+        Raises:
+            InputError: The nominal map has another state or command than the run.
+        """
+        if isinstance(self.run.nominal, Missing):
+            return self.run.nominal
+        if not len(self.run.steps.of_iteration(self.run.shown_iterations[-1]).tracking()):
+            return Missing("no target was tracked yet")
+        return reference_gait(self.run, self.run.nominal, self.learned)
+
+    @cached_property
+    def loops(self) -> list[MeasuredLoop | None]:
+        """The measured closed loop of each finished deployment; None where it is not known."""
+        return [measured_loop(self.run.steps.of_iteration(each.iteration)) for each in self.run.deployments]
+
+
+def reference_gait(run: Run, nominal: StepMap, learned: LearnedResidual | Missing) -> ReferenceGait:
     """Computes the limit cycles at the targets of the last deployment.
 
     Args:
-        record: The run.
+        run: The run.
         nominal: Map of the physics model.
         learned: Learned residual, which is added to the nominal map, or the reason why there is none.
 
     Raises:
-        ValueError: The map has another state or command than the run.
+        InputError: The map has another state or command than the run.
     """
-    if not nominal.space.has_names_of(record.space):
+    if not nominal.space.has_names_of(run.space):
         names = nominal.space.state_names, nominal.space.command_names
-        raise ValueError(f"{record.folder}: the nominal map has {names}, which differ from the run's state and command")
-    steps = record.steps.of_iteration(record.shown_iterations[-1]).tracking()
+        raise InputError(f"{run.folder}: the nominal map has {names}, which differ from the run's state and command")
+    steps = run.steps.of_iteration(run.shown_iterations[-1]).tracking()
     distinct = list(dict.fromkeys(tuple(logged.target.tolist()) for logged in steps))
     targets = np.array(distinct[:MOST_GAITS])
     centre = central_target(targets, nominal.space.state_scale)
     maps = {"nominal": nominal}
     if isinstance(learned, LearnedResidual):
-        before = next_history(record.steps, nominal, learned.iteration)
+        before = next_history(run.steps, nominal, learned.iteration)
         maps["corrected"] = CorrectedMap(nominal, learned.residual.conditioned_on(before))
     gaits = [_gait(name, step_map, targets, centre) for name, step_map in maps.items()]
     return ReferenceGait(nominal.space, targets, len(distinct) - len(targets), centre, tuple(gaits))
+
+
+def input_quantities(space: StepSpace, history_inputs: HistoryInputs) -> list[Quantity]:
+    """Names and units of a residual's inputs; those of the previous step are normalised by half their range."""
+    previous = [Quantity(f"previous error of {each.name}", "half ranges", -1, 1) for each in space.state]
+    if history_inputs.lagged_inputs == "previous_step":
+        previous += [Quantity(f"previous {each.name}", "half ranges", -1, 1) for each in (*space.command, *space.state)]
+    elif history_inputs.lagged_inputs == "none":
+        previous = []
+    time = [Quantity("time", "forgetting times", -1, 1)] if history_inputs.timed else []
+    return [*space.state, *space.command, *previous, *time]
 
 
 def central_target(targets: Array, scale: Array) -> Array:

@@ -1,26 +1,30 @@
 """The figure of errors against state and command, which shows where a map or a controller is wrong."""
 
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
-from stepgap.records.run_folder import RunRecord
-from stepgap.report.colours import BLUE, GREY, VERMILLION
-from stepgap.report.figures import MOST_VECTORS, WIDTH, axis_label, unit_label
+from stepgap.experiment.run import Run
+from stepgap.report.analysis import Analysis
+from stepgap.report.drawing import BLUE, GREY, MOST_VECTORS, VERMILLION, axis_label, new_figure, unit_label
+from stepgap.report.figures import RunFigure
+
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from matplotlib.figure import Figure
 
 MOST_INPUTS: Final = 6
 """Largest number of coordinates against which errors are drawn, so that the panels can be read."""
 
 
-def state_error_figure(record: RunRecord) -> Figure:
+def state_error_figure(run: Run) -> "Figure":
     """Tracking and prediction errors of the last deployment against the coordinates of state and command."""
-    steps = record.steps.of_iteration(record.shown_iterations[-1]).tracking().completed()
-    inputs = [*record.space.state, *record.space.command][:MOST_INPUTS]
+    from matplotlib.ticker import MaxNLocator
+
+    steps = run.steps.of_iteration(run.shown_iterations[-1]).tracking().completed()
+    inputs = [*run.space.state, *run.space.command][:MOST_INPUTS]
     values = np.hstack([steps.state, steps.requested])
-    rows = len(record.space.state)
-    figure = Figure(figsize=(WIDTH, 0.7 + 1.7 * rows), layout="constrained")
+    rows = len(run.space.state)
+    figure = new_figure(0.7 + 1.7 * rows)
     panels = figure.subplots(rows, len(inputs), squeeze=False, sharex="col", sharey="row")
     dots: dict[str, Any] = {
         "linestyle": "",
@@ -33,7 +37,7 @@ def state_error_figure(record: RunRecord) -> Figure:
         "tracking error, next state − target": (steps.next_state - steps.target, VERMILLION, "o"),
         "error of the prediction, next state − predicted": (steps.next_state - steps.predicted, BLUE, "."),
     }
-    for row, quantity in enumerate(record.space.state):
+    for row, quantity in enumerate(run.space.state):
         for column, panel in enumerate(panels[row]):
             panel.axhline(0, color=GREY, linewidth=0.8)
             for label, (error, colour, marker) in kinds.items():
@@ -47,3 +51,21 @@ def state_error_figure(record: RunRecord) -> Figure:
     handles, labels = panels[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=2, frameon=False)
     return figure
+
+
+def _caption(analysis: Analysis) -> str:
+    return (
+        f"Errors in deployment {analysis.run.shown_iterations[-1]} against the state at the start of each step and the "
+        "command. Errors that depend on a coordinate show what the map, or the controller, does not take into account. "
+        "Where the map predicted that the target would be reached, the two errors are equal: dots are in circles."
+    )
+
+
+STATE_ERRORS = RunFigure(
+    "state_errors",
+    "figures",
+    4,
+    "the errors against state and command",
+    _caption,
+    lambda analysis: state_error_figure(analysis.run),
+)

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.experiment.inputs import read_run, recorded_robot
+from stepgap.experiment.run import Run
+from stepgap.records.missing import Missing
 from stepgap.robots.hopper.paper import paper_reference
 from tests.report.runs import write_run
 
@@ -36,17 +37,18 @@ def folder(tmp_path: Path) -> Path:
 
 def test_units_are_those_of_the_settings(folder: Path) -> None:
     (folder / "experiment.toml").write_text(CUSTOM.format(command="push"), encoding="utf-8")
-    record = read_run(folder, recorded_robot(folder))
-    assert [quantity.unit for quantity in (*record.space.state, *record.space.command)] == ["mm/s", "mm", "kN"]
-    np.testing.assert_array_equal(record.steps.target, paper_reference().targets)
-    assert record.compared_result is None, "it is not the paper's robot"
+    run = Run(folder).checked()
+    assert [quantity.unit for quantity in (*run.space.state, *run.space.command)] == ["mm/s", "mm", "kN"]
+    np.testing.assert_array_equal(run.steps.target, paper_reference().targets)
+    assert run.compared_result is None, "it is not the paper's robot"
 
 
 @pytest.mark.parametrize("settings", [None, "seed = 1\n", CUSTOM.format(command="fx"), "no_setting = 1\n"])
 def test_settings_of_other_steps_give_no_units(folder: Path, settings: str | None) -> None:
     if settings is not None:
         (folder / "experiment.toml").write_text(settings, encoding="utf-8")
-    assert recorded_robot(folder) is None
-    record = read_run(folder, None)
-    assert [quantity.unit for quantity in (*record.space.state, *record.space.command)] == ["", "", ""]
-    assert record.published is None
+    run = Run(folder).checked()
+    for part in (run.robot, run.nominal, run.replay):
+        assert isinstance(part, Missing)
+    assert [quantity.unit for quantity in (*run.space.state, *run.space.command)] == ["", "", ""]
+    assert run.published is None

@@ -1,15 +1,18 @@
 """The figure of the learned correction: its mean and its standard deviation over the two inputs that matter most."""
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from stepgap.learning.residual import Residual
-from stepgap.report.colours import BLACK
-from stepgap.report.figures import WIDTH, axis_label, unit_label
-from stepgap.report.learned import LearnedResidual
+from stepgap.records.missing import Missing
+from stepgap.report.analysis import Analysis, LearnedResidual, centre_of
+from stepgap.report.drawing import BLACK, axis_label, new_figure, unit_label
+from stepgap.report.figures import RunFigure
 from stepgap.step import Array, StepSpace
+
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from matplotlib.figure import Figure
 
 SURFACE_GRID: Final = 33
 """Number of grid points along each input."""
@@ -18,7 +21,7 @@ SURFACE_MARGIN: Final = 0.05
 """Part of the range of the recorded values by which the drawn range is larger, on each side."""
 
 
-def surface_figure(space: StepSpace, learned: LearnedResidual, centre: Array) -> Figure:
+def surface_figure(space: StepSpace, learned: LearnedResidual, centre: Array) -> "Figure":
     """Draws mean and standard deviation of the residual for each state coordinate, over two of its inputs.
 
     The two are those that change the mean most over the recorded points, while all other inputs keep the values of the
@@ -31,7 +34,7 @@ def surface_figure(space: StepSpace, learned: LearnedResidual, centre: Array) ->
     """
     residual, points = conditioned(learned), learned.residual.regressions[0].points[:, : len(centre)]
     quantities = [*space.state, *space.command]
-    figure = Figure(figsize=(WIDTH, 0.3 + 2.6 * len(space.state)), layout="constrained")
+    figure = new_figure(0.3 + 2.6 * len(space.state))
     for row, (panels, quantity) in enumerate(
         zip(figure.subplots(len(space.state), 2, squeeze=False), space.state, strict=True)
     ):
@@ -78,3 +81,33 @@ def _range(values: Array) -> Array:
     low, high = float(values.min()), float(values.max())
     margin = SURFACE_MARGIN * (high - low) or 1e-3 * max(abs(high), 1.0)
     return np.linspace(low - margin, high + margin, SURFACE_GRID)
+
+
+_CAPTION = (
+    "The learned correction, the expected error of the nominal map, and its standard deviation without noise, for each "
+    "state coordinate over the two inputs that change it most. All other inputs have their values at {}; inputs from "
+    "the step before are zero. Points: recorded steps to which the model was fitted, with any values of the other "
+    "inputs. Far from the points the correction is extrapolated."
+)
+
+
+def _caption(analysis: Analysis) -> str:
+    gait = analysis.gait
+    if isinstance(gait, Missing):
+        return _CAPTION.format("the median of these steps")
+    return _CAPTION.format(f"the limit cycle of the target {gait.centre_named}, the nearest to the median of all")
+
+
+SURFACE = RunFigure(
+    "surface",
+    "learned",
+    6,
+    "the correction",
+    _caption,
+    lambda analysis: surface_figure(
+        analysis.run.space,
+        analysis.run.needed(analysis.learned),
+        centre_of(analysis.run.needed(analysis.learned), analysis.gait),
+    ),
+    lambda analysis: analysis.has_learned_steps,
+)

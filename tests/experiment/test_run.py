@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stepgap.base.errors import InputError
+from stepgap.experiment.run import Run
+from stepgap.experiment.settings import SettingsFile
 from stepgap.records import steps_csv
-from stepgap.records.run_folder import SettingsFile, read_run_folder
 from stepgap.records.steps_csv import StepWriter, column_names, digest, space_of_header
 from stepgap.records.summary import parse_summary
 from stepgap.step import Quantity, StepSpace, StepStatus
@@ -23,8 +25,8 @@ def folder(tmp_path: Path) -> Path:
 
 def complaint(folder: Path) -> str:
     """The error message for a bad run folder: one line, with no path except those of the folder."""
-    with pytest.raises((ValueError, OSError)) as caught:
-        read_run_folder(folder)
+    with pytest.raises(InputError) as caught:
+        Run(folder).checked()
     text = str(caught.value)
     assert "\n" not in text
     assert text.startswith(str(folder))
@@ -41,29 +43,29 @@ def test_record_is_what_was_written(folder: Path) -> None:
     edit_summary(folder, lambda content: content["iterations"][1]["mae"].update(tilt=0.25))
     edit_summary(folder, lambda content: content.update(versions={"mujoco": "3.17", "cores": 2}))
     (folder / "experiment.toml").write_text("seed = 0\n")
-    record = read_run_folder(folder)
-    assert record.space.state_names == NAMES
-    assert [len(record.steps.of_iteration(number)) for number in record.shown_iterations] == [5, 5]
-    np.testing.assert_array_equal(record.deployments[1].errors["mae"], [np.nan, 0.25])
-    np.testing.assert_array_equal(record.noise_floor, [np.nan, np.nan])
-    assert record.summary.versions == (("mujoco", "3.17"), ("cores", "2"))
-    assert record.settings == SettingsFile("seed = 0\n", {"seed": 0})
-    assert record.unfinished == {}
+    run = Run(folder).checked()
+    assert run.space.state_names == NAMES
+    assert [len(run.steps.of_iteration(number)) for number in run.shown_iterations] == [5, 5]
+    np.testing.assert_array_equal(run.deployments[1].errors["mae"], [np.nan, 0.25])
+    np.testing.assert_array_equal(run.noise_floor, [np.nan, np.nan])
+    assert run.summary.versions == (("mujoco", "3.17"), ("cores", "2"))
+    assert run.settings_file == SettingsFile("seed = 0\n", {"seed": 0})
+    assert run.unfinished == {}
 
 
 def test_an_unfinished_deployment_is_no_error(folder: Path) -> None:
     edit_summary(folder, lambda content: content["iterations"].pop())
-    record = read_run_folder(folder)
-    assert (record.shown_iterations, record.unfinished) == ([0], {1: 5})
+    run = Run(folder).checked()
+    assert (run.shown_iterations, run.unfinished) == ([0], {1: 5})
     (folder / "summary.json").unlink()
-    record = read_run_folder(folder)
-    assert (record.shown_iterations, record.unfinished, record.summary.seed) == ([0, 1], {0: 5, 1: 5}, None)
+    run = Run(folder).checked()
+    assert (run.shown_iterations, run.unfinished, run.summary.seed) == ([0, 1], {0: 5, 1: 5}, None)
 
 
 def test_row_being_written_is_left_out(folder: Path) -> None:
     with (folder / "steps.csv").open("a") as file:
         file.write("2,1,0.1")
-    assert len(read_run_folder(folder).steps) == 10
+    assert len(Run(folder).checked().steps) == 10
 
 
 @pytest.mark.parametrize("state", [("x",), ("a", "b"), ("x", "target_x"), ("next_y", "y", "ÿ'\"z")])
@@ -93,16 +95,16 @@ def test_no_unit_follows_from_a_name(tmp_path: Path) -> None:
 
 def test_space_may_be_given(folder: Path) -> None:
     space = StepSpace(tuple(Quantity(name, "rad", -1, 1) for name in NAMES), (Quantity("push", "N", -1, 1),))
-    assert read_run_folder(folder, space).space is space
+    assert Run(folder, space=space).checked().space is space
     other = StepSpace(space.state, (Quantity("pull", "N", -1, 1),))
     with pytest.raises(ValueError, match=r"steps\.csv, line 1: the columns must be"):
-        read_run_folder(folder, other)
+        Run(folder, space=other).checked()
 
 
 def test_a_folder_that_is_not_a_run_is_refused(tmp_path: Path) -> None:
     for wrong in (tmp_path, tmp_path / "missing", tmp_path / "file"):
         (tmp_path / "file").touch()
-        assert "no such file; " in complaint(wrong)
+        assert "must be the folder of a run" in complaint(wrong)
 
 
 NO_STEP_LOGS = {
@@ -148,7 +150,7 @@ def test_unknown_prediction_and_fall_are_read(folder: Path) -> None:
     (folder / "summary.json").unlink()
     header = (folder / "steps.csv").read_text().splitlines(keepends=True)[0]
     (folder / "steps.csv").write_text(header + rows)
-    assert read_run_folder(folder).steps.failed_steps == 1
+    assert Run(folder).checked().steps.failed_steps == 1
 
 
 @pytest.mark.parametrize(
@@ -221,10 +223,10 @@ def test_a_file_without_settings_is_refused(folder: Path, content: bytes, messag
 
 
 def test_an_error_that_is_not_that_of_the_steps_is_refused(folder: Path) -> None:
-    first = read_run_folder(folder).steps.of_iteration(0)
+    first = Run(folder).checked().steps.of_iteration(0)
     rmse = float(np.sqrt(np.mean((first.next_state - first.target)[:, 0] ** 2)))
     edit_summary(folder, lambda content: content["iterations"][0]["rmse"].update(speed=rmse))
-    assert read_run_folder(folder).deployments[0].rmse[0] == rmse
+    assert Run(folder).checked().deployments[0].rmse[0] == rmse
     edit_summary(folder, lambda content: content["iterations"][0]["rmse"].update(speed=1e-6))
     text = complaint(folder)
     assert text.startswith("RUN/summary.json: rmse of speed of deployment 0 is 1e-06")
@@ -232,10 +234,10 @@ def test_an_error_that_is_not_that_of_the_steps_is_refused(folder: Path) -> None
 
 
 def test_byte_order_marks_of_steps_and_summary_do_no_harm(folder: Path) -> None:
-    before = read_run_folder(folder)
+    before = Run(folder).checked()
     for name in ("steps.csv", "summary.json"):
         (folder / name).write_text((folder / name).read_text(), encoding="utf-8-sig")
-    after = read_run_folder(folder)
+    after = Run(folder).checked()
     assert digest(after.steps) == digest(before.steps)
     assert after.shown_iterations == before.shown_iterations
     with StepWriter(folder / "steps.csv", before.space) as writer:
@@ -244,7 +246,7 @@ def test_byte_order_marks_of_steps_and_summary_do_no_harm(folder: Path) -> None:
 
 def test_a_byte_order_mark_in_the_settings_does_no_harm(folder: Path) -> None:
     (folder / "experiment.toml").write_text("seed = 3\n", encoding="utf-8-sig")
-    assert read_run_folder(folder).settings == SettingsFile("seed = 3\n", {"seed": 3})
+    assert Run(folder).settings_file == SettingsFile("seed = 3\n", {"seed": 3})
 
 
 def test_directories_instead_of_files_are_refused(folder: Path) -> None:
@@ -259,9 +261,9 @@ def test_a_step_log_without_steps_is_refused(folder: Path, content: str) -> None
 
 
 def test_steps_changed_after_the_summary(folder: Path) -> None:
-    record = read_run_folder(folder)
-    edit_summary(folder, lambda content: content.update(steps_sha256=digest(record.steps)))
-    assert read_run_folder(folder).shown_iterations == record.shown_iterations
+    run = Run(folder).checked()
+    edit_summary(folder, lambda content: content.update(steps_sha256=digest(run.steps)))
+    assert Run(folder).checked().shown_iterations == run.shown_iterations
     path = folder / "steps.csv"
     path.write_text(path.read_text().replace(",0.0,0.0,nan,ok", ",0.0,0.5,nan,ok", 1))
     assert "RUN/summary.json: steps.csv was changed after it was written" in complaint(folder)
@@ -282,9 +284,14 @@ def test_every_fall_counts(tmp_path: Path) -> None:
     with StepWriter(tmp_path / "steps.csv", space) as writer:
         writer.append(logged(0, 1, np.zeros(1), np.ones(1)))
         writer.append(logged(0, 2, np.zeros(1), np.ones(1), StepStatus.FELL))
-    assert read_run_folder(tmp_path).steps.failed_steps == 1
+    assert Run(tmp_path).checked().steps.failed_steps == 1
 
 
 def test_source_of_a_text_is_named() -> None:
     with pytest.raises(ValueError, match=r"^upload: not JSON"):
         parse_summary("", ("x",), "upload")
+
+
+def test_an_unknown_part_is_refused(folder: Path) -> None:
+    with pytest.raises(TypeError, match="a run has no part 'nominl'; its parts are settings, "):
+        Run(folder, nominl=None)  # pyright: ignore[reportCallIssue]

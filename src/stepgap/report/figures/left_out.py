@@ -1,23 +1,28 @@
 """The figure of leave-one-out predictions of a residual: each error predicted from all others."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from stepgap.base.normal import INTERVAL_95
-from stepgap.report.colours import BLACK, BLUE, GREY
-from stepgap.report.figures import MOST_VECTORS, WIDTH, axis_label, unit_label
-from stepgap.report.learned import LearnedResidual
+from stepgap.report.analysis import LearnedResidual
+from stepgap.report.drawing import BLACK, BLUE, GREY, MOST_VECTORS, axis_label, new_figure, unit_label
+from stepgap.report.figures import RunFigure
 from stepgap.step import StepSpace
+
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from matplotlib.figure import Figure
 
 FARTHEST = 4.5
 """Number of standard deviations above which a point is drawn at the edge."""
 
 
-def left_out_figure(space: StepSpace, learned: LearnedResidual) -> Figure:
+def left_out_figure(space: StepSpace, learned: LearnedResidual) -> "Figure":
     """Draws leave-one-out predictions against the errors, and their differences in standard deviations, by step."""
+    from matplotlib.ticker import MaxNLocator
+
     count = len(space.state)
-    figure = Figure(figsize=(WIDTH, 0.4 + 2.3 * count), layout="constrained")
+    figure = new_figure(0.4 + 2.3 * count)
     panels = figure.subplots(count, 2, squeeze=False, width_ratios=[1, 1.6])
     regressions, predictions = learned.residual.regressions, learned.leave_one_out
     parts = zip(panels, space.state, regressions, predictions, learned.standardised_errors, strict=True)
@@ -40,3 +45,21 @@ def left_out_figure(space: StepSpace, learned: LearnedResidual) -> Figure:
         for panel in (square, wide):
             panel.spines[["top", "right"]].set_visible(False)
     return figure
+
+
+_CAPTION = (
+    "Leave-one-out: each recorded error of the map, predicted by the model from all the others, with the same "
+    "hyper-parameters. Left: on the line, prediction and record are equal. Right: their difference, in standard "
+    "deviations of the prediction, noise included; the grey band should contain 95 % of the points, without a trend "
+    "over the steps. Points beyond ±4.5 are drawn at the edge."
+)
+
+LEFT_OUT = RunFigure(
+    "left_out",
+    "learned",
+    7,
+    "the leave-one-out residuals",
+    lambda analysis: _CAPTION,
+    lambda analysis: left_out_figure(analysis.run.space, analysis.run.needed(analysis.learned)),
+    lambda analysis: analysis.has_learned_steps,
+)

@@ -1,0 +1,359 @@
+"""The figures of a run in the style of the paper's Figs. 4 to 7: tracking, commands, errors and maps.
+
+Line styles and markers make them readable without colour.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from stepgap.base.normal import INTERVAL_95
+from stepgap.experiment.bands import interval_coverage, rmse_interval
+from stepgap.experiment.outcome import cut_commands
+from stepgap.experiment.run import Run
+from stepgap.learning.steps import Steps
+from stepgap.records.missing import Missing
+from stepgap.report.analysis import Analysis
+from stepgap.report.drawing import (
+    BLACK,
+    BLUE,
+    GREY,
+    LIGHT,
+    MOST_VECTORS,
+    SKY,
+    VERMILLION,
+    axis_label,
+    log_scale,
+    new_figure,
+    plain,
+    unit_label,
+)
+from stepgap.report.figures import RunFigure
+from stepgap.report.text import capitalised, unit_suffix
+from stepgap.step import Array, StepStatus
+
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+LEAST_FLOOR: Final = 1e-2
+"""Fraction of the smallest error below which the noise floor is not drawn, because it would squeeze the errors."""
+
+MOST_CHANGES: Final = 60
+"""Number of changes of the target up to which each change is marked."""
+
+FARTHER: Final = (
+    " It is larger where state and command are farther from recorded ones, often after a change of the target."
+)
+"""Reason for changes of the standard deviation from step to step."""
+
+JUMPS: Final = (
+    " It jumps where the estimate of the periodic disturbance begins or ceases to be used, or where it follows "
+    "changes faster or more slowly than before."
+)
+"""Further reason, for robots with a periodic context that is measured."""
+
+FIRST_LOOK: Final[dict[str, Any]] = {"color": VERMILLION, "linestyle": "-.", "linewidth": 1.1}
+LAST_LOOK: Final[dict[str, Any]] = {"color": BLUE, "linestyle": "-", "linewidth": 1.1, "marker": ".", "markersize": 3}
+
+
+def tracking_figure(run: Run) -> "Figure":
+    """State coordinates against the step number, in the first and last deployment, with the reference (Fig. 4)."""
+    first, last = run.shown_iterations[0], run.shown_iterations[-1]
+    figure, panels = step_panels(len(run.space.state))
+    longest = max((run.steps.of_iteration(number).tracking() for number in run.steps.iterations), key=len)
+    show_steps(panels, run.steps)
+    for index, (panel, quantity) in enumerate(zip(panels, run.space.state, strict=True)):
+        reference = {"color": LIGHT, "linewidth": 3.5, "drawstyle": "steps-mid", "label": "reference"}
+        panel.plot(step_numbers(longest), longest.target[:, index], **reference, **as_pixels(longest))
+        steps = run.steps.of_iteration(first)
+        draw_tracking(panel, steps, index, _name(run, first), {**FIRST_LOOK, **as_pixels(steps)})
+        if last != first:
+            steps = run.steps.of_iteration(last)
+            draw_tracking(panel, steps, index, _name(run, last), {**LAST_LOOK, **as_pixels(steps)})
+        panel.set_ylabel(axis_label(quantity))
+    finish(figure, panels, "Step")
+    return figure
+
+
+def command_figure(run: Run) -> "Figure":
+    """Commands against the step number, in the first and last deployment, with their bounds if these are known."""
+    first, last = run.shown_iterations[0], run.shown_iterations[-1]
+    bounds = None if isinstance(run.nominal, Missing) else run.nominal.space
+    figure, panels = step_panels(len(run.space.command))
+    show_steps(panels, run.steps)
+    for index, (panel, quantity) in enumerate(zip(panels, run.space.command, strict=True)):
+        for number, look in {first: FIRST_LOOK, last: LAST_LOOK}.items():
+            steps = run.steps.of_iteration(number)
+            numbers, requested = step_numbers(steps), steps.requested[:, index]
+            panel.plot(numbers, requested, label=_name(run, number), **{**look, **as_pixels(steps)})
+            cut = cut_commands(steps)[:, index]
+            if bounds is not None and cut.any():
+                mark = {"color": look["color"], "marker": "v", "linestyle": "", "markersize": 5, "fillstyle": "none"}
+                panel.plot(numbers[cut], requested[cut], label="cut by limits", **mark)
+        if bounds is not None:
+            for row, bound in enumerate((bounds.command[index].lower, bounds.command[index].upper)):
+                panel.axhline(bound, color=GREY, linestyle=(0, (1, 2)), label="" if row else "bounds")
+        panel.set_ylabel(axis_label(quantity))
+    finish(figure, panels, "Step")
+    return figure
+
+
+def error_figure(run: Run) -> "Figure":
+    """RMSE and MAE of the state coordinates by deployment, with published ones for the same reference (Fig. 5)."""
+    figure, panels = step_panels(len(run.space.state))
+    numbers = [deployment.iteration for deployment in run.deployments]
+    theirs = run.compared_result
+    panels[0].set_xlim(-0.25, max([*numbers, theirs.last if theirs else 1]) + 0.25)
+    for index, (panel, quantity) in enumerate(zip(panels, run.space.state, strict=True)):
+        for measure, look in (("rmse", "s-"), ("mae", "o--")):
+            values = [deployment.errors[measure][index] for deployment in run.deployments]
+            if np.isfinite(values).any():
+                panel.plot(numbers, values, look, color=BLUE, label=f"{measure.upper()}, this run")
+        ends = [rmse_interval(run.steps.of_iteration(number))[:, index] for number in numbers]
+        if np.isfinite(ends).any():
+            panel.vlines(
+                numbers, *np.transpose(ends), color=BLUE, linewidth=2.5, alpha=0.4, label="95 % interval of the RMSE"
+            )
+        floor = run.noise_floor[index]
+        drawn = drawn_values(panel)
+        if floor > LEAST_FLOOR * np.min(drawn, where=drawn > 0, initial=np.inf):
+            panel.axhline(floor, color=GREY, linestyle=(0, (1, 2)), label="noise floor, this run")
+            if np.isfinite(run.noise_floor_interval[:, index]).all():
+                shade = {"color": "0.9", "zorder": 0, "label": "95 % interval of the noise floor"}
+                panel.axhspan(*run.noise_floor_interval[:, index], **shade)
+        if theirs:
+            values = {number: theirs.error("mae", number, index) for number in range(theirs.last + 1)}
+            shown = {number: value for number, value in values.items() if value is not None}
+            label = f"MAE, {theirs.source}'s hardware"
+            panel.plot([*shown], [*shown.values()], "^:", color=VERMILLION, label=label)
+        panel.set_ylabel(f"Error of\n{axis_label(quantity, capital=False)}")
+        log_scale(panel, drawn_values(panel))
+        if not panel.lines:
+            write_note(panel, "There is no error yet.")
+    finish(figure, panels, _deployment_label(run))
+    return figure
+
+
+def map_figure(run: Run, index: int) -> "Figure":
+    """Predicted and measured next state, and the standard deviation of the prediction (Figs. 6 and 7).
+
+    Args:
+        run: The run.
+        index: Index of the state coordinate.
+    """
+    figure, (upper, lower) = step_panels(2)
+    quantity = run.space.state[index]
+    last = run.steps.of_iteration(run.shown_iterations[-1])
+    _draw_prediction(upper, last, index)
+    upper.set_ylabel(axis_label(quantity))
+    upper.set_title(f"(a) deployment {run.shown_iterations[-1]}", loc="left", fontsize="medium")
+    learned = [number for number in run.shown_iterations if run.steps.of_iteration(number).std[:, index].any()]
+    redeployed = list(dict.fromkeys(learned[:1] + learned[-1:]))
+    drawn = [run.steps.of_iteration(number) for number in redeployed]
+    show_steps([upper, lower], run.steps)
+    for number, steps, style in zip(redeployed, drawn, (FIRST_LOOK, LAST_LOOK)[-len(drawn) :], strict=False):
+        lower.plot(step_numbers(steps), steps.std[:, index], label=f"deployment {number}", **style, **as_pixels(steps))
+    if learned:
+        lower.set_ylim(0, 1.08 * max(float(np.max(steps.std[:, index])) for steps in drawn))
+        _mark_changes(lower, last.tracking())
+    else:
+        write_note(lower, "These maps give no standard deviation.")
+    lower.set_ylabel(f"Standard deviation{unit_label(quantity)}")
+    lower.set_title("(b)", loc="left", fontsize="medium")
+    finish(figure, [upper, lower], "Step", own_legends=True)
+    return figure
+
+
+def _name(run: Run, iteration: int) -> str:
+    """Name of a deployment in legends."""
+    kind = run.residual_name(iteration)
+    labels = {"none": "nominal map", None: "unfinished"}
+    return f"deployment {iteration}, {labels.get(kind) or 'corrected by ' + plain(str(kind))}"
+
+
+def _deployment_label(run: Run) -> str:
+    """Label of the axis of deployments, with the maps that they used."""
+    nominal = [each.iteration for each in run.deployments if each.residual == "none"]
+    if nominal == [0] or not run.deployments:
+        return "Deployment (0: nominal map; later ones: corrected map)"
+    return "Deployment" if nominal else "Deployment (all of this run: corrected map)"
+
+
+def step_panels(count: int) -> "tuple[Figure, list[Axes]]":
+    """A figure with a number of panels below each other, which share their horizontal axis."""
+    figure = new_figure(0.8 + 2.0 * count)
+    return figure, list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+
+
+def show_steps(panels: "Sequence[Axes]", steps: Steps) -> None:
+    """Sets the axis of step numbers to these steps, and marks the exploratory ones."""
+    first, last = int(steps.number.min()), int(steps.number.max())
+    margin = 0.5 + 0.01 * (last - first)
+    panels[0].set_xlim(first - margin, last + margin)
+    for panel in panels if first < 1 else ():
+        label = "exploratory steps" if panel is panels[-1] else ""
+        panel.axvspan(first - margin, 0.5, color="0.93", linewidth=0, zorder=0, label=label)
+
+
+def step_numbers(steps: Steps) -> Array:
+    """Numbers of the steps in their deployments; shape (N,)."""
+    return steps.number.astype(float)
+
+
+def as_pixels(steps: Steps) -> dict[str, Any]:
+    """Style of a curve over these steps: pixels if there are many."""
+    return {"rasterized": len(steps) > MOST_VECTORS}
+
+
+def _reached(steps: Steps, index: int) -> Array:
+    """One coordinate of the next states, NaN where there was none; shape (N,)."""
+    completed = steps.status == StepStatus.OK
+    return np.where(completed, steps.next_state[:, index], np.nan)
+
+
+def draw_tracking(panel: "Axes", steps: Steps, index: int, name: str, style: dict[str, Any]) -> None:
+    """Draws a state coordinate at the ends of steps, with a mark where there was none."""
+    numbers, reached = step_numbers(steps), _reached(steps, index)
+    panel.plot(numbers, reached, label=name, **style)
+    failed = np.isnan(reached)
+    if failed.any():
+        mark = {"color": style["color"], "marker": "X", "linestyle": "", "markersize": 7, "clip_on": False}
+        panel.plot(numbers[failed], steps.state[failed, index], label="no next state after this one", **mark)
+
+
+def _draw_prediction(panel: "Axes", steps: Steps, index: int) -> None:
+    numbers, std = step_numbers(steps), steps.std[:, index]
+    mean, reached = steps.predicted[:, index], _reached(steps, index)
+    mean = np.where(np.isfinite(mean), mean, np.nan)
+    if np.isnan(reached).all():
+        write_note(panel, "No step has a next state.")
+        return
+    fast = as_pixels(steps)
+    if std.any():
+        band = {"color": SKY, "alpha": 0.5, "linewidth": 0, "label": "95 % band"}
+        panel.fill_between(numbers, mean - INTERVAL_95 * std, mean + INTERVAL_95 * std, **band, **fast)
+    panel.plot(numbers, mean, color=BLUE, linewidth=1.2, label="predicted mean", **fast)
+    measured = {"color": BLACK, "linestyle": "", "marker": ".", "markersize": 3.5, "label": "measured"}
+    panel.plot(numbers, reached, **measured, **fast)
+
+
+def write_note(panel: "Axes", text: str) -> None:
+    """Writes a text into an empty panel."""
+    panel.set_yticks([])
+    panel.text(0.5, 0.5, text, transform=panel.transAxes, ha="center", va="center", color=GREY)
+
+
+def _mark_changes(panel: "Axes", steps: Steps) -> None:
+    """Draws a light line at every step whose target differs from the previous one."""
+    changes = np.flatnonzero((np.diff(steps.target, axis=0) != 0).any(axis=1)) + 1
+    if len(changes) <= MOST_CHANGES:
+        for order, step in enumerate(step_numbers(steps)[changes]):
+            panel.axvline(step, color="#cccccc", lw=0.8, zorder=0, label="" if order else "change of the target")
+
+
+def drawn_values(panel: "Axes") -> Array:
+    """Values of all curves of a panel."""
+    return np.concatenate([np.asarray(line.get_ydata(), float) for line in panel.lines] or [np.zeros(0)])
+
+
+def finish(figure: "Figure", panels: "list[Axes]", step_label: str, own_legends: bool = False) -> None:
+    """Adds labels, grid, and legends outside the data: one above all panels, or one above each."""
+    from matplotlib.ticker import MaxNLocator
+
+    for panel in panels:
+        panel.grid(True, axis="y", color="#dddddd", linewidth=0.6)
+        panel.set_axisbelow(True)
+        panel.spines[["top", "right"]].set_visible(False)
+        panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+        if own_legends and panel.get_legend_handles_labels()[1]:
+            panel.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False, borderaxespad=0.2)
+    panels[-1].set_xlabel(step_label)
+    figure.align_ylabels(panels)
+    if not own_legends:
+        found = {
+            label: handle for panel in panels for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
+        }
+        figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=3, frameon=False)
+
+
+def _first_and_last(run: Run) -> tuple[str, str]:
+    """Phrases on the deployments that are drawn, and on how they learned."""
+    first, last = run.shown_iterations[0], run.shown_iterations[-1]
+    if first == last:
+        return f"in deployment {first}", "of a single deployment"
+    return "in the first and the last deployment", "without and with the learned correction"
+
+
+def _tracking_caption(analysis: Analysis) -> str:
+    which, how = _first_and_last(analysis.run)
+    return (
+        f"Tracking {how}, drawn like the paper's Fig. 4: the state at the end of each step {which}, and the reference."
+    )
+
+
+def _command_caption(analysis: Analysis) -> str:
+    which, _ = _first_and_last(analysis.run)
+    return f"Requested commands {which}. Dotted: their bounds. Triangles: limits of the robot removed a part."
+
+
+def _error_caption(analysis: Analysis) -> str:
+    text = "Tracking error by deployment, drawn like the paper's Fig. 5, on logarithmic axes."
+    theirs = analysis.run.compared_result
+    if theirs is None:
+        return text
+    return f"{text} {capitalised(theirs.source)}'s points are from its hardware: {theirs.origin}."
+
+
+def map_caption(run: Run, row: int) -> str:
+    """Caption of the map of a state coordinate."""
+    quantity, last = run.space.state[row], run.shown_iterations[-1]
+    unsure = [number for number in run.shown_iterations if run.steps.of_iteration(number).std[:, row].any()]
+    held = [_held(run, iteration, row) for iteration in run.steps.iterations]
+    band = " with 95 % band, noise included," if last in unsure else ""
+    reasons = FARTHER + (JUMPS if np.isfinite(run.steps.phase).any() else "")
+    text = (
+        f"Map of {quantity.name}, drawn like the paper's Figs. 6 and 7. (a) Its mean{band} and the measured next "
+        f"state, in deployment {last}."
+    )
+    if any(held):
+        text += f" The band, predicted before the step, contains {', '.join(filter(None, held))}."
+    if len(unsure) > 1:
+        text += f" (b) Its standard deviation, noise included, in deployments {unsure[0]} and {unsure[-1]}.{reasons}"
+    elif unsure:
+        text += f" (b) Its standard deviation, noise included, in deployment {unsure[0]}.{reasons}"
+    else:
+        text += " (b) The map gave no standard deviation, because nothing had been learned yet."
+    theirs = run.compared_result
+    if theirs and theirs.largest_std and unsure:
+        before, after = (f"{std[row]:g}{unit_suffix(quantity)}" for std in theirs.largest_std)
+        text += (
+            f" On {theirs.source}'s hardware it was at most about {before} in its first and {after} in its last "
+            "redeployment."
+        )
+    return text
+
+
+def _held(run: Run, iteration: int, row: int) -> str:
+    """Number of measurements of a deployment within the band, as text; empty where there was no band."""
+    inside, known = (int(counts[row]) for counts in interval_coverage(run.steps.of_iteration(iteration)))
+    return f"{inside} of {known} measurements ({100 * inside / known:.0f} %) in deployment {iteration}" if known else ""
+
+
+TRACKING = RunFigure(
+    "tracking", "figures", 1, "the tracking", _tracking_caption, lambda analysis: tracking_figure(analysis.run)
+)
+COMMANDS = RunFigure(
+    "commands", "figures", 2, "the commands", _command_caption, lambda analysis: command_figure(analysis.run)
+)
+ERRORS = RunFigure("errors", "figures", 3, "the errors", _error_caption, lambda analysis: error_figure(analysis.run))
+MAPS = RunFigure(
+    "map",
+    "figures",
+    5,
+    "the map",
+    lambda analysis, row: map_caption(analysis.run, row),
+    lambda analysis, row: map_figure(analysis.run, row),
+    of_each_state=True,
+)
