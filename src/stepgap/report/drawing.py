@@ -111,12 +111,9 @@ def new_figure(height: float) -> "Figure":
     Args:
         height: Its height [inches].
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=(WIDTH, height), layout="constrained")
 
 
 def _drawn(make: Callable[[], Any]) -> Drawing:
