@@ -364,9 +364,9 @@ def test_no_file_is_overwritten(run: Path, stepgap: Command) -> None:
 def test_a_full_disk_leaves_no_part_of_an_export(run: Path, stepgap: Command) -> None:
     with largest_file(1000):
         refused(stepgap("export", run, "--to", "mat", "--out", "run.mat"), "run.mat", FILE_TOO_LARGE)
-        refused(stepgap("new", "ball"), "ball", FILE_TOO_LARGE)
+        refused(stepgap("new", "jumper"), "jumper", FILE_TOO_LARGE)
     assert not Path("run.mat").exists()
-    assert not Path("ball").exists()
+    assert not Path("jumper").exists()
     assert stepgap("export", run, "--to", "mat", "--out", "run.mat").code == 0
 
 
