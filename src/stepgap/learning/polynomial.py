@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
-from stepgap.learning.regression import Parameter, Prediction, Regression, ResidualModel, TrainingData
+from stepgap.learning.regression import BatchRegression, Parameter, Prediction, Regression, ResidualModel, TrainingData
 from stepgap.step import Array
 
 PRIOR_STD = 30.0
@@ -73,7 +73,7 @@ class Moments(NamedTuple):
 
 @final
 @dataclass(frozen=True, eq=False)
-class Polynomial(Regression):
+class Polynomial(BatchRegression):
     """A polynomial conditioned on data; created by `fit_polynomial`.
 
     Standard deviations are those of Student's t distribution, which are larger for fewer values.
@@ -82,24 +82,12 @@ class Polynomial(Regression):
     1/e for each unit of time.
 
     Attributes:
-        data: Data that it was fitted to.
         degree: 0, 1 or 2.
         moments: Sums over prior and data.
     """
 
-    data: TrainingData
     degree: int
     moments: Moments
-
-    @property
-    def points(self) -> Array:
-        """Inputs; shape (N, d)."""
-        return self.data.points
-
-    @property
-    def values(self) -> Array:
-        """Outputs; shape (N,)."""
-        return self.data.values
 
     @property
     def noise_std(self) -> float:
