@@ -190,9 +190,6 @@ def _estimate(parts: Sequence[_Part], strength: float, noise_scale: Array) -> tu
     The weights of the monomials and the coefficients of every deployment are estimated together.
     """
     size, steps = parts[0].features.shape[1], sum(len(part.error) for part in parts)
-    # Each deployment has its own c, which is integrated out: its errors then have the covariance V = 1 + R S² Rᵀ, in
-    # variances of the noise. V⁻¹x = x − disturbance(x), so no matrix is larger than 3 × 3 or p × p. What remains is a
-    # regression on the monomials with weights V⁻¹, whose normal equations the loop sums over the deployments.
     information, projection = np.eye(size) / PRIOR_STD**2, np.zeros((size, len(noise_scale)))
     squares, log_determinant = PRIOR_COUNT * noise_scale**2, 0.0
     # The errors of a deployment are features · weights + R c + noise. With c integrated out, their covariance in

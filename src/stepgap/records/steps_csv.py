@@ -123,8 +123,6 @@ def _check_numbers(logged: LoggedStep, space: StepSpace) -> None:
     Of a failed step, the next state and the applied command may be unknown.
     """
     record, n, m = logged.record, len(space.state), len(space.command)
-    if unknown := set(record.context) - set(space.context_names):
-        raise ValueError(f"the context {min(unknown)} of the plant is not declared by the robot, in StepSpace.context")
     completed = record.status == StepStatus.OK
     numbers = (
         ("state of the plant", record.state, n, True),
@@ -348,7 +346,7 @@ class StepWriter:
 
     def __init__(self, path: Path, space: StepSpace):
         check_names(space)
-        self._path, self._file = path, path.open("a+b")
+        self._declared, self._path, self._file = space.context_names, path, path.open("a+b")
         try:
             self._lock(path)
             self._file.seek(0)
@@ -376,7 +374,12 @@ class StepWriter:
             RecordError: A plant, map or residual gave what no row can hold; the message names it.
             OSError: The row cannot be written; the rows before it stay as they are.
         """
+        unknown = set(logged.record.context) - {*self._declared, *self.space.context_names}
         try:
+            if unknown:
+                raise ValueError(
+                    f"the robot does not declare the context {min(unknown)} of the plant, in StepSpace.context"
+                )
             _check_numbers(logged, self.space)
         except ValueError as error:
             place = f"step {logged.step} of deployment {logged.iteration}"
