@@ -13,7 +13,7 @@ from stepgap.cli.options import Flag, Integer, Name, Names
 from stepgap.cli.terminal import announces_compilation
 from stepgap.sweep.cli.execution import (
     THIS_MACHINE,
-    ExecutedSteps,
+    Execution,
     all_finished,
     continuing,
     execute_cases,
@@ -44,7 +44,7 @@ def compare_methods(
     task: Name | None = None,
     quick: Flag = False,
     out: Path = Path("bench_learning"),
-    execution: ExecutedSteps = THIS_MACHINE,
+    execution: Execution = THIS_MACHINE,
 ) -> None:
     """Compare ways to learn on random twins: errors, hops needed, failed steps, intervals; some hours of one core.
 
@@ -72,7 +72,7 @@ def compare_methods(
             _summarise(plan, cases, execution.quiet)
 
 
-def _plan_in_folder(out: Path, execution: ExecutedSteps) -> "LearningPlan | None":
+def _plan_in_folder(out: Path, execution: Execution) -> "LearningPlan | None":
     """The plan in a folder that is continued, or else in the first one that is merged; None if there is none."""
     from benchmarks.learning.learning_plan import LEARNING_FILE, read_learning_plan
 

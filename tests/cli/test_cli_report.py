@@ -209,7 +209,7 @@ def test_runs_are_compared(finished: Path, stepgap: Command) -> None:
     refused(stepgap("report", "a", "b", "--out", "page.html"), "page.html: exists already; choose another --out")
     refused(stepgap("report", "a", "b", "--out", "none/page.html"), "none/page.html: cannot be written")
     refused(stepgap("report", "a", "a"), "a run is given twice")
-    refused(stepgap("report", "a", "none"), "none/steps.csv: No such file", "must be the folder of a run")
+    refused(stepgap("report", "a", "none"), "none/steps.csv: no such file", "must be the folder of a run")
     refused(stepgap("report", "a", "--out", "other.html"), "--out: valid only with several runs")
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.experiment.replay import replay_of
 from stepgap.experiment.run import Run
 from stepgap.records.missing import Missing
 from stepgap.robots.hopper.paper import paper_reference
@@ -48,7 +49,7 @@ def test_settings_of_other_steps_give_no_units(folder: Path, settings: str | Non
     if settings is not None:
         (folder / "experiment.toml").write_text(settings, encoding="utf-8")
     run = Run(folder).checked()
-    for part in (run.robot, run.nominal, run.replay):
+    for part in (run.robot, run.nominal, replay_of(run)):
         assert isinstance(part, Missing)
     assert [quantity.unit for quantity in (*run.space.state, *run.space.command)] == ["", "", ""]
     assert run.published is None

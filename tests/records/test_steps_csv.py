@@ -99,7 +99,7 @@ def test_an_infinite_context_is_refused() -> None:
         ({"std": NO_STATE}, "the standard deviation of nominal map and residual is not finite: nan, nan"),
         (
             {"context": {"ground": 0.1}},
-            "the context ground of the plant is not declared by the robot, in StepSpace.context",
+            "the robot does not declare the context ground of the plant, in StepSpace.context",
         ),
         ({"predicted": np.zeros(1)}, "the predicted state of nominal map and residual has shape (1,) instead of (2,)"),
     ],

@@ -24,7 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("frames", [1, 500, 2 * MOST_FRAMES + 1])
 def test_channels_are_read_back(folder: Path, frames: int) -> None:
     shown = motion(frames)
-    page = replay_view(Run(folder, space=LossyHopper().space, replay=Replay({1: shown}, SCENE)))
+    page = replay_view(Run(folder, space=LossyHopper().space), Replay({1: shown}, SCENE))
     found = re.search(r'id="replay-data">(.*?)</script>', page)
     assert found
     data = json.loads(found[1])

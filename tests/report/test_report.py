@@ -14,7 +14,6 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from stepgap.experiment.bands import interval_coverage
 from stepgap.experiment.run import Run
-from stepgap.learning.steps import Steps
 from stepgap.records.summary import MEASURED, MEASURES, NoiseFloor
 from stepgap.report.drawing import LOOK
 from stepgap.report.figures import drawn_figures
@@ -22,7 +21,7 @@ from stepgap.report.figures.steps import command_figure, error_figure, map_capti
 from stepgap.report.text import decimal
 from stepgap.robots.hopper.paper import STATE_NAMES, paper_reference, paper_result
 from stepgap.step import Quantity, StepSpace
-from tests.control.maps import LossyHopper
+from tests.control.maps import YAW, LossyHopper
 from tests.quick_runs import leave_out_files_of_figures
 from tests.report.pages import Page, check_alone, check_same_files
 from tests.report.runs import make_run, report_of, write_run, write_summary
@@ -286,6 +285,6 @@ def test_jumps_of_the_standard_deviation_are_explained_where_the_yaw_is_known(wr
     run = Run(written)
     assert "It is larger where state and command are farther" in map_caption(run, 0)
     assert "It jumps where the estimate" not in map_caption(run, 0)
-    steps = [replace(logged, record=replace(logged.record, yaw_after=0.1)) for logged in run.steps]
-    with_yaw = Run(written, summary=run.summary, steps=Steps(run.space, steps))
+    steps = run.steps.in_space(replace(run.space, context=(YAW,))).with_columns(context=0.1)
+    with_yaw = Run(written, summary=run.summary, steps=steps)
     assert "It jumps where the estimate" in map_caption(with_yaw, 0)

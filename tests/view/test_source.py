@@ -12,7 +12,7 @@ from stepgap.experiment.run import Run
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.plants.ticks.tick_ring import TickRing
-from stepgap.records.steps_csv import RecordError, read_step_log
+from stepgap.records.steps_csv import read_step_log
 from stepgap.robots.hopper.tick.tick_row import TICK_UNITS
 from stepgap.robots.scene import Motion
 from stepgap.view.source import STILL, Source
@@ -128,7 +128,7 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path, copy: Path) -> None:
     with pytest.raises(InputError, match=r"no experiment\.toml"):
         Source(tmp_path / "nothing")
     (copy / "steps.csv").write_text("other,columns\n")
-    with pytest.raises(RecordError, match="line 1"):
+    with pytest.raises(InputError, match="line 1"):
         Source(copy)
     (copy / "steps.csv").unlink()
     with pytest.raises(InputError, match="no step yet"):

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.versions import versions_here
 from stepgap.experiment.loop import deployment_generator
 from stepgap.experiment.plants import simulation_of
+from stepgap.experiment.run import Run
 from stepgap.experiment.settings import PROCESS, Experiment
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.plants.compiled_rig import Rows
@@ -27,16 +27,32 @@ from stepgap.rigs.rig import RigFault
 from stepgap.robots.scene import Kinematics, Motion
 from stepgap.step import Array
 
-if TYPE_CHECKING:  # a run has a replay
-    from stepgap.experiment.run import Run
+
+def kinematics_of(run: Run) -> Kinematics | Missing:
+    """How the robot of a run is drawn, with the sensors of its plant."""
+    if isinstance(run.robot, Missing):
+        return run.robot
+    try:
+        return find_kinematics(run.needed(run.settings))
+    except InputError as error:
+        return Missing(str(error))
 
 
-def replay_of(run: "Run", kinematics: Kinematics) -> Replay:
-    """Motions of the first and the last deployment of a run, from `replay/`, or made and written there.
+def replay_of(run: Run) -> Replay | Missing:
+    """Motions of the first and the last deployment of a run, from `replay/`, or made and written there."""
+    if run.replay is not None:
+        return run.replay
+    kinematics = kinematics_of(run)
+    if isinstance(kinematics, Missing):
+        return kinematics
+    try:
+        return _replay_of(run, kinematics)
+    except InputError as error:
+        return Missing(str(error))
 
-    Raises:
-        InputError: The ticks are not known, or differ from the recorded steps.
-    """
+
+def _replay_of(run: Run, kinematics: Kinematics) -> Replay:
+    """The same, where the kinematics is known; raises InputError if the ticks are not, or differ from the steps."""
     measured, scene = [*kinematics.units, "step"], kinematics.scene
     file = run.settings_file
     text = None if isinstance(file, Missing) else file.text
@@ -59,7 +75,7 @@ def replay_of(run: "Run", kinematics: Kinematics) -> Replay:
 
 
 def replay(
-    run: "Run", iteration: int, every: int = 1, progress: Callable[[int, int], None] = lambda done, total: None
+    run: Run, iteration: int, every: int = 1, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> TickTable:
     """The ticks of a recorded deployment of a simulated plant, simulated again from its seed and commands.
 
@@ -85,7 +101,7 @@ def replay(
     return TickTable(tables[0].units, np.concatenate([table.rows for table in tables]))
 
 
-def replayed_steps(run: "Run", iteration: int, every: int = 1) -> Iterator[TickTable]:
+def replayed_steps(run: Run, iteration: int, every: int = 1) -> Iterator[TickTable]:
     """Yields the ticks of `replay` step by step as they are simulated; the first ones are those of the start."""
     return _replayed_steps(run, _steps_of(run, iteration), every)
 
@@ -117,7 +133,7 @@ def tick_units_of(settings: Experiment) -> Mapping[str, str]:
     return {**kinematics.observed_units, "step": ""}
 
 
-def logged_ticks(run: "Run", iteration: int) -> TickTable:
+def logged_ticks(run: Run, iteration: int) -> TickTable:
     """Reads the ticks of a rig's deployment from its log, with a column `step`; only ticks with sensor values are kept.
 
     They begin when torque is given, and end with the last step or, if it failed, when the robot is at rest. The ends of
@@ -144,7 +160,7 @@ def logged_ticks(run: "Run", iteration: int) -> TickTable:
     return TickTable({**ticks.units, "step": ""}, np.column_stack([ticks.rows, numbers])[kept])
 
 
-def _steps_of(run: "Run", iteration: int) -> Steps:
+def _steps_of(run: Run, iteration: int) -> Steps:
     """The steps of a deployment, at least one."""
     steps = run.steps.of_iteration(iteration)
     if not len(steps):
@@ -155,7 +171,7 @@ def _steps_of(run: "Run", iteration: int) -> Steps:
     return steps
 
 
-def _replayed_steps(run: "Run", steps: Steps, every: int) -> Iterator[TickTable]:
+def _replayed_steps(run: Run, steps: Steps, every: int) -> Iterator[TickTable]:
     """Yields the ticks of each step after a check that the step equals the recorded one."""
     settings = run.needed(run.settings)
     if not settings.simulated:
@@ -187,7 +203,7 @@ def _replayed_steps(run: "Run", steps: Steps, every: int) -> Iterator[TickTable]
             yield drained()
 
 
-def _mismatch(run: "Run", logged: LoggedStep) -> str:
+def _mismatch(run: Run, logged: LoggedStep) -> str:
     """The message that a step could not be reproduced, with a possible reason."""
     here = versions_here()
     changed = [f"{name} {then}, here {here[name]}" for name, then in run.versions if here.get(name, then) != then]

@@ -36,7 +36,6 @@ from stepgap.records.summary import Deployment, NoiseFloor, Summary, read_summar
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.published_result import PublishedResult
 from stepgap.robots.robot import Robot
-from stepgap.robots.scene import Kinematics
 from stepgap.step import Array, StepMap, StepSpace
 
 _Part = TypeVar("_Part")
@@ -72,10 +71,12 @@ class Run:
 
     Attributes:
         folder: The run folder.
-        ticks: Ticks of deployments as a `TickRecorder` kept them, of which `replay` is made without a simulation.
-        on_replay: Called with the numbers of finished and of all steps while `replay` simulates a deployment.
+        replay: Motions to show; None for those of the folder, which `experiment.replay.replay_of` finds.
+        ticks: Ticks of deployments as a `TickRecorder` kept them, of which motions are made without a simulation.
+        on_replay: Called with the numbers of finished and of all steps while a deployment is simulated again.
     """
 
+    replay: Replay | Missing | None = None
     ticks: Mapping[int, TickTable] = MappingProxyType({})
     on_replay: Callable[[int, int], None] = staticmethod(lambda done, total: None)
 
@@ -217,30 +218,6 @@ class Run:
             return self.robot
         try:
             return load_nominal(self.needed(self.settings)).map
-        except InputError as error:
-            return Missing(str(error))
-
-    @cached_property
-    def kinematics(self) -> Kinematics | Missing:
-        """How the robot is drawn, with the sensors of its plant."""
-        from stepgap.experiment.replay import find_kinematics  # only where it is used: it imports plants
-
-        if isinstance(self.robot, Missing):
-            return self.robot
-        try:
-            return find_kinematics(self.needed(self.settings))
-        except InputError as error:
-            return Missing(str(error))
-
-    @cached_property
-    def replay(self) -> Replay | Missing:
-        """Motions of the first and of the last deployment; they are kept in `replay/` of the folder."""
-        from stepgap.experiment.replay import replay_of  # it imports plants
-
-        if isinstance(self.kinematics, Missing):
-            return self.kinematics
-        try:
-            return replay_of(self, self.kinematics)
         except InputError as error:
             return Missing(str(error))
 
@@ -390,8 +367,12 @@ class Run:
         """Names of state and command in the header of `steps.csv`."""
         try:
             return space_of_header(self.folder / "steps.csv")
-        except (ValueError, OSError) as error:
+        except FileNotFoundError as error:
+            raise InputError(f"{error.filename}: no such file; {self.folder} must be the folder of a run") from None
+        except OSError as error:
             raise InputError(f"{message_of(error)}; {self.folder} must be the folder of a run") from None
+        except ValueError as error:
+            raise InputError(message_of(error)) from None
 
     @cached_property
     def _summary_file(self) -> Summary | InputError:

@@ -20,6 +20,7 @@ from stepgap.learning.observations import next_history
 from stepgap.learning.regression import Prediction
 from stepgap.learning.residual import HistoryInputs, Residual, join_points
 from stepgap.records.missing import Missing
+from stepgap.records.motion_file import Replay
 from stepgap.report.measured_loop import MeasuredLoop, measured_loop
 from stepgap.step import Array, Quantity, StepFailed, StepMap, StepSpace
 
@@ -154,6 +155,13 @@ class Analysis:
     def has_learned_steps(self) -> bool:
         """Whether the learned residual is known and keeps the steps to which it was fitted."""
         return not isinstance(self.learned, Missing) and self.learned.steps > 0
+
+    @cached_property
+    def replay(self) -> Replay | Missing:
+        """Motions of the first and of the last deployment; they are kept in `replay/` of the folder."""
+        from stepgap.experiment.replay import replay_of  # only where it is used: it imports plants
+
+        return replay_of(self.run)
 
     @cached_property
     def gait(self) -> ReferenceGait | Missing:

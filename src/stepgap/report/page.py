@@ -64,7 +64,7 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
             band_table(run),
         ],
         "diagnosis": [bullets(diagnosis_sentences(run))],
-        "replay": [replay_view(run)],
+        "replay": [replay_view(run, analysis.replay)],
         "learned": [
             bullets(learned_sentences(run, analysis.learned)),
             learned_tables(run, analysis.learned),
@@ -88,7 +88,7 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
         section(name, heading, *parts_by_name.get(name, []), *pictures.get(name, []))
         for name, heading in CONTENTS.items()
     ]
-    return page(title, [top, *parts], REPLAY_SCRIPT if not isinstance(run.replay, Missing) else "")
+    return page(title, [top, *parts], REPLAY_SCRIPT if not isinstance(analysis.replay, Missing) else "")
 
 
 def missing_parts(analysis: Analysis) -> list[str]:
@@ -100,7 +100,7 @@ def missing_parts(analysis: Analysis) -> list[str]:
         found.append("errors (no deployment is finished according to summary.json)")
     if isinstance(analysis.learned, Missing) and run.residual_name(run.shown_iterations[-1]) != "none":
         found.append(f"the learned model ({analysis.learned.reason})")
-    return [*found, *_by_reason({"settings": run.defaults, "gait": analysis.gait, "replay": run.replay})]
+    return [*found, *_by_reason({"settings": run.defaults, "gait": analysis.gait, "replay": analysis.replay})]
 
 
 def _by_reason(parts: Mapping[str, object]) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
-from stepgap.records.motion_file import INTERVAL
+from stepgap.records.motion_file import INTERVAL, Replay
 from stepgap.report.html import absence, safe
 from stepgap.robots.scene import Motion, Scene
 from stepgap.step import Array, Quantity
@@ -39,9 +39,8 @@ CONTROLS: Final = """<div id="replay-view">
 CHARTS: Final = '<div id="replay-signals" role="img" aria-label="Curves over the step that is shown"></div>'
 
 
-def replay_view(run: Run) -> str:
-    """Canvas, controls and data of the replay, or the reason why there are none."""
-    replay = run.replay
+def replay_view(run: Run, replay: Replay | Missing) -> str:
+    """Canvas, controls and data of the replay of a run, or the reason why there are none."""
     if isinstance(replay, Missing):
         return absence("replay", replay)
     scene, space = replay.scene, run.steps.space

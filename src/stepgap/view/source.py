@@ -12,7 +12,7 @@ from threading import Event, Thread
 import numpy as np
 
 from stepgap.base.errors import InputError, message_of
-from stepgap.experiment.replay import logged_ticks, replayed_steps
+from stepgap.experiment.replay import kinematics_of, logged_ticks, replayed_steps
 from stepgap.experiment.run import Run
 from stepgap.learning.observations import next_history
 from stepgap.learning.residual import Residual
@@ -53,7 +53,7 @@ class Source:
         self.settings = self._run.needed(self._run.settings)
         self.nominal = self._run.needed(self._run.nominal)
         self.space = self.nominal.space
-        found = self._run.kinematics
+        found = kinematics_of(self._run)
         self._missing = found if isinstance(found, Missing) else None
         self._has_motion = self._missing is None
         self.kinematics = self.settings.robot.kinematics() if isinstance(found, Missing) else found

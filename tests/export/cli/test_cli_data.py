@@ -300,7 +300,7 @@ def test_the_intact_ticks_of_a_damaged_log(stepgap: Command) -> None:
         ("export run --to xls", ["--to", "xls"]),
         ("export none --to mat", ["none/steps.csv: no such file"]),
         ("export none --to mcap", ["none/steps.csv: no such file"]),
-        ("export none --to mjcf", ["none/experiment.toml: No such file"]),
+        ("export none --to mjcf", ["none: the folder contains no experiment.toml"]),
         ("export run --to csv --iteration 2", ["--deployment 2: no step of it in the run; there are 0, 1"]),
         ("export run --to mcap --iteration 2", ["no step of deployment 2; recorded deployments: 0, 1"]),
         ("export run --to mjcf --deployment 1", ["--deployment: the model is the same in all deployments"]),

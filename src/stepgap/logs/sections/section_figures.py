@@ -25,7 +25,7 @@ POINTS_IN_ROW = 4000
 
 FOUND: dict[str, Any] = {"color": BLUE, "marker": "o", "linestyle": "", "markersize": 4, "label": "section"}
 DOUBTFUL: dict[str, Any] = {"color": VERMILLION, "marker": "X", "linestyle": "", "markersize": 8, "label": "doubtful"}
-LEFT_OUT: dict[str, Any] = {"color": LIGHT, "alpha": 0.35, "linewidth": 0, "label": "step that is left out"}
+_LEFT_OUT: dict[str, Any] = {"color": LIGHT, "alpha": 0.35, "linewidth": 0, "label": "step that is left out"}
 
 
 def sections_picture(logs: Sequence[ExtractedSteps], form: str) -> bytes:
@@ -89,7 +89,7 @@ def _draw(panel: Any, log: ExtractedSteps, signal: Signal, begin: float, end: fl
             panel.plot(times[chosen], values[chosen], **look)
     for number, fault in enumerate(log.faults):
         if fault and times[number] < end and times[number + 1] > begin:
-            panel.axvspan(times[number], times[number + 1], **LEFT_OUT)
+            panel.axvspan(times[number], times[number + 1], **_LEFT_OUT)
     panel.set(xlim=(begin, end), xlabel="Time [s]")
     panel.spines[["top", "right"]].set_visible(False)
 

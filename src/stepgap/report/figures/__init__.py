@@ -73,9 +73,9 @@ def _drawn(figure: RunFigure, analysis: Analysis) -> Iterator[DrawnFigure]:
     """The figure, or that of each state coordinate."""
     if not figure.of_each_state:
         drawing = draw_figure(lambda: figure.draw(analysis), figure.subject)
-        yield DrawnFigure(figure.section, figure.name, f"{figure.name}-", figure.caption(analysis), drawing)
+        yield DrawnFigure(figure.section, figure.name, f"{figure.name}-", figure.caption(analysis), drawing=drawing)
         return
     for row, name in enumerate(analysis.run.space.state_names):
         drawing = draw_figure(lambda row=row: figure.draw(analysis, row), f"{figure.subject} of {name}")
         caption, prefix = figure.caption(analysis, row), f"{figure.name}_{row}-"
-        yield DrawnFigure(figure.section, f"{figure.name}_{name}", prefix, caption, drawing)
+        yield DrawnFigure(figure.section, f"{figure.name}_{name}", prefix, caption, drawing=drawing)

@@ -111,7 +111,7 @@ def write_sweep_report(folder: Path, context: SweepContext | None = None) -> Wri
     write_figures(folder, {_figure_name(name, sweep): drawing for name, drawing in drawings.items()})
     path = folder / "report.html"
     write_whole(path, _html(sweep, drawings, context, settings))
-    missing = () if settings is not None else ("settings (the folder contains no experiment.toml)",)
+    missing = (f"settings ({settings.reason})",) if isinstance(settings, Missing) else ()
     return WrittenReport(path, missing)
 
 
