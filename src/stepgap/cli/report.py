@@ -22,10 +22,10 @@ def report(folders: list[Path], /, *, out: Path | None = None) -> None:
     from stepgap.experiment.run import Run
     from stepgap.report import FolderReport, compare_runs, write_report
 
-    def is_report(found: object) -> bool:
-        return isinstance(found, FolderReport)
-
-    kinds = {name: load_plugin(REPORTS, "report", name, is_report, "a FolderReport") for name in plugin_names(REPORTS)}
+    kinds = {
+        name: load_plugin(REPORTS, "report", name, lambda found: isinstance(found, FolderReport), "a FolderReport")
+        for name in plugin_names(REPORTS)
+    }
     other = next(((name, folder) for folder in folders for name, kind in kinds.items() if kind.holds(folder)), None)
     if other and (len(folders) > 1 or out):
         name, folder = other
