@@ -28,10 +28,8 @@ def report(folders: list[Path], /, *, out: Path | None = None) -> None:
     }
     other = next(((name, folder) for folder in folders for name, kind in kinds.items() if kind.holds(folder)), None)
     if other and (len(folders) > 1 or out):
-        name, folder = other
-        raise InputError(
-            f"{folder}: a {name} has a report of its own, in its folder; give only: stepgap report {folder}"
-        )
+        rule = "a {0} has a report of its own, in its folder; give only: stepgap report {1}".format(*other)
+        raise InputError(f"{other[1]}: {rule}")
     if len(folders) > 1:
         page = out or free_name(folders[0].resolve().parent / "comparison.html")
         compare_runs(folders, page)
