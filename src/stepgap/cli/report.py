@@ -28,7 +28,7 @@ def report(folders: list[Path], /, *, out: Path | None = None) -> None:
     }
     other = next(((name, folder) for folder in folders for name, kind in kinds.items() if kind.holds(folder)), None)
     if other and (len(folders) > 1 or out):
-        rule = "a {0} has a report of its own, in its folder; give only: stepgap report {1}".format(*other)
+        rule = f"a {other[0]} has a report of its own, in its folder; give only: stepgap report {other[1]}"
         raise InputError(f"{other[1]}: {rule}")
     if len(folders) > 1:
         page = out or free_name(folders[0].resolve().parent / "comparison.html")
