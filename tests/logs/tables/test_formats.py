@@ -101,8 +101,6 @@ def write_mcap_json(path: Path, compression: CompressionType = CompressionType.Z
         writer.start()
         schema = writer.register_schema("row", "jsonschema", b'{"type": "object"}')
         channel = writer.register_channel("/robot", "json", schema)
-        strange = writer.register_channel("/strange", "ros1", 0)
-        writer.add_message(strange, 0, b"", 0)
         for index, row in enumerate(zip(*NUMBERS.values(), strict=True)):
             data = json.dumps(dict(zip(NUMBERS, row, strict=True))).encode()
             writer.add_message(channel, 10**9 * index, data, 10**9 * index)

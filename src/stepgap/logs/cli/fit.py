@@ -77,14 +77,16 @@ def fit(
         load: Model file of a run or of --save, with which LOG is predicted; then nothing is fitted.
     """
     from stepgap.logs.columns import read_columns
+    from stepgap.logs.tables.ros_bags import is_ros2_folder
 
     if not log:
         raise InputError("LOG: none given; give folders of runs, or logs and the names of their columns")
     if given := [*names.given(), *(["columns"] if columns else [])]:
-        for run in (one for one in log if one.is_dir() and not (one / "metadata.yaml").is_file()):  # no ROS 2 bag
-            if not (run / "steps.csv").is_file():
-                raise InputError(f"{run}: a folder that is not a run, which has a steps.csv; give the log's file")
-            raise InputError(f"{run}: a run, whose columns are known; leave out --{', --'.join(given)}")
+        for folder in filter(Path.is_dir, log):
+            if (folder / "steps.csv").is_file():
+                raise InputError(f"{folder}: a run, whose columns are known; leave out --{', --'.join(given)}")
+            if not is_ros2_folder(folder):
+                raise InputError(f"{folder}: a folder that is not a run, which has a steps.csv; give the log's file")
     if test and folds is not None:
         raise InputError("--folds: nothing is held out of LOG if --test is given; leave one of them out")
     if results.predictions and not load:

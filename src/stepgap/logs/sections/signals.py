@@ -110,9 +110,8 @@ class SignalLog:
                 raise RecordError(f"{sources:.300}: all have a column {column!r}; give it as TABLE:COLUMN")
             if having:
                 return having[0]
-        repeated = any(column in one.table.repeated for file in self.files for one in file)
-        fault = "more than one such column" if repeated else unknown_column(column, self.columns)
-        raise RecordError(f"{self.source}: {fault}")
+        faults = (one.table.known_fault_of(column) for file in self.files for one in file)
+        raise RecordError(f"{self.source}: {next(filter(None, faults), unknown_column(column, self.columns))}")
 
 
 def read_signal_log(text: str, time: str, factors: Mapping[str, float], written: TextFormat = AS_FOUND) -> SignalLog:

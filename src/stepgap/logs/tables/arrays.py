@@ -12,11 +12,13 @@ MOST_COLUMNS = 10_000
 """Largest number of columns of one array; wider arrays, such as pictures, are left out."""
 
 
-def tables_of_arrays(source: str, arrays: Iterable[tuple[str, str, Any]]) -> dict[str, LogTable]:
+def tables_of_arrays(
+    source: str, arrays: Iterable[tuple[str, str, Any]], unread: dict[str, str]
+) -> dict[str, LogTable]:
     """Tables from arrays, each given by group, name and values; the first axis is that of the rows.
 
     Arrays of one group that have the same length form a table. Where lengths differ, the number of rows is appended to
-    the name of the group. A single number is no column.
+    the name of the group. A single number is no column. Arrays of anything but numbers and text are added to `unread`.
 
     Raises:
         RecordError: The arrays hold too many values.
@@ -25,6 +27,9 @@ def tables_of_arrays(source: str, arrays: Iterable[tuple[str, str, Any]]) -> dic
     size = 0
     for group, name, values in arrays:
         for column, numbers in columns_of_array(name, values):
+            if isinstance(numbers, str):
+                unread[part_name(group, column)] = numbers
+                continue
             size += len(numbers)
             check_size(source, size)
             groups[group, len(numbers)][column] = numbers
@@ -38,8 +43,16 @@ def tables_of_arrays(source: str, arrays: Iterable[tuple[str, str, Any]]) -> dic
     return {name: LogTable(f"{source}, {name}" if name else source, columns) for name, columns in named.items()}
 
 
-def columns_of_array(name: str, values: Any) -> Iterator[tuple[str, LogColumn]]:
-    """Yields the columns of an array with their names: NAME, NAME[0], NAME[0][1], or NAME.FIELD."""
+def part_name(group: str, name: str) -> str:
+    """The name of an array as part of a file, GROUP:NAME."""
+    return f"{group}:{name}" if group else name
+
+
+def columns_of_array(name: str, values: Any) -> Iterator[tuple[str, LogColumn | str]]:
+    """Yields the columns of an array with their names: NAME, NAME[0], NAME[0][1], or NAME.FIELD.
+
+    Instead of what cannot be a column, it yields the reason.
+    """
     if values.dtype.names:
         for field in values.dtype.names:
             yield from columns_of_array(f"{name}.{field}" if name else field, values[field])
@@ -51,8 +64,10 @@ def columns_of_array(name: str, values: Any) -> Iterator[tuple[str, LogColumn]]:
         return
     for at in np.ndindex(*values.shape[1:]):
         column = numbers_or_labels(values[(slice(None), *at)])
-        if column is not None:
-            yield name + "".join(f"[{index}]" for index in at), column
+        if column is None:
+            yield name, f"values of type {values.dtype}, neither numbers nor text"
+            return
+        yield name + "".join(f"[{index}]" for index in at), column
 
 
 def numbers_or_labels(values: Any) -> LogColumn | None:

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from stepgap.logs.tables.arrays import tables_of_arrays
+from stepgap.logs.tables.arrays import part_name, tables_of_arrays
 from stepgap.logs.tables.files import check_file_size
-from stepgap.logs.tables.libraries import library, reading
+from stepgap.logs.tables.libraries import leaving_out, library, reading
 from stepgap.logs.tables.log_table import LogTable, check_size
 from stepgap.records.steps_csv import RecordError
 
@@ -19,45 +19,58 @@ _Found = tuple[tuple[str, ...], Any]
 """Names from the root to a dataset, and the dataset."""
 
 
-def read_hdf5(path: Path, matlab: bool) -> dict[str, LogTable]:
+def read_hdf5(path: Path, matlab: bool, unread: dict[str, str]) -> dict[str, LogTable]:
     """The datasets of a file, one table for each group.
 
     Args:
         path: The file.
         matlab: Whether the conventions are those of MATLAB 7.3: dimensions reversed, structs as groups.
+        unread: The datasets and links that cannot be read are added to it, with the reasons.
     """
     h5py = library("h5py", path)
     check_file_size(path)
     with reading(path, "HDF5"), h5py.File(path, "r") as file:
-        found = list(_datasets(h5py, file, (), path))
+        found = list(_datasets(h5py, file, (), path, unread))
         check_size(str(path), sum(float(dataset.size) for _, dataset in found))
-        found = [(names, dataset) for names, dataset in found if not matlab or _is_matlab_number(dataset)]
-        arrays = (_matlab_array(*entry) if matlab else _array(h5py, *entry) for entry in found)
-        return tables_of_arrays(str(path), arrays)
+        arrays: list[tuple[str, str, Any]] = []
+        for names, dataset in found:
+            with leaving_out(_part(names), unread):
+                if not matlab:
+                    arrays.append(_array(h5py, names, dataset))
+                elif _is_matlab_number(dataset):
+                    arrays.append(_matlab_array(names, dataset))
+        return tables_of_arrays(str(path), arrays, unread)
+
+
+def _part(names: tuple[str, ...]) -> str:
+    return part_name("/".join(names[:-1]), names[-1])
 
 
 def _datasets(
-    h5py: Any, group: Any, parents: tuple[str, ...], path: Path, seen: list[str] | None = None
+    h5py: Any, group: Any, parents: tuple[str, ...], path: Path, unread: dict[str, str], seen: list[str] | None = None
 ) -> Iterator[_Found]:
-    """Yields the datasets of numbers and text below a group; links to elsewhere are refused, cycles end by depth."""
+    """Yields the datasets of numbers and text below a group; links to elsewhere are left out, cycles end by depth."""
     seen = [] if seen is None else seen
     for name in group:
         seen.append(name)
-        link = group.get(name, getlink=True)
-        where = f"{path}, {'/'.join((*parents, name))}"
-        if isinstance(link, h5py.ExternalLink):
-            raise RecordError(f"{where}: a link to another file, which is not followed")
-        if isinstance(link, h5py.SoftLink) or name.startswith("#"):
-            continue
+        names = *parents, name
         if len(seen) > _MOST_OBJECTS or len(parents) >= _DEEPEST:
+            where = f"{path}, {'/'.join(names)}"
             raise RecordError(f"{where}: more than {_MOST_OBJECTS} objects or {_DEEPEST} nested groups")
-        entry = group[name]
+        entry = None
+        with leaving_out(_part(names), unread):
+            link = group.get(name, getlink=True)
+            if isinstance(link, h5py.ExternalLink):
+                raise ValueError("a link to another file, which is not followed")
+            if isinstance(link, h5py.SoftLink) or name.startswith("#"):
+                continue
+            entry = group[name]
+            if isinstance(entry, h5py.Dataset) and (entry.external or entry.is_virtual):
+                raise ValueError("its values lie in another file, which is not read")
         if isinstance(entry, h5py.Group):
-            yield from _datasets(h5py, entry, (*parents, name), path, seen)
-        elif isinstance(entry, h5py.Dataset) and entry.shape is not None:
-            if entry.external or entry.is_virtual:
-                raise RecordError(f"{where}: its values lie in another file, which is not read")
-            yield (*parents, name), entry
+            yield from _datasets(h5py, entry, names, path, unread, seen)
+        elif isinstance(entry, h5py.Dataset) and _part(names) not in unread and entry.shape is not None:
+            yield names, entry
 
 
 def _array(h5py: Any, names: tuple[str, ...], dataset: Any) -> tuple[str, str, Any]:

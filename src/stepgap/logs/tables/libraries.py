@@ -35,5 +35,24 @@ def reading(path: Path, kind: str) -> Iterator[None]:
     except RecordError:
         raise
     except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise RecordError(f"{path}: not a readable {kind} file, damaged or incomplete ({reason:.120})") from None
+        raise RecordError(f"{path}: not a readable {kind} file, damaged or incomplete ({reason_of(error)})") from None
+
+
+@contextmanager
+def leaving_out(part: str, unread: dict[str, str]) -> Iterator[None]:
+    """Adds a part of a file to `unread`, with the reason, if it cannot be read.
+
+    Raises:
+        RecordError: One was raised inside: it is about the file as a whole.
+    """
+    try:
+        yield
+    except RecordError:
+        raise
+    except Exception as error:
+        unread[part] = reason_of(error)
+
+
+def reason_of(error: Exception) -> str:
+    """One short line of an error."""
+    return " ".join(str(error).split())[:120] or type(error).__name__

@@ -29,6 +29,7 @@ class LogTable:
         lines: Line numbers of the rows, for messages; None for binary formats.
         heading: Text for messages about the names of columns; empty where it is the same as `source`.
         repeated: Names that more than one column has; these are not in `columns`.
+        unread: Parts of the file that were left out, each with the reason: a topic, a column, or GROUP:COLUMN.
     """
 
     source: str
@@ -36,6 +37,7 @@ class LogTable:
     lines: NDArray[np.intp] | None = None
     heading: str = ""
     repeated: frozenset[str] = field(default=frozenset())
+    unread: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Number of rows R."""
@@ -47,9 +49,19 @@ class LogTable:
 
     def fault_of(self, column: str) -> str:
         """Why there is no such column, empty if there is; the name that was probably meant."""
+        if column in self.columns:
+            return ""
+        return self.known_fault_of(column) or unknown_column(column, list(self.columns))
+
+    def known_fault_of(self, column: str) -> str:
+        """Why a column of the file is not in the table; empty if the file has no such column."""
         if column in self.repeated:
             return "more than one such column"
-        return "" if column in self.columns else unknown_column(column, list(self.columns))
+        for part, reason in self.unread.items():
+            names = {part, part.rpartition(":")[2]}
+            if column in names or any(column.startswith((f"{name}:", f"{name}[", f"{name}.")) for name in names):
+                return f"{part} was left out: {reason}"
+        return ""
 
     def numbers(self, column: str) -> Array:
         """The numbers of a column; shape (R,).

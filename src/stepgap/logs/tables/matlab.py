@@ -6,9 +6,11 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from stepgap.logs.tables.arrays import tables_of_arrays
+import numpy as np
+
+from stepgap.logs.tables.arrays import part_name, tables_of_arrays
 from stepgap.logs.tables.files import content_of
-from stepgap.logs.tables.libraries import reading
+from stepgap.logs.tables.libraries import leaving_out, reading
 from stepgap.logs.tables.log_table import MOST_NUMBERS, LogTable, check_size
 from stepgap.records.steps_csv import RecordError
 
@@ -18,26 +20,28 @@ _LARGEST_MAT = 16 * MOST_NUMBERS
 _COMPRESSED = 15
 
 
-def read_mat(path: Path) -> dict[str, LogTable]:
-    """The variables of a MAT file; those of a struct form a table of their own, such as `log` with column `v`."""
+def read_mat(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
+    """The variables of a MAT file; those of a struct form a table of their own, such as `log` with column `v`.
+
+    Variables that cannot be read are added to `unread`, with the reasons.
+    """
     from scipy.io import loadmat, whosmat
 
     content = content_of(path, _LARGEST_MAT)
     with reading(path, "MAT"):
         content = _decompressed(content, path)
+        arrays: list[tuple[str, str, Any]] = []
         for name, shape, _ in whosmat(BytesIO(content)):
             size = 1.0
             for length in shape:
                 size *= length
             check_size(f"{path}, {name}", size)
-        variables = loadmat(BytesIO(content), struct_as_record=True, squeeze_me=False)
-        arrays = [
-            entry
-            for name, value in variables.items()
-            if not name.startswith("__")
-            for entry in _arrays("", name, value)
-        ]
-        return tables_of_arrays(str(path), arrays)
+            if name.startswith("__"):
+                continue
+            with leaving_out(name, unread):
+                value = loadmat(BytesIO(content), variable_names=[name], struct_as_record=True, squeeze_me=False)[name]
+                arrays += _arrays("", name, value, unread)
+        return tables_of_arrays(str(path), arrays, unread)
 
 
 def _decompressed(content: bytes, path: Path) -> bytes:
@@ -59,11 +63,13 @@ def _decompressed(content: bytes, path: Path) -> bytes:
     return b"".join(parts)
 
 
-def _arrays(group: str, name: str, value: Any) -> Iterator[tuple[str, str, Any]]:
+def _arrays(group: str, name: str, value: Any, unread: dict[str, str]) -> Iterator[tuple[str, str, Any]]:
     """Yields the arrays of a variable; a struct of one element has a table, its inner structs have NAME.FIELD."""
-    if value.dtype.names and value.size == 1:
+    if type(value) is not np.ndarray:
+        unread[part_name(group, name)] = f"a {type(value).__name__}, neither numbers nor text"
+    elif value.dtype.names and value.size == 1:
         for field in value.dtype.names:
             inner = value.reshape(-1)[0][field]
-            yield from _arrays(group or name, f"{name}.{field}" if group else field, inner)
-    elif value.dtype.kind in "biufU":
+            yield from _arrays(group or name, f"{name}.{field}" if group else field, inner, unread)
+    elif value.size:
         yield group, name, value

@@ -1,7 +1,7 @@
-"""MCAP files with messages in JSON, protobuf or ROS 2's CDR."""
+"""MCAP files with messages in JSON, protobuf, or the formats of ROS."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,53 +9,47 @@ from stepgap.logs.tables.decompression import LARGEST_PART, decompress_part
 from stepgap.logs.tables.files import LARGEST_FILE, check_file_size
 from stepgap.logs.tables.libraries import library, reading
 from stepgap.logs.tables.log_table import LogTable
-from stepgap.logs.tables.messages import MessageRows, row_of_message
-from stepgap.records.steps_csv import RecordError
+from stepgap.logs.tables.messages import Decoder, TopicRows, unreadable
+from stepgap.logs.tables.ros_messages import defined_decoder, standard_decoders
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 
-Decoder = Callable[[bytes], Any]
+ROS_FORMS = (("cdr", "ros2msg"), ("cdr", "ros2idl"), ("ros1", "ros1msg"))
+"""Encodings of messages of ROS, each with the language of their definitions."""
 
 
-def read_mcap(paths: Sequence[Path]) -> dict[str, LogTable]:
+def read_mcap(paths: Sequence[Path], unread: dict[str, str], release: str = "") -> dict[str, LogTable]:
     """One table for each topic, with `log_time` [s]; several files are parts of one log.
 
-    A topic whose encoding is not known is refused only if no other topic can be read.
+    Args:
+        paths: The files.
+        unread: The topics that cannot be read are added to it, with the reasons.
+        release: Release of ROS 2 that recorded the log, if it is known.
     """
-    topics: dict[str, MessageRows] = {}
-    unknown: dict[str, str] = {}
+    topics = TopicRows(str(paths[0]))
     for path in paths:
         check_file_size(path)
         with reading(path, "MCAP"), path.open("rb") as file:
-            for topic, time, tree in _messages(file, path, unknown):
-                rows = topics.setdefault(topic, MessageRows(f"{paths[0]}, {topic}"))
-                rows.append(row_of_message(time, tree))
-    if unknown and not topics:
-        topic, encoding = next(iter(unknown.items()))
-        raise RecordError(
-            f"{paths[0]}, {topic}: messages in {encoding!r:.60}, not read; JSON, protobuf and ROS 2 messages are"
-        )
-    return {topic: rows.table(has_lines=False) for topic, rows in topics.items()}
+            for topic, time, data, decoders in _messages(file, path, release):
+                topics.append(topic, time, data, decoders)
+    return topics.tables(unread)
 
 
-def _messages(file: Any, path: Path, unknown: dict[str, str]) -> Iterator[tuple[str, int, Any]]:
-    """Yields topic, time [ns] and content of the messages; notes the encodings of topics that cannot be read."""
+def _messages(file: Any, path: Path, release: str) -> Iterator[tuple[str, int, bytes, Sequence[Decoder]]]:
+    """Yields topic, time [ns], content and possible decoders of the messages."""
     from mcap.records import Channel, Message, Schema
 
     schemas: dict[int, Any] = {}
-    channels: dict[int, tuple[str, Decoder | None]] = {}
+    channels: dict[int, tuple[str, Sequence[Decoder]]] = {}
     for record in _records(file):
         if isinstance(record, Schema):
             schemas[record.id] = record
-        elif isinstance(record, Channel):
-            decoder = _decoder(record.message_encoding, schemas.get(record.schema_id), path)
-            channels[record.id] = record.topic, decoder
-            if decoder is None:
-                unknown[record.topic] = record.message_encoding
+        elif isinstance(record, Channel) and record.id not in channels:
+            schema = schemas.get(record.schema_id)
+            channels[record.id] = record.topic, _decoders(record.message_encoding, schema, path, release)
         elif isinstance(record, Message):
-            topic, decoder = channels[record.channel_id]
-            if decoder:
-                yield topic, record.log_time, decoder(record.data)
+            topic, decoders = channels[record.channel_id]
+            yield topic, record.log_time, record.data, decoders
 
 
 def _records(file: Any) -> Iterator[Any]:
@@ -78,22 +72,27 @@ def _records(file: Any) -> Iterator[Any]:
         yield from breakup_chunk(record, validate_crc=True)
 
 
-def _decoder(encoding: str, schema: Any, path: Path) -> Decoder | None:
-    """The function that decodes the messages of a channel; None if their encoding is not read."""
+def _decoders(encoding: str, schema: Any, path: Path, release: str) -> list[Decoder]:
+    """The functions that may decode the messages of a channel."""
     if encoding == "json":
-        return _json
-    if encoding == "protobuf" and schema is not None and schema.encoding == "protobuf":
-        decode = library("mcap_protobuf.decoder", path).DecoderFactory().decoder_for(encoding, schema)
-        return lambda data: _protobuf_tree(decode(data))
-    if encoding == "cdr" and schema is not None and schema.encoding == "ros2msg":
-        return cdr_decoder(schema.name, schema.data.decode(), path)
-    return None
+        return [_json]
+    form = schema.encoding if schema is not None else ""
+    if schema is not None and encoding == form == "protobuf":
+        return [_protobuf_decoder(schema, path)]
+    if schema is not None and schema.data.strip() and (encoding, form) in ROS_FORMS:
+        return [defined_decoder(path, schema.name, schema.data.decode("utf-8", "replace"), form)]
+    if encoding == "cdr" and schema is not None:
+        return standard_decoders(path, schema.name, release)
+    return [unreadable(f"messages in {encoding!r:.60}, not read; JSON, protobuf and ROS messages are")]
 
 
-def cdr_decoder(name: str, definition: str, path: Path) -> Decoder:
-    """The function that decodes ROS 2 messages of a type; it interprets the definition and compiles no code."""
-    decode = library("mcap_ros2._dynamic", path).generate_dynamic(name, definition)[name]
-    return lambda data: _ros_tree(decode(data))
+def _protobuf_decoder(schema: Any, path: Path) -> Decoder:
+    factory = library("mcap_protobuf.decoder", path).DecoderFactory()
+    try:
+        decode = factory.decoder_for("protobuf", schema)
+    except Exception:
+        return unreadable(f"the definition of {schema.name:.80} cannot be read")
+    return lambda data: _protobuf_tree(decode(data))
 
 
 def _json(data: bytes) -> Any:
@@ -101,14 +100,6 @@ def _json(data: bytes) -> Any:
     if not isinstance(tree, dict):
         raise ValueError("a JSON message that is not an object")
     return tree
-
-
-def _ros_tree(message: Any) -> Any:
-    if isinstance(message, list):
-        return [_ros_tree(part) for part in message]
-    if not hasattr(message, "_full_text"):
-        return message
-    return {name: _ros_tree(getattr(message, name)) for name in type(message).__slots__}
 
 
 def _protobuf_tree(message: Any) -> Any:

@@ -1,11 +1,13 @@
 """Tables from messages, each a tree of named values."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, final
 
 import numpy as np
 
+from stepgap.logs.tables.libraries import reason_of
 from stepgap.logs.tables.log_table import MISSING, MOST_NUMBERS, LogColumn, LogTable, check_size
+from stepgap.records.steps_csv import RecordError
 
 MOST_ELEMENTS = 100
 """Longest array in a message whose elements become columns; longer ones, such as pictures, are left out."""
@@ -14,6 +16,9 @@ _STAMPS = ({"sec", "nanosec"}, {"sec", "nsec"}, {"secs", "nsecs"}, {"seconds", "
 """Names of the parts of a time, in seconds and nanoseconds."""
 
 Cell = float | str
+
+Decoder = Callable[[bytes], Any]
+"""Gives the content of a message as a tree; it raises an error if the message is not one of its type."""
 
 
 def flattened(value: Any, name: str = "") -> Iterator[tuple[str, Cell]]:
@@ -38,6 +43,15 @@ def row_of_message(time: int, tree: Any) -> Iterator[tuple[str, Cell]]:
     """Yields the time at which a message was logged [ns] as `log_time` [s], and the values in the message."""
     yield "log_time", time * 1e-9
     yield from ((name, value) for name, value in flattened(tree) if name != "log_time")
+
+
+def unreadable(reason: str) -> Decoder:
+    """A decoder of messages that cannot be read."""
+
+    def refuse(_: bytes) -> Any:
+        raise ValueError(reason)
+
+    return refuse
 
 
 @final
@@ -70,6 +84,45 @@ class MessageRows:
         }
         kept = {name: values for name, values in columns.items() if values is not None}
         return LogTable(self._source, kept, np.array(self._lines, np.intp) if has_lines else None)
+
+
+@final
+class TopicRows:
+    """Rows of the topics of a log, which grow message by message.
+
+    A topic is left out if a message of it does not fit its definition: its numbers would be wrong.
+
+    Args:
+        source: The log, for messages.
+    """
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+        self._rows: dict[str, dict[int, MessageRows]] = {}
+        self._faults: dict[str, dict[int, str]] = {}
+
+    def append(self, topic: str, time: int, data: bytes, decoders: Sequence[Decoder]) -> None:
+        """Adds a message logged at a time [ns], by each decoder that all messages of its topic have fitted so far."""
+        rows, faults = self._rows.setdefault(topic, {}), self._faults.setdefault(topic, {})
+        for number, decode in enumerate(decoders):
+            if number in faults:
+                continue
+            try:
+                tree = decode(data)
+            except RecordError:
+                raise
+            except Exception as error:
+                faults[number] = reason_of(error)
+                rows.pop(number, None)
+                continue
+            if number not in rows:
+                rows[number] = MessageRows(f"{self._source}, {topic}")
+            rows[number].append(row_of_message(time, tree))
+
+    def tables(self, unread: dict[str, str]) -> dict[str, LogTable]:
+        """The tables of the topics, by the first decoder that fits; topics without one are added to `unread`."""
+        unread.update({topic: self._faults[topic][0] for topic, rows in self._rows.items() if not rows})
+        return {topic: rows[min(rows)].table(has_lines=False) for topic, rows in self._rows.items() if rows}
 
 
 def _values(cells: list[Cell | None]) -> LogColumn | None:

@@ -1,9 +1,12 @@
 """A log of any format as tables: the format is found from the content, not from the name."""
 
+import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
+from stepgap.base.errors import StepGapWarning
 from stepgap.logs.tables.files import LARGEST_LOG, begin_of, content_of
 from stepgap.logs.tables.hdf5 import HDF5_MAGIC, read_hdf5
 from stepgap.logs.tables.json_lines import read_json_lines
@@ -15,6 +18,7 @@ from stepgap.logs.tables.parquet_logs import PARQUET_MAGIC, read_parquet
 from stepgap.logs.tables.ros_bags import (
     ROS1_MAGIC,
     SQLITE_MAGIC,
+    is_ros2_folder,
     read_ros1_bag,
     read_ros2_database,
     read_ros2_folder,
@@ -27,8 +31,13 @@ NO_ROLES: Mapping[str, str] = MappingProxyType({})
 """Columns whose meaning is not known."""
 
 
-def read_log_tables(path: Path, written: TextFormat = AS_FOUND, largest: int = LARGEST_LOG) -> Mapping[str, LogTable]:
+def read_log_tables(
+    path: str | Path, written: TextFormat = AS_FOUND, largest: int = LARGEST_LOG
+) -> Mapping[str, LogTable]:
     """Reads all tables of a log.
+
+    A part that cannot be read, such as a topic or a column, is left out; a `StepGapWarning` names it, and so does the
+    message if it is asked for.
 
     Args:
         path: The file.
@@ -39,40 +48,48 @@ def read_log_tables(path: Path, written: TextFormat = AS_FOUND, largest: int = L
         The tables by topic or group; by "" for the only table of a file without topics.
 
     Raises:
-        RecordError: The file cannot be read; the message is one line that names it.
+        RecordError: Nothing in the file can be read; the message is one line that names it.
     """
-    if path.is_dir() and (path / "metadata.yaml").is_file():
-        return read_ros2_folder(path)
-    tables = _binary_tables(path, begin_of(path))
-    if tables is not None:
+    path, unread = Path(path), dict[str, str]()
+    if is_ros2_folder(path):
+        tables = read_ros2_folder(path, unread)
+    else:
+        tables = _binary_tables(path, begin_of(path), unread)
+    if tables is None:
+        text = decoded(content_of(path, largest), written.encoding, str(path))
+        if text.lstrip().startswith("{"):
+            return {"": read_json_lines(text, str(path))}
+        return {"": read_delimited_text(text, written, str(path))}
+    if not unread:
         return tables
-    text = decoded(content_of(path, largest), written.encoding, str(path))
-    if text.lstrip().startswith("{"):
-        return {"": read_json_lines(text, str(path))}
-    return {"": read_delimited_text(text, written, str(path))}
+    left_out = [f"{part} ({reason})" if part else reason for part, reason in unread.items()]
+    if not tables:
+        raise RecordError(f"{path}: nothing in it can be read: {', '.join(left_out):.300}")
+    warnings.warn(f"{path}: left out {', '.join(left_out):.500}", StepGapWarning, stacklevel=2)
+    return {name: replace(table, unread=unread) for name, table in tables.items()}
 
 
-def _binary_tables(path: Path, begin: bytes) -> Mapping[str, LogTable] | None:
+def _binary_tables(path: Path, begin: bytes, unread: dict[str, str]) -> Mapping[str, LogTable] | None:
     """The tables of a file in a binary format, found from its first bytes; None for text."""
     if begin.startswith(MCAP_MAGIC):
-        return read_mcap([path])
+        return read_mcap([path], unread)
     if begin.startswith(ROS1_MAGIC):
-        return read_ros1_bag(path)
+        return read_ros1_bag(path, unread)
     if begin.startswith(SQLITE_MAGIC):
-        return read_ros2_database(path)
+        return read_ros2_database(path, unread)
     if begin.startswith(PARQUET_MAGIC):
-        return read_parquet(path)
+        return read_parquet(path, unread)
     if begin.startswith(NPY_MAGIC):
-        return read_npy(path)
+        return read_npy(path, unread)
     if begin.startswith(b"PK\x03\x04"):
-        return read_npz(path)
+        return read_npz(path, unread)
     matlab = begin.startswith(b"MATLAB 7.3 MAT-file")
     if matlab or HDF5_MAGIC in (begin[:8], begin[512:520]):
-        return read_hdf5(path, matlab)
-    return read_mat(path) if begin[126:128] in (b"MI", b"IM") and b"\0" in begin else None
+        return read_hdf5(path, matlab, unread)
+    return read_mat(path, unread) if begin[126:128] in (b"MI", b"IM") and b"\0" in begin else None
 
 
-def read_log_table(path: Path, wanted: Sequence[str], written: TextFormat = AS_FOUND) -> LogTable:
+def read_log_table(path: str | Path, wanted: Sequence[str], written: TextFormat = AS_FOUND) -> LogTable:
     """Reads the one table of a log that has the wanted columns.
 
     A column may be given as TOPIC:COLUMN; the table then has it by this name, too.
@@ -80,7 +97,7 @@ def read_log_table(path: Path, wanted: Sequence[str], written: TextFormat = AS_F
     Raises:
         RecordError: The file cannot be read, or not exactly one of its tables has these columns.
     """
-    return chosen_table(path, read_log_tables(path, written), wanted)
+    return chosen_table(Path(path), read_log_tables(path, written), wanted)
 
 
 def chosen_table(
@@ -103,10 +120,11 @@ def chosen_table(
         raise RecordError(f"{path}: {', '.join(found):.200} have these columns; say which, as in {example!r}")
     closest = min(named, key=lambda topic: len(missing[topic]))
     table, name = named[closest], missing[closest][0]
+    fault = named[closest].known_fault_of(name) or tables[closest].fault_of(name)
     role = f"{roles[name]} {name!r}: " if name in roles else ""
     others = [topic for topic in tables if topic != closest]
     more = f"; other tables are {', '.join(others):.200}" if others else ""
-    raise RecordError(f"{table.heading or table.source}: {role}{tables[closest].fault_of(name)}{more}")
+    raise RecordError(f"{table.heading or table.source}: {role}{fault}{more}")
 
 
 def with_topic(topic: str, table: LogTable) -> LogTable:
@@ -115,4 +133,4 @@ def with_topic(topic: str, table: LogTable) -> LogTable:
         return table
     columns = dict(table.columns) | {f"{topic}:{name}": values for name, values in table.columns.items()}
     repeated = table.repeated | {f"{topic}:{name}" for name in table.repeated}
-    return LogTable(table.source, columns, table.lines, table.heading, repeated)
+    return replace(table, columns=columns, repeated=repeated)

@@ -1,0 +1,163 @@
+"""Messages of ROS 1 and ROS 2, decoded by interpreting their definitions.
+
+rosbags parses the definitions. It would also compile Python code made from them; a log should not lead to code that
+runs.
+"""
+
+import re
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from stepgap.logs.tables.libraries import library
+from stepgap.logs.tables.messages import MOST_ELEMENTS, Decoder, unreadable
+
+_NUMBERS = {
+    "bool": "?",
+    "byte": "b",
+    "char": "B",
+    "octet": "B",
+    **{f"int{bits}": code for bits, code in ((8, "b"), (16, "h"), (32, "i"), (64, "q"))},
+    **{f"uint{bits}": code for bits, code in ((8, "B"), (16, "H"), (32, "I"), (64, "Q"))},
+    "float32": "f",
+    "float64": "d",
+}
+"""Codes of `struct` for the basic types."""
+
+_RULE = re.compile(r"^=+[ \t]*$", re.MULTILINE)
+"""Line between the definitions of a message and of the types in it."""
+
+_IDL_HEADER = re.compile(r"^(=+|IDL: .*)$", re.MULTILINE)
+
+_DEEPEST = 50
+
+
+def ros_decoder(path: Path, name: str, types: Mapping[str, Any], cdr: bool = True) -> Decoder:
+    """The function that decodes messages of a type, in CDR as of ROS 2, or as of ROS 1.
+
+    Args:
+        path: The file, for messages.
+        name: Name of the type.
+        types: Definitions by name, as rosbags parses them.
+        cdr: Whether the messages are in CDR.
+    """
+    node = library("rosbags.interfaces", path).Nodetype
+    kind = node.NAME, library("rosbags.typesys.msg", path).normalize_msgtype(name)
+    return lambda data: _Message(data, types, node, cdr).whole(kind)
+
+
+def defined_decoder(path: Path, name: str, definition: str, form: str) -> Decoder:
+    """The function that decodes messages of a type by its definition.
+
+    Args:
+        path: The file, for messages.
+        name: Name of the type.
+        definition: Its definition.
+        form: Language of the definition: ros1msg, ros2msg or ros2idl.
+    """
+    typesys = library("rosbags.typesys", path)
+    text = definition.replace("\r\n", "\n")
+    try:
+        if form == "ros2idl":
+            return ros_decoder(path, name, typesys.get_types_from_idl(_IDL_HEADER.sub("", text)))
+        types = typesys.get_types_from_msg(_RULE.sub("=" * 80, text), name)
+    except Exception:
+        return unreadable(f"the definition of {name:.80} cannot be read")
+    return ros_decoder(path, name, types, cdr=form == "ros2msg")
+
+
+def standard_decoders(path: Path, name: str, release: str) -> list[Decoder]:
+    """Functions that decode a type which the log does not define, by its definitions in ROS 2, the newest first.
+
+    Args:
+        path: The file, for messages.
+        name: Name of the type.
+        release: Release of ROS 2 that recorded the log; if it is not known, every definition is possible.
+    """
+    typesys, stores = library("rosbags.typesys", path), library("rosbags.typesys", path).Stores
+    releases = {one.value.removeprefix("ros2_"): one for one in reversed(stores) if one.value.startswith("ros2_")}
+    chosen = [releases[release]] if release in releases else list(releases.values())
+    decoders: dict[str, Decoder] = {}
+    for store in chosen:
+        types = typesys.get_typestore(store).fielddefs
+        if name in types:
+            decoders.setdefault(_resolved(name, types), ros_decoder(path, name, types))
+    return list(decoders.values()) or [unreadable(f"no definition of {name:.80} in the log")]
+
+
+def _resolved(name: str, types: Mapping[str, Any]) -> str:
+    """A text that is equal for equal definitions, with the types in them."""
+    fields = types[name][1]
+    inner = [each for each in re.findall(r"'(\w+/msg/\w+)'", repr(fields)) if each != name and each in types]
+    return repr(fields) + "".join(_resolved(each, types) for each in inner)
+
+
+class _Message:
+    """Reads the bytes of a message from its begin to its end."""
+
+    def __init__(self, data: bytes, types: Mapping[str, Any], node: Any, cdr: bool) -> None:
+        self._data, self._types, self._node, self._cdr, self._offset, self._order = data, types, node, cdr, 0, "<"
+        if cdr:
+            if len(data) < 4 or data[0] or data[1] > 1:
+                raise ValueError(f"not in the plain CDR of ROS 2, but with the header {data[:4].hex() or 'missing'}")
+            self._data, self._order = data[4:], "<" if data[1] else ">"
+
+    def whole(self, kind: Any) -> Any:
+        """The value of the type; all bytes must belong to it, but CDR may be padded to four bytes."""
+        value = self._read(kind, 0)
+        left = len(self._data) - self._offset
+        if left and not (self._cdr and left == -self._offset % 4):
+            raise ValueError(f"a message of {left} bytes more than the definition of {kind[1]} has")
+        return value
+
+    def _read(self, kind: Any, depth: int) -> Any:
+        """The value of a type at the current offset, which it increases."""
+        if depth > _DEEPEST:
+            raise ValueError("a definition that is nested too deeply")
+        tag, inner = kind
+        if tag == self._node.BASE:
+            return self._text() if inner[0] == "string" else self._numbers(self._code(inner[0]), 1)[0]
+        if tag == self._node.NAME:
+            return self._fields(inner, depth)
+        element, count = inner
+        if tag == self._node.SEQUENCE:
+            (count,) = self._numbers("I", 1)
+        if element[0] == self._node.BASE and element[1][0] != "string":
+            return self._numbers(self._code(element[1][0]), count)
+        if count > len(self._data):
+            raise ValueError("an array longer than its message")
+        return [self._read(element, depth + 1) for _ in range(count)]
+
+    def _code(self, name: str) -> str:
+        if name not in _NUMBERS:
+            raise ValueError(f"a value of type {name}, which is not read")
+        return "B" if self._cdr and name == "byte" else _NUMBERS[name]
+
+    def _fields(self, name: str, depth: int) -> dict[str, Any]:
+        if name not in self._types and name in ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"):
+            seconds, nanoseconds = self._numbers("I" if name.endswith("Time") and not self._cdr else "i", 2)
+            return {"sec": seconds, "nanosec": nanoseconds}
+        if name not in self._types:
+            raise ValueError(f"no definition of {name:.80} in the log")
+        fields = self._types[name][1]
+        if not fields and self._cdr:
+            self._numbers("B", 1)  # a type without fields has a byte
+        return {field: self._read(kind, depth + 1) for field, kind in fields}
+
+    def _numbers(self, code: str, count: int) -> tuple[Any, ...]:
+        width = struct.calcsize("<" + code)
+        if self._cdr and count:
+            self._offset += -self._offset % width
+        start = self._offset
+        self._offset += width * count
+        if self._offset > len(self._data):
+            raise ValueError("a message that is shorter than its definition")
+        return struct.unpack_from(f"{self._order}{count}{code}", self._data, start) if count <= MOST_ELEMENTS else ()
+
+    def _text(self) -> str:
+        (length,) = self._numbers("I", 1)
+        start, self._offset = self._offset, self._offset + length
+        if self._offset > len(self._data):
+            raise ValueError("a message that is shorter than its definition")
+        return self._data[start : self._offset].decode("utf-8", "replace").removesuffix("\0")
