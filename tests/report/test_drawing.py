@@ -1,6 +1,9 @@
 """A figure that cannot be drawn is replaced by the reason."""
 
 import builtins
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -25,10 +28,10 @@ def test_the_reason_is_one_short_line() -> None:
 def test_a_report_needs_no_matplotlib(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     imported = builtins.__import__
 
-    def without(name: str, *rest: object) -> object:
+    def without(name: str, *rest: object, **named: object) -> object:
         if name.startswith(("matplotlib", "stepgap.report.figures", "stepgap.report.state_figure")):
             raise ImportError("libfreetype.so.6: cannot open shared object file")
-        return imported(name, *rest)  # pyright: ignore[reportArgumentType]
+        return imported(name, *rest, **named)  # pyright: ignore[reportArgumentType]
 
     folder = write_run(tmp_path / "run", ("x",), steps=3)
     monkeypatch.setattr(builtins, "__import__", without)
@@ -36,3 +39,41 @@ def test_a_report_needs_no_matplotlib(tmp_path: Path, monkeypatch: pytest.Monkey
     check_alone(page, 0)
     assert page.text.count("could be drawn (ImportError: libfreetype.so.6") == 5
     assert not (folder / "figures").exists()
+
+
+def test_the_settings_of_the_user_do_not_count(tmp_path: Path) -> None:
+    """A new process: with a backend that is not installed, Matplotlib cannot be imported; text would need TeX."""
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\nfont.size: 30\naxes.facecolor: red\n")
+    users = {"MPLBACKEND": "module://not_installed.backend_inline", "MATPLOTLIBRC": str(tmp_path / "matplotlibrc")}
+    program = (
+        "import os, sys\n"
+        "from stepgap.report.drawing import draw_figure\n"
+        "def make():\n"
+        "    from matplotlib.backends.backend_agg import FigureCanvasAgg\n"
+        "    from matplotlib.figure import Figure\n"
+        "    figure = Figure(figsize=(1, 1))\n"
+        "    FigureCanvasAgg(figure)\n"
+        "    figure.text(0, 0, 'a_b')\n"
+        "    return figure\n"
+        "sys.stdout.buffer.write(draw_figure(make, 'it').png)\n"
+        "sys.stderr.write(os.environ.get('MPLBACKEND', ''))\n"
+    )
+
+    def drawn(environment: dict[str, str]) -> subprocess.CompletedProcess[bytes]:
+        return subprocess.run(
+            [sys.executable, "-c", program], env=os.environ | environment, capture_output=True, check=True
+        )
+
+    own, default = drawn(users), drawn({})
+    assert own.stdout == default.stdout
+    assert own.stdout.startswith(b"\x89PNG")
+    assert own.stderr.decode() == users["MPLBACKEND"]
+
+
+@pytest.mark.parametrize(
+    "module", ["cli.gait", "logs.cli.fit", "logs.cli.steps", "report", "hardware.cli.rig", "sweep.cli.sweep_report"]
+)
+def test_matplotlib_is_imported_with_own_settings_only(module: str) -> None:
+    """So no verb imports it before `own_style`."""
+    program = f"import sys, stepgap.{module}; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -30,7 +30,7 @@ def gait(
     from stepgap.control.limit_cycle import fixed_point, reachable_set
     from stepgap.experiment.nominal import load_nominal
     from stepgap.experiment.settings import read_experiment
-    from stepgap.report.gait import describe_gait, gait_figure
+    from stepgap.report.own_style import own_style
     from stepgap.step import StepFailed
 
     settings = read_experiment(experiment, overrides or [])
@@ -48,10 +48,12 @@ def gait(
             f"{named_values(space.state, wanted)}: no command makes a step from this state ({error})"
         ) from None
     reachable = reachable_set(nominal, point.state)
-    figure = gait_figure(nominal.space, point, reachable)
-    picture = out or free_name(Path("gait.png"))
-    formats = figure.canvas.get_supported_filetypes()
-    content = BytesIO()
-    figure.savefig(content, dpi=150, format=format_by_name(picture, formats))
-    print(describe_gait(nominal.space, point, reachable))
+    picture, content = out or free_name(Path("gait.png")), BytesIO()
+    with own_style():
+        from stepgap.report.gait import describe_gait, gait_figure
+
+        print(describe_gait(nominal.space, point, reachable))
+        figure = gait_figure(nominal.space, point, reachable)
+        formats = figure.canvas.get_supported_filetypes()
+        figure.savefig(content, dpi=150, format=format_by_name(picture, formats))
     write_new(picture, "--out", content.getvalue())

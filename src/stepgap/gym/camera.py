@@ -9,6 +9,7 @@ from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.ticks.stream import OnTicks, numbered, thinned
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.report.drawing import BLACK, BLUE, GREY, LIGHT, SKY
+from stepgap.report.own_style import own_style
 from stepgap.robots.scene import Kinematics, Scene
 from stepgap.step import Array
 
@@ -88,12 +89,14 @@ class Camera:
 
     def picture(self) -> Picture:
         """The newest picture."""
-        return draw_shot(self.scene, self._shots[-1], self._top)
+        with own_style():
+            return draw_shot(self.scene, self._shots[-1], self._top)
 
     def pictures(self) -> list[Picture]:
         """All pictures since the last call."""
         shots, self._shots = self._shots[:-1], self._shots[-1:]
-        return [draw_shot(self.scene, shot, self._top) for shot in shots]
+        with own_style():
+            return [draw_shot(self.scene, shot, self._top) for shot in shots]
 
     def _thinned(self) -> OnTicks:
         """Function that keeps the ticks of `FRAMES_PER_SECOND` pictures with finite numbers, and drops the others."""

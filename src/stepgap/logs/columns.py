@@ -17,6 +17,9 @@ from stepgap.step import Array, ContextQuantity, Quantity, StepSpace
 LARGEST_VALUE = 1e12
 """Largest magnitude of a number that is accepted as a measurement."""
 
+ROUNDING = 1e-14
+"""Differences of numbers that are smaller than this part of them are rounding."""
+
 ROLES = ("state", "next", "command", "target", "predicted")
 """Parts of a step that have one column per coordinate."""
 
@@ -174,9 +177,10 @@ def _is_table(value: object, wanted: Any) -> bool:
 
 
 def _quantity(name: str, unit: str, values: Array) -> Quantity:
-    """Coordinate with the range of its values, or with a range around them where they are all equal."""
+    """Coordinate with the range of its values, or with a range around them where they are equal but for rounding."""
     lower, upper = float(values.min()), float(values.max())
-    margin = 0.0 if lower < upper else max(abs(lower), 1.0)
+    largest = max(abs(lower), abs(upper))
+    margin = 0.0 if upper - lower > max(ROUNDING * largest, 1 / LARGEST_VALUE) else max(largest, 1.0)
     return Quantity(name, unit, lower - margin, upper + margin)
 
 

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from stepgap.base.files import write_whole
-from stepgap.base.garbage_collection import paused_collection
 from stepgap.records.missing import Missing
+from stepgap.report.own_style import own_style
 from stepgap.step import Array, Quantity
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -59,10 +59,7 @@ UNDATED: Final[Mapping[str, Mapping[str, None]]] = {
 }
 """Metadata left out of the files, so that the same run gives the same bytes."""
 
-_REMEDY: Final = (
-    "figures need a working matplotlib (pip install --force-reinstall matplotlib) and no unknown backend in the "
-    "environment variable MPLBACKEND"
-)
+_REMEDY: Final = "figures need a working matplotlib (pip install --force-reinstall matplotlib)"
 
 LONGEST_ERROR: Final = 120
 """Largest number of quoted characters of an error."""
@@ -98,8 +95,7 @@ def draw_figure(make: Callable[[], Any], subject: str) -> Drawing | Missing:
         subject: Subject of the figure, for the message.
     """
     try:
-        with paused_collection():  # collections would take an eighth of the time
-            return _drawn(make)
+        return _drawn(make)
     except (ImportError, OSError, RuntimeError, ValueError) as error:
         short = " ".join(str(error).split())[:LONGEST_ERROR]
         return Missing(f"no figure of {subject} could be drawn ({type(error).__name__}: {short}); {_REMEDY}")
@@ -117,9 +113,7 @@ def new_figure(height: float) -> "Figure":
 
 
 def _drawn(make: Callable[[], Any]) -> Drawing:
-    from matplotlib import rc_context
-
-    with rc_context(LOOK):
+    with own_style(LOOK):
         figure = make()
         _lay_out(figure)
         saved = _saved(figure, "svg").decode(), _saved(figure, "png"), _saved(figure, "pdf")

@@ -68,7 +68,7 @@ def test_an_offset_in_a_foreign_log(stepgap: Command) -> None:
     lines = result.out.splitlines()
     assert lines[0] == "steps       40 of 1 deployment; rows left out: none"
     assert "held out    10 contiguous blocks, one at a time" in lines
-    assert lines[-3:] == ["fit.json", "fit.png", "model.json"]
+    assert lines[-3:] == ["fit.json", "model.json", "fit.png"]
     sentences = dict(line.split(":", 1) for line in lines if line.startswith(("v:", "y:", "all together:")))
     assert "less error than without a correction; no difference shown from the error with a constant" in sentences["v"]
     assert "no difference shown from the error without a correction" in sentences["y"]

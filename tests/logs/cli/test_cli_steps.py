@@ -36,7 +36,7 @@ def test_it_writes_steps_their_meaning_and_a_figure(log: HoppingLog, stepgap: Co
     lines = result.out.splitlines()
     assert lines[0].startswith("log.csv: 30 sections, ")
     assert any(line.startswith("  left out: ") for line in lines)
-    assert lines[-3:] == ["steps.png", "steps.csv", "steps.toml"]
+    assert lines[-3:] == ["steps.csv", "steps.toml", "steps.png"]
     assert "stepgap fit steps.csv --columns steps.toml" in result.err
     assert Path("steps.png").read_bytes().startswith(b"\x89PNG")
     rows = rows_of("steps.csv")

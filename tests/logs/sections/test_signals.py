@@ -47,7 +47,12 @@ def test_a_file_with_a_plus_in_its_name_is_one_file() -> None:
     ("content", "text", "column", "message"),
     [
         ("a,y\n0,1\n", "log.csv", "y", "log.csv: no column of the time, named time, log_time, t, timestamp"),
-        ("t,y\n0,1\n2,1\n1,1\n", "log.csv", "y", "log.csv, line 4, column 't': the time goes back from 2 to 1 s"),
+        (
+            "t,y\n0,1\n2,1\n1,1\n",
+            "log.csv",
+            "y",
+            "log.csv, line 4, column 't': the time goes back from 2.000000 to 1.000000 s",
+        ),
         ("t,y\n0,1\n1,1\n", "log.csv", "z", "log.csv: no column 'z'; there is t, y"),
         ("t,y\n0,1\n1,\n", "log.csv", "y", "log.csv, column 'y': 1 numbers; at least 2 are needed"),
         ("t,y\n0,1\n1,1\n", "log.csv+gone.csv", "y", "gone.csv: No such file or directory"),

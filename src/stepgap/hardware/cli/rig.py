@@ -204,8 +204,8 @@ def incident(log: Path, /, *, seconds: Seconds = 1.0, out: Path | None = None) -
     """
     from stepgap.base.output_files import check_new, format_by_name, free_name, write_new
     from stepgap.hardware.incident import describe_incident, read_incident
-    from stepgap.hardware.incident_figure import incident_picture
     from stepgap.plants.ticks.tick_log import TickLogError
+    from stepgap.report.own_style import own_style
 
     _check_seconds(seconds)
     picture = out or free_name(log.with_name(f"{log.stem}_incident.png"))
@@ -216,7 +216,10 @@ def incident(log: Path, /, *, seconds: Seconds = 1.0, out: Path | None = None) -
     except TickLogError as error:
         raise InputError(str(error)) from None
     print(describe_incident(found))
-    write_new(picture, "--out", incident_picture(found, form))
+    with own_style():
+        from stepgap.hardware.incident_figure import incident_picture
+
+        write_new(picture, "--out", incident_picture(found, form))
 
 
 def esi(file: Path, /, *, product: Name | None = None) -> None:

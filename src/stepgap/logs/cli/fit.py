@@ -154,13 +154,16 @@ def _compare(
 def _write(results: Results, log: tuple[Path, ...], data: "FitData", validation: "Validation") -> None:
     """Writes the requested files."""
     from stepgap.logs.fits.fit import best_model
-    from stepgap.logs.fits.fit_files import fit_picture
     from stepgap.logs.fits.fit_results import fit_report
+    from stepgap.report.own_style import own_style
 
     if results.out:
         write_new(results.out, "--out", json.dumps(fit_report(log, data, validation), indent=1))
-    if results.plot:
-        picture = fit_picture(data.observed.space.state, validation, format_by_name(results.plot))
-        write_new(results.plot, "--plot", picture)
     if results.save:
         write_new(results.save, "--save", best_model(data, validation))
+    if results.plot:
+        with own_style():
+            from stepgap.logs.fits.fit_files import fit_picture
+
+            picture = fit_picture(data.observed.space.state, validation, format_by_name(results.plot))
+        write_new(results.plot, "--plot", picture)

@@ -110,11 +110,12 @@ def steps(
     for number, text in enumerate(log):
         found.append(extract_steps(text, plan[number] if plan else None, settings))
         print(describe_steps(found[-1]), flush=True)
-    _draw(found, picture)
     if refusals := [each.refusal for each in found if each.refusal]:
+        _draw(found, picture)
         raise InputError(f"{'; '.join(refusals)}. {picture} shows them; nothing else was written")
     text = columns_toml(found[0], settings)
     write_together({out: steps_table(found), **({meaning: text} if text else {})}, "--out")
+    _draw(found, picture)
     if text:
         print(f"stepgap fit {out} --columns {meaning} shows what can be learned from these steps", file=sys.stderr)
     else:
@@ -132,6 +133,9 @@ def _check_outputs(out: Path, meaning: Path, picture: Path) -> None:
 
 
 def _draw(found: "list[ExtractedSteps]", picture: Path) -> None:
-    from stepgap.logs.sections.section_figures import sections_picture
+    from stepgap.report.own_style import own_style
 
-    write_new(picture, "--plot", sections_picture(found, picture.suffix[1:].lower()))
+    with own_style():
+        from stepgap.logs.sections.section_figures import sections_picture
+
+        write_new(picture, "--plot", sections_picture(found, picture.suffix[1:].lower()))

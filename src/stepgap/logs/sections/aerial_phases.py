@@ -7,6 +7,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from stepgap.logs.sections.local_fit import rounding_of
 from stepgap.logs.sections.signals import Signal
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
@@ -58,7 +59,7 @@ def aerial_phases(time: Array, inside: NDArray[np.bool_]) -> list[AerialPhase]:
         del edges[shortest : shortest + 2], kinds[shortest : shortest + 2]
     durations, typical = np.diff(edges), _typical(edges, kinds)
     short = [bool(each < SHORT_PHASE * typical[kind]) for each, kind in zip(durations, kinds, strict=True)]
-    resolution = float(np.median(np.diff(time)))
+    resolution = float(np.median(np.diff(time)) or np.mean(np.diff(time)))
     found: list[AerialPhase] = []
     for number in range(1, len(kinds) - 1):
         if kinds[number]:
@@ -103,9 +104,10 @@ def crossings(signal: Signal, level: float, falling: bool) -> list[float]:
     """
     values = (np.asarray(signal.values, float) - level) * (-1 if falling else 1)
     low, high = np.percentile(values, [5, 95])
+    below = max(0.1 * float(high - low), 8 * rounding_of(values))  # it may rest for nearly all the time
     armed, found = False, []
     for number in range(1, len(values)):
-        armed |= bool(values[number - 1] < -0.1 * (high - low))
+        armed |= bool(values[number - 1] < -below)
         if armed and values[number] >= 0:
             before, after = values[number - 1], values[number]
             share = float(-before / (after - before)) if before < 0 else 0.0

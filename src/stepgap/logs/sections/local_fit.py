@@ -155,6 +155,11 @@ def noise_std_of(fits: Sequence[LocalFit], resolution: float) -> Array:
 
 
 def resolution_of(signal: Signal) -> float:
-    """Smallest difference of two values, such as the step of an encoder."""
+    """Smallest difference of two values, such as the step of an encoder; not less than the rounding of the largest."""
     values = np.unique(np.asarray(signal.values, float))
-    return float(np.diff(values).min()) if len(values) > 1 else 0.0
+    return max(float(np.diff(values).min()) if len(values) > 1 else 0.0, rounding_of(values))
+
+
+def rounding_of(values: Array) -> float:
+    """What the largest of some values may be rounded by, in double precision; differences up to it mean nothing."""
+    return float(np.finfo(float).eps * np.abs(values).max(initial=0.0))

@@ -6,7 +6,7 @@ from typing import Final, final
 
 import numpy as np
 
-from stepgap.logs.sections.local_fit import LocalFit, fit_parabola, noise_std_of, resolution_of
+from stepgap.logs.sections.local_fit import LocalFit, fit_parabola, noise_std_of, resolution_of, rounding_of
 from stepgap.logs.sections.section_finding import FoundSection
 from stepgap.logs.sections.section_settings import SectionSettings, SignalCoordinate
 from stepgap.logs.sections.signals import Signal, SignalLog
@@ -33,6 +33,11 @@ UNCERTAIN: Final = 5.0
 
 IMPRECISE: Final = 0.1
 """and larger than this part of the standard deviation of the state over all sections."""
+
+EXACT: Final = 1e-6
+"""Errors below this part of the range of a signal are those of a part that rests; what is usual is that of the others.
+
+A joint that rests in most hops would otherwise make the noise of all others unusual."""
 
 MOST_SAMPLES_OFF: Final = 0.2
 """A fit is doubtful if a larger part of its samples was left out."""
@@ -136,7 +141,7 @@ class _Estimator:
         doubts = [list(section.doubts) for section in self.sections]
         if self.height is not None:
             tops = [self._top(section, window) for section in self.sections]
-            _note_poor_fits(tops, doubts, "the top")
+            _note_poor_fits(tops, self.height, doubts, "the top")
             noise = _noise_of(tops, self.height)
             for number, fit in enumerate(tops):
                 if fit and np.isfinite(fit.top) and abs(fit.top - fit.centre) <= window:
@@ -149,7 +154,7 @@ class _Estimator:
                 self._fit(signal, section, float(time), window)
                 for section, time in zip(self.sections, times, strict=True)
             ]
-            _note_poor_fits(fits, doubts, coordinate.name)
+            _note_poor_fits(fits, signal, doubts, coordinate.name)
             noise = _noise_of(fits, signal)
             for number, fit in enumerate(fits):
                 if fit:
@@ -196,20 +201,29 @@ def _note_uncertain(state: Array, std: Array, doubts: Sequence[list[str]], name:
     """Notes which standard errors of a coordinate are large."""
     if not np.isfinite(std).any():
         return
-    typical, spread = float(np.nanmedian(std)), float(np.nanstd(state))
+    spread = float(np.nanstd(state))
+    typical = _usual(std, max(EXACT * spread, rounding_of(state[np.isfinite(state)])))
     for each, found in zip(std, doubts, strict=True):
         if each > max(UNCERTAIN * typical, IMPRECISE * spread):
             found.append(f"the standard error of {name} is {each / typical:.0f} times as large as usual")
 
 
-def _note_poor_fits(fits: Sequence[LocalFit | None], doubts: Sequence[list[str]], name: str) -> None:
+def _note_poor_fits(fits: Sequence[LocalFit | None], signal: Signal, doubts: Sequence[list[str]], name: str) -> None:
     """Notes which fits fail or are much worse than a typical one."""
-    squares = np.array([float(np.mean(fit.residuals**2)) if fit else np.nan for fit in fits])
-    typical = float(np.nanmedian(squares)) if np.isfinite(squares).any() else np.nan
-    for fit, square, found in zip(fits, squares, doubts, strict=True):
+    values = np.asarray(signal.values, float)
+    exact = max(EXACT * float(np.ptp(values)), rounding_of(values))
+    sizes = np.array([float(np.sqrt(np.mean(fit.residuals**2))) if fit else np.nan for fit in fits])
+    typical = _usual(sizes, exact)
+    for fit, size, found in zip(fits, sizes, doubts, strict=True):
         if fit is None:
             found.append(f"too few samples for {name}")
         elif fit.outliers > MOST_SAMPLES_OFF:
             found.append(f"{fit.outliers:.0%} of the samples for {name} are off")
-        elif square > max(LARGE_RESIDUALS**2 * typical, (SMALL_RESIDUALS * fit.extent) ** 2):
+        elif size > max(LARGE_RESIDUALS * typical, SMALL_RESIDUALS * fit.extent, exact):
             found.append(f"the samples for {name} do not fit a parabola")
+
+
+def _usual(errors: Array, exact: float) -> float:
+    """Median of the errors that are no smaller than what counts as exact; that if there are none."""
+    known = errors[errors > exact]
+    return float(np.median(known)) if len(known) else exact

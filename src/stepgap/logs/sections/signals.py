@@ -94,11 +94,11 @@ class SignalLog:
         return Signal(found.time[known], values[known])
 
     def labels(self, column: str) -> Signal:
-        """A column as text, such as the names of phases; numbers as in `%g`. Errors as of `signal`."""
+        """A column as text, such as the names of phases; a number as 3 or 0.5. Errors as of `signal`."""
         found = self._find(column)
         values = found.table.columns[column]
         if values.dtype.kind == "f":
-            values = np.array([f"{value:g}" if np.isfinite(value) else "" for value in values.tolist()], np.str_)
+            values = np.array([f"{value:.15g}" if np.isfinite(value) else "" for value in values.tolist()], np.str_)
         known = np.isfinite(found.time) & (values != "")
         return Signal(found.time[known], values[known])
 
@@ -162,6 +162,6 @@ def _checked_times(table: LogTable, column: str, factor: float) -> Array:
     back = np.flatnonzero(np.diff(time[known]) < 0)
     if len(back):
         before, after = known[back[0]], known[back[0] + 1]
-        change = f"goes back from {time[before]:.9g} to {time[after]:.9g} s"
+        change = f"goes back from {time[before]:.6f} to {time[after]:.6f} s"
         raise RecordError(f"{table.row(int(after))}, column {column!r}: the time {change}; split the log there")
     return time

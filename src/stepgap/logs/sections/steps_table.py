@@ -18,15 +18,21 @@ def steps_table(logs: Sequence[ExtractedSteps]) -> str:
 
     Columns: `log`; `step`, its number in the log, which also counts steps that are left out; `time` of the section
     where it begins; the state there, its standard errors NAME_std; the command; target_NAME; predicted_NAME; the state
-    at the next section as next_NAME, with next_NAME_std; `yaw` at the beginning.
+    at the next section as next_NAME, with next_NAME_std; `yaw` at the beginning. Times have microseconds,
+    since those of bags are seconds since 1970; all other numbers are read back without a change.
     """
     file = StringIO()
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow([name for _, names in _columns(logs[0]) for name in names])
     for label, log in zip(_labels(logs), logs, strict=True):
         for number in log.kept:
-            writer.writerow([label, number + 1, *(f"{value:.9g}" for value in _row(log, number))])
+            writer.writerow([label, number + 1, f"{log.sections.time[number]:.6f}", *map(_exact, _row(log, number))])
     return file.getvalue()
+
+
+def _exact(value: float) -> str:
+    """The shortest text from which a number is read back without a change."""
+    return repr(float(value)).removesuffix(".0")
 
 
 def columns_toml(log: ExtractedSteps, settings: SectionSettings) -> str:
@@ -72,7 +78,6 @@ def _columns(log: ExtractedSteps) -> list[tuple[str, list[str]]]:
 
 def _row(log: ExtractedSteps, number: int) -> Iterator[float]:
     sections = log.sections
-    yield sections.time[number]
     yield from sections.state[number]
     yield from sections.std[number]
     for role in ("command", "target", "predicted"):
