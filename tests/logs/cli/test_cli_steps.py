@@ -75,6 +75,57 @@ def test_several_logs_are_told_apart(log: HoppingLog, stepgap: Command) -> None:
     assert b"second/log.csv" not in Path("figure.svg").read_bytes()
 
 
+@pytest.mark.filterwarnings("always::stepgap.base.errors.StepGapWarning")
+def test_episodes_in_one_file_are_told_apart(stepgap: Command) -> None:
+    """Times begin anew in each; one without hops is left out, and named."""
+    rows, plans = ["trial,time,height"], ["trial,time,push"]
+    for trial in range(3):
+        made = hopping(8, np.random.default_rng(trial), 200.0)
+        rows += [
+            f"{trial},{time},{height if trial != 1 else 0.5}"
+            for time, height in zip(made.time, made.height, strict=True)
+        ]
+        plans += [f"{trial},{time + 0.01},{trial}" for time in made.apexes[:, 0]]
+    Path("log.csv").write_text("\n".join(rows))
+    Path("plan.csv").write_text("\n".join(plans))
+    apexes = ("--height", "height", "--state", "height", "--command", "push")
+    refused(stepgap("steps", "log.csv", *apexes, "--out", "steps.csv"), "the time goes back from", "to 0.00")
+    found = stepgap("steps", "log.csv", "--plan", "plan.csv", *apexes, "--deployment", "trial", "--out", "steps.csv")
+    assert found.code == 0, found
+    assert "left out: log.csv, 1" in found.err
+    labels = [(row["log"], row["push"]) for row in rows_of("steps.csv")]
+    assert labels == [("log.csv, 0", "0")] * 7 + [("log.csv, 2", "2")] * 7
+
+
+def test_times_since_1970_and_small_numbers_are_written_without_loss(stepgap: Command) -> None:
+    made = hopping(8, np.random.default_rng(0), 200.0)
+    height = 1e-9 * made.height
+    rows = [f"{1.7e9 + time!r},{value!r}" for time, value in zip(made.time.tolist(), height.tolist(), strict=True)]
+    Path("log.csv").write_text("time,height\n" + "\n".join(rows))
+    assert stepgap("steps", "log.csv", "--height", "height", "--state", "height", "--out", "steps.csv").code == 0
+    found = rows_of("steps.csv")
+    times = np.array([float(row["time"]) - 1.7e9 for row in found])
+    np.testing.assert_allclose(times, made.apexes[:7, 0], atol=1e-3)
+    assert all(len(row["height"]) > 18 for row in found)
+    assert [row["next_height"] for row in found[:-1]] == [row["height"] for row in found[1:]]
+
+
+def test_a_joint_that_rests_in_most_hops_is_no_doubt(stepgap: Command) -> None:
+    """Between its few motions, it has rounding errors of 1e-16 only."""
+    rng = np.random.default_rng(0)
+    made = hopping(30, rng, 500.0)
+    knee, still = 1e-16 * rng.normal(size=len(made.time)), np.full(len(made.time), 1e-12)
+    for number, (time, *_) in enumerate(made.apexes.tolist()):
+        near = np.abs(made.time - time) < 0.12
+        if number % 3 == 0:
+            knee[near] += rng.uniform(0.5, 1.5) + 0.02 * rng.normal(size=int(near.sum()))
+    table = np.column_stack([made.time, made.height, knee, still])
+    np.savetxt("log.csv", table, delimiter=",", header="time,height,knee,still", comments="", fmt="%.17g")
+    state = ("--state", "height,knee,still")
+    assert stepgap("steps", "log.csv", "--height", "height", *state, "--out", "steps.csv").code == 0
+    assert len(rows_of("steps.csv")) >= 27
+
+
 def test_a_doubtful_log_is_refused_after_its_figure(log: HoppingLog, stepgap: Command) -> None:
     Path("plan.csv").write_text("time,number\n99,1\n")
     result = stepgap("steps", "log.csv", "--plan", "plan.csv", *APEXES, "--out", "steps.csv")

@@ -46,6 +46,22 @@ def test_ambiguous_plans_are_not_used(times: list[float], doubts: list[str]) -> 
     assert np.isnan(found.values).tolist() == [bool(doubt) for doubt in doubts]
 
 
+@pytest.mark.parametrize(
+    ("which", "planned", "held"),
+    [("first", [3.0, 7.0], [3.0, 0.5]), ("last", [0.5, 0.0], [0.5, 0.0]), ("largest", [-4.0, 7.0], [-4.0, 7.0])],
+)
+def test_one_of_several_commands_may_be_chosen(which: str, planned: list[float], held: list[float]) -> None:
+    """On at landing and off at take-off, as plans and as a signal that is sampled."""
+    plans = Signal(np.array([0.2, 0.5, 0.7, 1.4, 1.6]), np.array([3.0, -4.0, 0.5, 7.0, 0.0]))
+    sections = np.array([0.0, 1.0, 2.1])
+    assert step_values(plans, sections).doubts == ("several plans",) * 2
+    assert step_values(plans, sections, which).values.tolist() == planned
+    time = np.arange(0.2, 2.1, 0.01)
+    sampled = Signal(time, plans.values[np.searchsorted(plans.time, time + 1e-9, "right") - 1])
+    assert set(step_values(sampled, sections).doubts) == {"the command changes during the step"}
+    assert step_values(sampled, sections, which).values.tolist() == held
+
+
 def test_a_sampled_command_is_held() -> None:
     time = np.arange(0, 5, 0.01)
     command = np.searchsorted(SECTIONS, time, "right").astype(np.float64)

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.logs.sections.signals import SignalLog, read_signal_log
+from stepgap.logs.sections.signals import SignalLog, read_deployments, read_signal_log
+from stepgap.logs.tables.text_format import AS_FOUND
 from stepgap.records.steps_csv import RecordError
 
 
@@ -36,6 +37,30 @@ def test_files_have_their_own_times_or_those_of_the_first() -> None:
 def test_numbers_may_be_labels() -> None:
     Path("log.csv").write_text("time,phase\n0,1\n1,2\n2,2.5\n")
     assert read("log.csv").labels("phase").values.tolist() == ["1", "2", "2.5"]
+
+
+def test_large_numbers_are_different_labels() -> None:
+    Path("log.csv").write_text("time,phase\n0,1234567\n1,1234568\n2,0.1\n")
+    assert read("log.csv").labels("phase").values.tolist() == ["1234567", "1234568", "0.1"]
+
+
+def test_a_column_divides_a_log_into_deployments() -> None:
+    """Their times begin anew; a table with as many rows is divided, too; one that is wrong is no fault of others."""
+    Path("log.csv").write_text("t,trial,y\n0,b,1\n1,b,2\n0,10,3\n2,10,4\n1,10,5\n5,,6\n0,2,7\n3,2,8\n")
+    Path("same.csv").write_text("z\n" + "".join(f"{row}\n" for row in range(8)))
+    b, ten, two = read_deployments("log.csv+same.csv", "", {}, AS_FOUND, "trial")
+    assert (b().deployment, two().deployment) == ("b", "2")
+    assert [log.signal(name).values.tolist() for log in (b(), two()) for name in "yz"] == [
+        [1, 2],
+        [0, 1],
+        [7, 8],
+        [6, 7],
+    ]
+    with pytest.raises(RecordError, match=r"log.csv, line 6, column 't': the time goes back"):
+        ten()
+    Path("other.csv").write_text("t,x\n0,1\n")
+    with pytest.raises(RecordError, match=r"other.csv: no column 'trial'; there is t, x; it is to be the deployment"):
+        read_deployments("log.csv+other.csv", "", {}, AS_FOUND, "trial")
 
 
 def test_a_file_with_a_plus_in_its_name_is_one_file() -> None:

@@ -43,6 +43,8 @@ class SectionOptions:
         yaw: Column of the boom's angle about the vertical [rad].
         plan_time: Column of the time in the plan. [default: as --time]
         plan_match: PLAN_COLUMN=COLUMN, for a plan without times: its row is of the time at which both are equal.
+        of_several: The command that counts if a step has several. [default: such a step is left out]
+        deployment: Column that separates deployments, such as an episode: each is a log of its own.
     """
 
     state: Names | None = None
@@ -67,6 +69,8 @@ class SectionOptions:
     yaw: Name | None = None
     plan_time: Name | None = None
     plan_match: Name | None = None
+    of_several: Literal["first", "last", "largest"] | None = None
+    deployment: Name | None = None
 
     def given(self) -> dict[str, str | float | bool]:
         """The options that were given."""
@@ -96,7 +100,7 @@ def steps(
         plot: New figure of all sections, and of each doubtful one. [default: as --out, but .png]
     """
     from stepgap.logs.sections.section_settings import read_section_settings
-    from stepgap.logs.sections.step_extraction import extract_steps
+    from stepgap.logs.sections.step_extraction import extract_deployments
     from stepgap.logs.sections.steps_table import columns_toml, describe_steps, steps_table
 
     if not log:
@@ -108,8 +112,9 @@ def steps(
     _check_outputs(out, meaning, picture)
     found: list[ExtractedSteps] = []
     for number, text in enumerate(log):
-        found.append(extract_steps(text, plan[number] if plan else None, settings))
-        print(describe_steps(found[-1]), flush=True)
+        for each in extract_deployments(text, plan[number] if plan else None, settings):
+            found.append(each)
+            print(describe_steps(each), flush=True)
     if refusals := [each.refusal for each in found if each.refusal]:
         _draw(found, picture)
         raise InputError(f"{'; '.join(refusals)}. {picture} shows them; nothing else was written")

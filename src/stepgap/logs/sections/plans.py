@@ -10,7 +10,7 @@ import numpy as np
 
 from stepgap.logs.columns import unknown_column
 from stepgap.logs.sections.section_settings import SectionSettings
-from stepgap.logs.sections.signals import TIMES, Signal, SignalLog
+from stepgap.logs.sections.signals import TIMES, Signal, SignalLog, divided
 from stepgap.logs.tables.log_table import LogTable, number_in
 from stepgap.logs.tables.reading import read_log_tables, with_topic
 from stepgap.records.steps_csv import RecordError
@@ -43,7 +43,7 @@ class StepValues:
     doubts: tuple[str, ...]
 
 
-def step_values(signal: Signal, sections: Array) -> StepValues:
+def step_values(signal: Signal, sections: Array, of_several: str = "") -> StepValues:
     """The value of a signal for each step between successive sections.
 
     If the signal is sampled, this is the value that it holds in the middle of the step. Otherwise, its samples are
@@ -52,30 +52,37 @@ def step_values(signal: Signal, sections: Array) -> StepValues:
     Args:
         signal: The signal.
         sections: Times of the sections [s]; shape (K,).
+        of_several: Which of several values counts, one of `OF_SEVERAL`; if it is empty, they are doubtful.
     """
     inside = signal.between(float(sections[0]), float(sections[-1]))
     if len(inside) >= SAMPLED * (len(sections) - 1):
-        return _held_values(signal, sections)
-    return _planned_values(signal, sections)
+        return _held_values(signal, sections, of_several)
+    return _planned_values(signal, sections, of_several)
 
 
-def _held_values(signal: Signal, sections: Array) -> StepValues:
+def _chosen(values: Array, of_several: str) -> float:
+    """One of several values in their order."""
+    at = {"first": 0, "last": -1, "largest": int(np.abs(values).argmax())}[of_several or "first"]
+    return float(values[at])
+
+
+def _held_values(signal: Signal, sections: Array, of_several: str) -> StepValues:
     values, doubts = np.full(len(sections) - 1, np.nan), [""] * (len(sections) - 1)
     for number, (begin, end) in enumerate(pairwise(sections.tolist())):
         middle = signal.between(*(begin + share * (end - begin) for share in HELD))
         held = np.asarray(middle.values, float)
         if not len(held):
             doubts[number] = "no sample of the command"
-        elif np.ptp(held) > 1e-6 * max(1.0, float(np.abs(held).max())):
+        elif np.ptp(held) > 1e-6 * max(1.0, float(np.abs(held).max())) and not of_several:
             doubts[number] = "the command changes during the step"
         else:
-            values[number] = held[0]
+            values[number] = _chosen(held, of_several)
     return StepValues(values, tuple(doubts))
 
 
-def _planned_values(plans: Signal, sections: Array) -> StepValues:
+def _planned_values(plans: Signal, sections: Array, of_several: str) -> StepValues:
     durations = np.diff(sections)
-    values, counts = np.full(len(durations), np.nan), np.zeros(len(durations), int)
+    planned: list[list[float]] = [[] for _ in durations]
     unclear = np.zeros(len(durations), bool)
     for time, value in zip(plans.time.tolist(), np.asarray(plans.values, float).tolist(), strict=True):
         step = int(np.searchsorted(sections, time, "right")) - 1
@@ -85,13 +92,21 @@ def _planned_values(plans: Signal, sections: Array) -> StepValues:
         if abs(phase % 1 - (1 - LEAD)) < UNCLEAR:
             unclear[[one for one in (nearest, nearest + 1) if one < len(durations)]] = True
         if 0 <= number < len(durations) and abs(number - nearest) <= 1:
-            values[number] = value
-            counts[number] += 1
+            planned[number].append(value)
     doubts = [
-        "no plan" if count == 0 else "several plans" if count > 1 else "a plan between two steps" if doubt else ""
-        for count, doubt in zip(counts.tolist(), unclear.tolist(), strict=True)
+        "no plan"
+        if not made
+        else "several plans"
+        if len(made) > 1 and not of_several
+        else "a plan between two steps"
+        if doubt
+        else ""
+        for made, doubt in zip(planned, unclear.tolist(), strict=True)
     ]
-    return StepValues(np.where([not doubt for doubt in doubts], values, np.nan), tuple(doubts))
+    values = [
+        np.nan if doubt else _chosen(np.array(made), of_several) for made, doubt in zip(planned, doubts, strict=True)
+    ]
+    return StepValues(np.array(values), tuple(doubts))
 
 
 @final
@@ -136,7 +151,7 @@ class Plans:
 
 
 def read_plans(path: Path, log: SignalLog, settings: SectionSettings) -> Plans:
-    """Reads the plans of a log.
+    """Reads the plans of a log, or of a single deployment in it.
 
     Raises:
         RecordError: The file cannot be read, has no times, or its rows are not found in the log.
@@ -146,6 +161,11 @@ def read_plans(path: Path, log: SignalLog, settings: SectionSettings) -> Plans:
         raise RecordError(f"{path}: {len(tables)} tables; plans must be one table")
     topic, table = next(iter(tables.items()))
     table = with_topic(topic, table)
+    if log.deployment:
+        parts = divided(table, settings.deployment)
+        if log.deployment not in parts:
+            raise RecordError(f"{path}: no plan of the deployment {log.deployment}")
+        table = parts[log.deployment]
     if not settings.plan_match:
         wanted = [settings.plan_time] if settings.plan_time else [settings.time] if settings.time else list(TIMES)
         column = next((name for name in wanted if not table.fault_of(name)), None)

@@ -85,7 +85,7 @@ def with_boom(log: SignalLog, settings: SectionSettings) -> SignalLog:
         for name, values, angle in zip(BOOM_COLUMNS, columns, (pitch, yaw), strict=True)
     ]
     factors = {column: factor for column, factor in log.factors.items() if column not in BOOM_COLUMNS}
-    return SignalLog(log.source, [tables, *log.files], factors)
+    return replace(log, files=[tables, *log.files], factors=factors)
 
 
 def flights(log: SignalLog, settings: SectionSettings) -> list[AerialPhase]:

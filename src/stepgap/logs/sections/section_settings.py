@@ -21,6 +21,9 @@ COORDINATES = ("state", "command", "target", "predicted")
 LISTS = (*COORDINATES, "aerial", "contact", "force")
 """Keys whose value is a list of names; on the command line they are separated by commas."""
 
+OF_SEVERAL = ("first", "last", "largest")
+"""Which command of a step counts, if it has several: by time, or by magnitude."""
+
 BOOM_COLUMNS = ("height", "forward")
 """Columns that are computed from the angles of a boom."""
 
@@ -59,6 +62,9 @@ class SectionSettings:
         plan_time: Column of the time in the plan [s]; by default as `time`.
         plan_match: For a plan without times, PLAN_COLUMN=COLUMN: the time of a row is that at which the log has the
             same number.
+        of_several: Which command counts if a step has several, such as one at landing and one at take-off: one of
+            `OF_SEVERAL`, for each coordinate. By default, such a step is left out.
+        deployment: Column with the name or number of the deployment, such as an episode; each is a log of its own.
         units: Units of columns, after multiplication by their factors.
         factors: Factors by which columns are multiplied.
         format: How the numbers of text files are written.
@@ -86,6 +92,8 @@ class SectionSettings:
     predicted: tuple[str, ...] = ()
     plan_time: str = ""
     plan_match: str = ""
+    of_several: str = ""
+    deployment: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
     factors: Mapping[str, float] = field(default_factory=dict)
     format: TextFormat = AS_FOUND
@@ -97,6 +105,8 @@ class SectionSettings:
             raise ValueError(f"{rules[1]} = {given!r:.60}, but it must not be given beside {rules[0]}")
         if self.at not in ("apex", "begin", "end"):
             raise ValueError(f"at = {self.at!r:.40}, but it must be apex, begin or end")
+        if self.of_several not in ("", *OF_SEVERAL):
+            raise ValueError(f"of_several = {self.of_several!r:.40}, but it must be {', '.join(OF_SEVERAL)}")
         for name in ("threshold", "rise", "window", "boom"):
             if not 0 <= getattr(self, name) < LARGEST_VALUE:
                 raise ValueError(f"{name} = {getattr(self, name)!r}, but it must be a positive number, or 0")

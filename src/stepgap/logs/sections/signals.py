@@ -1,11 +1,13 @@
 """The signals of a log: columns with the times of their samples, from one file or from several that belong together."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.logs.columns import unknown_column
 from stepgap.logs.tables.files import LARGEST_LOG
@@ -69,11 +71,13 @@ class SignalLog:
         source: Its files, for messages.
         files: The tables of each file.
         factors: Factors by which columns are multiplied.
+        deployment: The deployment whose rows these are; empty if the log is not divided.
     """
 
     source: str
     files: Sequence[Sequence[TimedTable]]
     factors: Mapping[str, float]
+    deployment: str = ""
 
     @property
     def columns(self) -> list[str]:
@@ -96,9 +100,7 @@ class SignalLog:
     def labels(self, column: str) -> Signal:
         """A column as text, such as the names of phases; a number as 3 or 0.5. Errors as of `signal`."""
         found = self._find(column)
-        values = found.table.columns[column]
-        if values.dtype.kind == "f":
-            values = np.array([f"{value:.15g}" if np.isfinite(value) else "" for value in values.tolist()], np.str_)
+        values = _labels(found.table, column)
         known = np.isfinite(found.time) & (values != "")
         return Signal(found.time[known], values[known])
 
@@ -115,7 +117,7 @@ class SignalLog:
 
 
 def read_signal_log(text: str, time: str, factors: Mapping[str, float], written: TextFormat = AS_FOUND) -> SignalLog:
-    """Reads a log.
+    """Reads a log that is a single deployment.
 
     Args:
         text: Path of a file; or several joined by "+", which have their own times, or else as many rows as the first.
@@ -126,12 +128,94 @@ def read_signal_log(text: str, time: str, factors: Mapping[str, float], written:
     Raises:
         RecordError: A file cannot be read, has no time, or its times decrease.
     """
-    paths = [Path(text)] if Path(text).exists() else [Path(part.strip()) for part in text.split("+")]
-    files: list[list[TimedTable]] = []
-    for path in paths:
-        tables = read_log_tables(path, written, LARGEST_LOG)
-        files.append(_with_times(path, tables, time, factors, files[0][0] if files else None))
-    return SignalLog(text, files, factors)
+    return _signal_log(
+        text, [(path, read_log_tables(path, written, LARGEST_LOG)) for path in _paths(text)], time, factors
+    )
+
+
+def read_deployments(
+    text: str, time: str, factors: Mapping[str, float], written: TextFormat, deployment: str
+) -> list[Callable[[], SignalLog]]:
+    """Reads a log that a column divides into deployments; each is given by a function, so that one may be wrong.
+
+    Args:
+        text: As of `read_signal_log`.
+        time: As of `read_signal_log`.
+        factors: As of `read_signal_log`.
+        written: As of `read_signal_log`.
+        deployment: The column. A table without it has the deployments of the first file if it has as many rows.
+
+    Raises:
+        RecordError: A file cannot be read, or has no such column; as of `read_signal_log`, for each deployment.
+    """
+    files = [(path, read_log_tables(path, written, LARGEST_LOG)) for path in _paths(text)]
+    logs: dict[str, list[tuple[Path, dict[str, LogTable]]]] = {}
+    for path, tables in files:
+        found = dict(_with_deployments(tables, files[0][1], deployment))
+        if not found:
+            raise RecordError(f"{path}: {next(iter(tables.values())).fault_of(deployment)}; it is to be the deployment")
+        for topic, table in found.items():
+            for name, part in divided(table, deployment).items():
+                of_name = logs.setdefault(name, [])
+                if not of_name or of_name[-1][0] != path:
+                    of_name.append((path, {}))
+                of_name[-1][1][topic] = part
+    return [partial(_signal_log, text, parts, time, factors, name) for name, parts in logs.items()]
+
+
+def _paths(text: str) -> list[Path]:
+    return [Path(text)] if Path(text).exists() else [Path(part.strip()) for part in text.split("+")]
+
+
+def divided(table: LogTable, column: str) -> dict[str, LogTable]:
+    """The rows of a table by the labels in a column, in the order of their first rows; those without one are left out.
+
+    Raises:
+        RecordError: There is no such column.
+    """
+    if fault := table.fault_of(column):
+        raise RecordError(f"{table.heading or table.source}: {fault}")
+    names, number = np.unique(_labels(table, column), return_inverse=True)
+    rows = np.split(np.argsort(number, kind="stable"), np.cumsum(np.bincount(number))[:-1])
+    parts = sorted(zip(names.tolist(), rows, strict=True), key=lambda part: int(part[1][0])) if len(number) else []
+    return {name: _rows_of(table, part) for name, part in parts if name}
+
+
+def _rows_of(table: LogTable, rows: NDArray[np.intp]) -> LogTable:
+    columns = {name: values[rows] for name, values in table.columns.items()}
+    return replace(table, columns=columns, lines=None if table.lines is None else table.lines[rows])
+
+
+def _labels(table: LogTable, column: str) -> NDArray[np.str_]:
+    values: Any = table.columns[column]
+    if values.dtype.kind == "U":
+        return values
+    return np.array([f"{value:.15g}" if np.isfinite(value) else "" for value in values.tolist()], np.str_)
+
+
+def _with_deployments(
+    tables: Mapping[str, LogTable], first: Mapping[str, LogTable], column: str
+) -> Iterator[tuple[str, LogTable]]:
+    """Yields the tables that have the column of the deployment, or as many rows as one of the first file with it."""
+    known = {len(table): table.columns[column] for table in first.values() if not table.fault_of(column)}
+    for topic, table in tables.items():
+        if not table.fault_of(column):
+            yield topic, table
+        elif len(table) in known:
+            yield topic, replace(table, columns={**table.columns, column: known[len(table)]})
+
+
+def _signal_log(
+    text: str,
+    files: Sequence[tuple[Path, Mapping[str, LogTable]]],
+    time: str,
+    factors: Mapping[str, float],
+    deployment: str = "",
+) -> SignalLog:
+    timed: list[list[TimedTable]] = []
+    for path, tables in files:
+        timed.append(_with_times(path, tables, time, factors, timed[0][0] if timed else None))
+    return SignalLog(f"{text}, {deployment}" if deployment else text, timed, factors, deployment)
 
 
 def _with_times(

@@ -1,5 +1,6 @@
 """Steps from a log of ticks: sections, states, plans, and the reasons for which steps are left out."""
 
+import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,12 +10,13 @@ from typing import Final, final
 
 import numpy as np
 
+from stepgap.base.errors import StepGapWarning
 from stepgap.logs.columns import unknown_column
 from stepgap.logs.sections.plans import Plans, StepValues, joined_doubts, read_plans, step_values
 from stepgap.logs.sections.section_finding import SectionFunction, find_sections, with_boom
 from stepgap.logs.sections.section_settings import COORDINATES, SectionSettings, SignalCoordinate
 from stepgap.logs.sections.section_states import SectionStates, section_states
-from stepgap.logs.sections.signals import Signal, SignalLog, read_signal_log
+from stepgap.logs.sections.signals import Signal, SignalLog, read_deployments, read_signal_log
 from stepgap.logs.sections.tops import hop_faults
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
@@ -39,6 +41,7 @@ class ExtractedSteps:
         yaw: Yaw at the beginning of each step [rad], NaN where it is unknown; None if the settings name none.
         faults: Why a step is left out; empty texts for steps that are not.
         signals: The signals by column, first the one in which the sections are seen, such as the height.
+        deployment: The deployment in the log; empty if it is not divided.
     """
 
     source: str
@@ -48,6 +51,7 @@ class ExtractedSteps:
     yaw: Array | None
     faults: tuple[str, ...]
     signals: Mapping[str, Signal]
+    deployment: str = ""
 
     @property
     def kept(self) -> list[int]:
@@ -71,7 +75,7 @@ class ExtractedSteps:
 def extract_steps(
     text: str, plan: Path | None, settings: SectionSettings, find: SectionFunction | None = None
 ) -> ExtractedSteps:
-    """Extracts the steps of a log.
+    """Extracts the steps of a log that is a single deployment.
 
     Args:
         text: The log, as of `read_signal_log`.
@@ -82,7 +86,42 @@ def extract_steps(
     Raises:
         RecordError: A file cannot be read, a column is missing, or no sections are found.
     """
-    log = with_boom(read_signal_log(text, settings.time, settings.factors, settings.format), settings)
+    return _extract(read_signal_log(text, settings.time, settings.factors, settings.format), plan, settings, find)
+
+
+def extract_deployments(text: str, plan: Path | None, settings: SectionSettings) -> list[ExtractedSteps]:
+    """Extracts the steps of each deployment of a log; a `StepGapWarning` names each that is left out, with the reason.
+
+    Args:
+        text: As of `extract_steps`.
+        plan: As of `extract_steps`.
+        settings: As of `extract_steps`; the log is a single deployment unless they name a column.
+
+    Raises:
+        RecordError: As of `extract_steps`, for each of the deployments.
+    """
+    if not settings.deployment:
+        return [extract_steps(text, plan, settings)]
+    logs = read_deployments(text, settings.time, settings.factors, settings.format, settings.deployment)
+    found: list[ExtractedSteps] = []
+    faults: list[RecordError] = []
+    for read in logs:
+        try:
+            found.append(_extract(read(), plan, settings))
+        except RecordError as error:
+            faults.append(error)
+    if not found:
+        raise faults[0]
+    for fault in faults:
+        warnings.warn(f"left out: {fault}", StepGapWarning, stacklevel=2)
+    return found
+
+
+def _extract(
+    log: SignalLog, plan: Path | None, settings: SectionSettings, find: SectionFunction | None = None
+) -> ExtractedSteps:
+    """Extracts the steps of one deployment."""
+    log = with_boom(log, settings)
     found = sorted(find(log) if find else find_sections(log, settings), key=lambda section: section.time)
     if len(found) < 2:
         raise RecordError(f"{log.source}: {len(found)} sections; at least two are needed")
@@ -90,7 +129,10 @@ def extract_steps(
     plans = read_plans(plan, log, settings) if plan else None
     _check_factors(settings, log, plans)
     parts = {
-        role: [step_values(_source(entry, log, plans), sections.time) for entry in getattr(settings, role)]
+        role: [
+            step_values(_source(entry, log, plans), sections.time, settings.of_several)
+            for entry in getattr(settings, role)
+        ]
         for role in COORDINATES[1:]
         if getattr(settings, role)
     }
@@ -98,7 +140,8 @@ def extract_steps(
     signals = {column: log.signal(column) for column in _columns(settings)}
     hops = log.signal(settings.height_column) if settings.at == "apex" and settings.rule != "crossing" else None
     return ExtractedSteps(
-        source=text,
+        source=log.source,
+        deployment=log.deployment,
         names={role: tuple(each.name for each in settings.coordinates(role)) for role in COORDINATES},
         sections=sections,
         values=values,

@@ -89,8 +89,9 @@ def _row(log: ExtractedSteps, number: int) -> Iterator[float]:
 
 
 def label_of(log: ExtractedSteps) -> str:
-    """A short name for a log: that of its first file."""
-    return Path(log.source.split("+")[0].strip()).name
+    """A short name for a log: that of its first file, and of the deployment in it."""
+    deployment = f", {log.deployment}" if log.deployment else ""
+    return Path(log.source.removesuffix(deployment).split("+")[0].strip()).name + deployment
 
 
 def _labels(logs: Sequence[ExtractedSteps]) -> list[str]:
