@@ -1,13 +1,14 @@
 """ESI files: what is read of them, and that a broken or hostile one is refused in one line."""
 
 import re
+import warnings
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from stepgap.base.errors import InputError
+from stepgap.base.errors import InputError, StepGapWarning
 from stepgap.hardware.ethercat.esi import tree
 from stepgap.hardware.ethercat.esi.comparison import compare_with_esi
 from stepgap.hardware.ethercat.esi.document import EsiEntry, InitCommand, OpMode
@@ -96,6 +97,27 @@ def test_other_numbers_are_refused(text: str) -> None:
         parse_number(text)
 
 
+def same_name(folder: Path) -> Path:
+    """Another folder for a file of the same name."""
+    (folder / "same").mkdir()
+    return folder / "same"
+
+
+def test_numbers_with_two_prefixes_are_read_with_a_remark(tmp_path: Path) -> None:
+    """Tools that make files for real devices write and accept them."""
+    odd = re.sub(r"<Index>#x(?=60)", "<Index>#x0x", DRIVE).replace('ProductCode="#x', 'ProductCode="#x0x')
+    assert odd.count("#x0x") > 5
+    with pytest.warns(StepGapWarning, match=r"drive.xml: line \d+: #x0x0*1234 is read as #x0*1234$"):
+        assert read_esi(written(tmp_path, odd)) == read_esi(written(same_name(tmp_path), DRIVE))
+
+
+@pytest.mark.parametrize("broken", ['<Device><Type ProductCode="-1">Odd</Type></Device>', "<Device/>"])
+def test_a_device_that_is_not_valid_does_not_hide_the_others(broken: str, tmp_path: Path) -> None:
+    content = DRIVE.replace("<Devices>", f"<Devices>{broken}")
+    with pytest.warns(StepGapWarning, match=r"drive.xml: left out a device or module: line \d+: "):
+        assert read_esi(written(tmp_path, content)) == read_esi(written(same_name(tmp_path), DRIVE))
+
+
 BROKEN = [
     (b"", "line 1: not XML: no element found"),
     (b"\0\0\0\0", "line 1: not XML"),
@@ -179,12 +201,14 @@ def read_and_used(path: Path) -> None:
 
 
 def refusal_of(path: Path) -> str:
-    """Why a file cannot be used; empty if it can. Any other error than this one is a failure."""
-    try:
-        read_and_used(path)
-    except InputError as error:
-        return str(error)
-    return ""
+    """Why a file cannot be used; empty if it can, perhaps without a device. Any other error is a failure."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StepGapWarning)
+        try:
+            read_and_used(path)
+        except InputError as error:
+            return str(error)
+        return ""
 
 
 @settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])

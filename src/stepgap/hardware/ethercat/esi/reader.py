@@ -1,16 +1,21 @@
 """Reads an ESI file; every error is one line with the file, its line and what would be right."""
 
 import re
+import warnings
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
-from stepgap.base.errors import InputError
+from stepgap.base.errors import InputError, StepGapWarning
 from stepgap.hardware.ethercat.esi.document import EsiDevice, EsiEntry, EsiFile, EsiModule, EsiPdo, InitCommand, OpMode
 from stepgap.hardware.ethercat.esi.tree import Element, read_tree
+
+T = TypeVar("T")
 
 ENGLISH = "1033"
 """Language of a name (LcId) that is preferred to others."""
 
-_NUMBER = re.compile(r"(?:(?:#|0)[xX](?P<hex>[0-9a-fA-F]{1,16})|(?P<decimal>[0-9]{1,20}))")
+_NUMBER = re.compile(r"(?:(?:#[xX]0[xX]|[#0][xX])(?P<hex>[0-9a-fA-F]{1,16})|(?P<decimal>[0-9]{1,20}))")
 _BOOLEANS = {"": False, "0": False, "false": False, "1": True, "true": True}
 _LONGEST_NAME = 80
 
@@ -18,23 +23,49 @@ _LONGEST_NAME = 80
 def read_esi(path: Path) -> EsiFile:
     """Reads an ESI file.
 
+    A device or module that is not valid is left out; a `StepGapWarning` names it, and numbers such as `#x0x6041`, which
+    some tools accept.
+
     Raises:
-        InputError: It cannot be read, is not an ESI file, or a number in it is not valid.
+        InputError: It cannot be read, is not an ESI file, or none of its devices and modules is valid.
     """
     root = read_tree(path)
+    if odd := next(_doubly_prefixed(root), None):
+        line, text = odd
+        warnings.warn(f"{path}: line {line}: {text:.30} is read as #x{text[4:]:.30}", StepGapWarning, stacklevel=2)
     try:
         vendor = root.find("Vendor")
         if vendor is None:
             raise ValueError("it has no Vendor, so it is not a complete ESI file")
-        return EsiFile(
-            name=path.name,
-            vendor=_child_number(vendor, "Id"),
-            vendor_name=_name_of(vendor),
-            devices=tuple(map(_device, root.find_all("Descriptions", "Devices", "Device"))),
-            modules=tuple(map(_module, root.find_all("Descriptions", "Modules", "Module"))),
-        )
+        faults: list[ValueError] = []
+        devices = tuple(_valid(_device, root.find_all("Descriptions", "Devices", "Device"), faults))
+        modules = tuple(_valid(_module, root.find_all("Descriptions", "Modules", "Module"), faults))
+        if faults and not (devices or modules):
+            raise faults[0]
+        file = EsiFile(path.name, _child_number(vendor, "Id"), _name_of(vendor), devices, modules)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
+    for fault in faults:
+        warnings.warn(f"{path}: left out a device or module: {fault}", StepGapWarning, stacklevel=2)
+    return file
+
+
+def _valid(read: Callable[[Element], T], elements: Iterable[Element], faults: list[ValueError]) -> Iterator[T]:
+    """Yields what the valid ones of some elements describe; the errors of others are added to `faults`."""
+    for element in elements:
+        try:
+            yield read(element)
+        except ValueError as error:
+            faults.append(error)
+
+
+def _doubly_prefixed(element: Element) -> Iterator[tuple[int, str]]:
+    """Yields the numbers with two prefixes, each with its line."""
+    for text in (element.text, *element.attributes.values()):
+        if text[1:4].lower() == "x0x" and _NUMBER.fullmatch(text):
+            yield element.line, text
+    for child in element.children:
+        yield from _doubly_prefixed(child)
 
 
 def parse_number(text: str) -> int:
