@@ -4,9 +4,10 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.base.errors import InputError
 from stepgap.learning.steps import Labels, Steps
@@ -24,11 +25,13 @@ class FoundSteps(NamedTuple):
     Attributes:
         steps: The steps; those of other programs may lack targets and predictions, and have no context.
         phase: Phase at which each step started [rad], NaN where it is unknown; shape (N,).
+        origin: Where each step was recorded, for messages; shape (N,).
         left_out: Number of excluded rows by reason, such as "with a number missing"; no zeros.
     """
 
     steps: Steps
     phase: Array
+    origin: NDArray[np.str_]
     left_out: Mapping[str, int]
 
 
@@ -40,9 +43,11 @@ def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> FoundSteps:
     Raises:
         RecordError: A file cannot be read, or does not fit; the message names file, line and column.
     """
-    parts, deployments, left_out, found = [], [], Counter[str](), 0
+    parts, deployments, origins, left_out, found = [], [], list[str](), Counter[str](), 0
     for path in paths:
-        part, deployment, missing = _steps_of(_read(path, columns), columns)
+        rows = _read(path, columns)
+        part, deployment, missing = _steps_of(rows, columns)
+        origins += map(rows.table.row, part.pop("row")[:, 0].tolist())
         parts.append(part)
         deployments.append(deployment + found)
         found += int(deployment.max(initial=-1)) + 1
@@ -63,7 +68,9 @@ def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> FoundSteps:
         **{role: table[role] for role in ("target", "predicted") if role in table},
     )
     phase = table["yaw"][:, 0] if columns.yaw else np.full(len(steps), np.nan)
-    return FoundSteps(steps, phase, {reason: count for reason, count in left_out.items() if count})
+    return FoundSteps(
+        steps, phase, np.array(origins, np.str_), {reason: count for reason, count in left_out.items() if count}
+    )
 
 
 def describe_left_out(left_out: Mapping[str, int]) -> str:
@@ -112,7 +119,7 @@ def step_log_of(found: FoundSteps) -> Steps:
 def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Labels, dict[str, int]]:
     """Arrays of the complete steps by role, their deployments, and the numbers of rows that are left out.
 
-    A yaw belongs to the start of a step, and may be missing.
+    A yaw, and the index of the row, belong to the start of a step; a yaw may be missing.
     """
     table = {
         role: np.stack([rows.numbers[column_of(entry)] for entry in getattr(columns, role)], axis=-1)
@@ -120,7 +127,8 @@ def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Labels
         if getattr(columns, role)
     }
     deployment, ends = rows.deployment, 0
-    yaw = {"yaw": rows.numbers[columns.yaw][:, None]} if columns.yaw else {}
+    begin: dict[str, Any] = {"row": np.arange(len(deployment))[:, None]}
+    begin |= {"yaw": rows.numbers[columns.yaw][:, None]} if columns.yaw else {}
     if not (columns.state and columns.next):
         follows = deployment[1:] == deployment[:-1]
         if columns.step:
@@ -130,10 +138,10 @@ def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Labels
         later = {role: values[1:][follows] for role, values in table.items()}
         table = earlier | {"next": later["state"]} if columns.state else later | {"state": earlier["next"]}
         deployment = deployment[1:][follows]
-        yaw = {role: values[:-1][follows] for role, values in yaw.items()}
+        begin = {role: values[:-1][follows] for role, values in begin.items()}
     complete = np.all([np.isfinite(values).all(axis=1) for values in table.values()], axis=0)
     left_out = {"with a number missing": int((~complete).sum()), "at the end of a chain": ends}
-    return {role: values[complete] for role, values in (table | yaw).items()}, deployment[complete], left_out
+    return {role: values[complete] for role, values in (table | begin).items()}, deployment[complete], left_out
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,10 +149,12 @@ class _Rows:
     """The needed columns of a file's R rows.
 
     Attributes:
+        table: All columns.
         numbers: Columns of numbers by name, NaN where one is missing; each of shape (R,).
         deployment: Number of the deployment of each row; shape (R,).
     """
 
+    table: LogTable
     numbers: Mapping[str, Array]
     deployment: Labels
 
@@ -155,7 +165,7 @@ def _read(path: Path, columns: Columns) -> _Rows:
     tables = read_log_tables(path, columns.format, LARGEST_LOG)
     table = chosen_table(path, tables, list(roles), roles)
     numbers = {name: table.numbers(name) * columns.factors.get(name, 1.0) for name in columns.numbers}
-    return _Rows(numbers, _deployments(table, columns.deployment))
+    return _Rows(table, numbers, _deployments(table, columns.deployment))
 
 
 def _deployments(table: LogTable, column: str) -> Labels:

@@ -283,7 +283,7 @@ def test_fit_reads_the_rest(tmp_path: Path) -> None:
         writer.add_message(bad, 0, b"", 0)
         writer.finish()
     with pytest.warns(StepGapWarning, match="left out /camera \\(messages in 'cbor', not read"):
-        steps = read_foreign_logs([tmp_path / "log.mcap"], Columns(state=("v",), command=("c",)))
+        steps = read_foreign_logs([tmp_path / "log.mcap"], Columns(state=("v",), command=("c",))).steps
     np.testing.assert_array_equal(steps.next_state[:, 0], V[1:])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

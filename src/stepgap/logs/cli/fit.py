@@ -15,8 +15,7 @@ from stepgap.cli.options import NO_COLUMNS, ColumnNames, Integer, Overrides
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.logs.columns import Columns
-    from stepgap.logs.fits.fit import FitData
-    from stepgap.logs.fits.validation import Validation
+    from stepgap.logs.fits.fit import Comparison
 
     Source = tuple[Columns | None, str | None, Path | None, Sequence[tuple[str, str]]]
     """How logs are read: meaning of their columns, nominal next states, settings of the experiment."""
@@ -111,15 +110,22 @@ def _apply(model: Path, log: tuple[Path, ...], source: "Source", results: Result
         show_application,
     )
     from stepgap.logs.fits.fit import check_count, read_nominal_errors
+    from stepgap.logs.fits.fit_results import describe_suspicious
     from stepgap.logs.fits.model_application import LEAST_PREDICTED, MOST_PREDICTED, apply_model
+    from stepgap.logs.fits.suspicious import far_rows, improbable_rows
 
     data = read_nominal_errors(log, *source)
     check_count(log, data, LEAST_PREDICTED, MOST_PREDICTED)
     applied = apply_model(model, data)
+    rows = far_rows(data.steps) | improbable_rows(data.observed, data.steps.follows, applied.validation)
+    scored = apply_model(model, data.without(rows)) if rows else applied
     print(describe_application(applied))
-    show_application(applied, sys.stdout)
+    if rows:
+        print(describe_suspicious(data.named(rows)))
+    show_application(scored, sys.stdout, applied if rows else None)
     if results.out:
-        write_new(results.out, "--out", json.dumps(application_report(log, applied), indent=1))
+        report = application_report(log, scored, applied, data.named(rows))
+        write_new(results.out, "--out", json.dumps(report, indent=1))
     if results.predictions:
         write_new(results.predictions, "--predictions", prediction_table(applied))
 
@@ -131,39 +137,35 @@ def _compare(
     from stepgap.base.blas import one_blas_thread
     from stepgap.cli.progress import progress_bar
     from stepgap.learning.residual_fit import names_without_lagged_inputs
-    from stepgap.logs.fits.fit import choose_folds, read_fit_data, read_test_data
-    from stepgap.logs.fits.fit_results import describe_fit_data, show_validation, verdicts
-    from stepgap.logs.fits.validation import validate, validate_on
+    from stepgap.logs.fits.fit import choose_folds, compare, read_fit_data, read_test_data
+    from stepgap.logs.fits.fit_results import describe_fit_data, describe_suspicious, show_validation, verdicts
 
     kinds = names_without_lagged_inputs()
     data = read_fit_data(log, *source)
     tested = read_test_data(data, log, test, *source) if test else None
-    parts = choose_folds(data.steps, folds)
-    print(describe_fit_data(data, parts, tested), flush=True)
+    print(describe_fit_data(data, choose_folds(data.steps, folds), tested), flush=True)
     with one_blas_thread(), progress_bar("fits") as progress:
-        if tested is None:
-            validation = validate(kinds, data.observed, parts, data.learning, progress)
-        else:
-            validation = validate_on(kinds, data.observed, tested.observed, data.learning, progress)
-    show_validation(data, validation, sys.stdout)
-    follows = (data if tested is None else tested).steps.follows
-    print(verdicts(data.observed.space.state, validation, follows))
-    _write(results, log, data, validation)
+        found = compare(kinds, data, tested, folds, progress)
+    if found.suspicious:
+        print(describe_suspicious(found.suspicious))
+    show_validation(found.data, found.validation, sys.stdout)
+    print(verdicts(found))
+    _write(results, log, found)
 
 
-def _write(results: Results, log: tuple[Path, ...], data: "FitData", validation: "Validation") -> None:
+def _write(results: Results, log: tuple[Path, ...], found: "Comparison") -> None:
     """Writes the requested files."""
     from stepgap.logs.fits.fit import best_model
     from stepgap.logs.fits.fit_results import fit_report
     from stepgap.report.own_style import own_style
 
     if results.out:
-        write_new(results.out, "--out", json.dumps(fit_report(log, data, validation), indent=1))
+        write_new(results.out, "--out", json.dumps(fit_report(log, found), indent=1))
     if results.save:
-        write_new(results.save, "--save", best_model(data, validation))
+        write_new(results.save, "--save", best_model(found.data, found.validation))
     if results.plot:
         with own_style():
             from stepgap.logs.fits.fit_files import fit_picture
 
-            picture = fit_picture(data.observed.space.state, validation, format_by_name(results.plot))
+            picture = fit_picture(found.data.observed.space.state, found.validation, format_by_name(results.plot))
         write_new(results.plot, "--plot", picture)

@@ -1,7 +1,7 @@
 """Text, JSON and CSV output of `stepgap fit --load`: a saved model applied to recorded steps."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from io import StringIO
 from pathlib import Path
 from typing import Any, Final, TextIO
@@ -12,14 +12,14 @@ from stepgap.logs.fits.fit_results import (
     describe_log,
     gain_sentence,
     lacking,
+    parts_of,
     reduction_as_data,
     scores_as_data,
     show_scores,
 )
 from stepgap.logs.fits.model_application import AppliedModel
-from stepgap.step import Quantity
 
-APPLIED_SCHEMA: Final = 1
+APPLIED_SCHEMA: Final = 2
 """Version of the JSON file with the scores."""
 
 _WITHOUT: Final = "without a correction"
@@ -44,19 +44,20 @@ def describe_application(applied: AppliedModel) -> str:
     return "\n".join(lines)
 
 
-def show_application(applied: AppliedModel, stream: TextIO) -> None:
-    """Prints a table for each state coordinate, and sentences on the gain."""
-    state, steps = applied.data.observed.space.state, applied.data.steps
-    show_scores(state, applied.validation, ["none"], stream)
-    print(f"{'successive:':16}{lacking(state, applied.predicted, steps.follows)}", file=stream)
-    for name, coordinates in _parts(state).items():
+def show_application(scored: AppliedModel, stream: TextIO, with_suspicious: AppliedModel | None = None) -> None:
+    """Prints a table for each state coordinate, and sentences on the gain; these also with rows that are suspicious."""
+    state, steps = scored.data.observed.space.state, scored.data.steps
+    show_scores(state, scored.validation, ["none"], stream)
+    print(f"{'successive:':16}{lacking(state, scored.predicted, steps.follows)}", file=stream)
+    _show_gains(scored, stream)
+    if with_suspicious:
+        print("with the suspicious rows:", file=stream)
+        _show_gains(with_suspicious, stream)
+
+
+def _show_gains(applied: AppliedModel, stream: TextIO) -> None:
+    for name, coordinates in parts_of(applied.data.observed.space.state).items():
         print(f"{name + ':':16}{gain_sentence(applied.gain(coordinates), _WITHOUT)}", file=stream)
-
-
-def _parts(state: Sequence[Quantity]) -> dict[str, Sequence[int]]:
-    """State coordinates of each sentence."""
-    parts: dict[str, Sequence[int]] = {quantity.name: [index] for index, quantity in enumerate(state)}
-    return parts | ({"all together": range(len(state))} if len(state) > 1 else {})
 
 
 def prediction_table(applied: AppliedModel) -> str:
@@ -75,21 +76,35 @@ def prediction_table(applied: AppliedModel) -> str:
     return text.getvalue()
 
 
-def application_report(logs: Sequence[Path], applied: AppliedModel) -> dict[str, Any]:
-    """All results as JSON-ready data; NaN and infinities become null."""
-    state = applied.data.observed.space.state
-    gains = {name: applied.gain(coordinates) for name, coordinates in _parts(state).items()}
+def application_report(
+    logs: Sequence[Path], scored: AppliedModel, applied: AppliedModel, suspicious: Mapping[str, str]
+) -> dict[str, Any]:
+    """All results as JSON-ready data; NaN and infinities become null.
+
+    Args:
+        logs: The logs.
+        scored: The model applied to the steps without suspicious rows.
+        applied: The model applied to all steps.
+        suspicious: What is suspicious in the rows that were left out, by their origins.
+    """
+    parts = parts_of(scored.data.observed.space.state)
+    gains = {name: scored.gain(coordinates) for name, coordinates in parts.items()}
     return {
         "schema": APPLIED_SCHEMA,
         "logs": [str(log) for log in logs],
         "model": str(applied.path),
         "nominal": applied.data.nominal,
-        "steps": len(applied.data.steps),
+        "steps": len(scored.data.steps),
         "known_steps": applied.known,
         "steps_outside": applied.outside,
         "residuals": [
-            {"kind": kind, **scores_as_data(state, held)} for kind, held in applied.validation.held_out.items()
+            {"kind": kind, **scores_as_data(scored.data.observed.space.state, held)}
+            for kind, held in scored.validation.held_out.items()
         ],
         "gain": {name: reduction_as_data(gain) for name, gain in gains.items()},
         "verdict": {name: gain_sentence(gain, _WITHOUT) for name, gain in gains.items()},
+        "suspicious": dict(suspicious),
+        "verdict_with_suspicious": {
+            name: gain_sentence(applied.gain(coordinates), _WITHOUT) for name, coordinates in parts.items()
+        },
     }

@@ -1,10 +1,11 @@
 """Input of `stepgap fit`: the error of the nominal map in any log, and what is held out."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.base.errors import InputError
 from stepgap.experiment.nominal import load_nominal
@@ -14,6 +15,7 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps, joined
 from stepgap.logs.columns import Columns
 from stepgap.logs.fits.model_averaging import averaged, common_weights
+from stepgap.logs.fits.suspicious import MOST, Reasons, far_rows, improbable_rows
 from stepgap.logs.fits.validation import (
     FOLDS,
     LEAST_STEPS,
@@ -24,6 +26,8 @@ from stepgap.logs.fits.validation import (
     deployment_folds,
     fit_steps,
     reduction,
+    validate,
+    validate_on,
 )
 from stepgap.logs.foreign_log import FoundSteps, describe_left_out, read_foreign_logs
 from stepgap.records.model_files import MAP, NominalSource, saved_model_text
@@ -41,6 +45,9 @@ NOMINALS = {
 }
 """Sources of the nominal next states, with descriptions."""
 
+MOST_ROUNDS = 4
+"""Suspicious rows may hide others, so residuals are compared without them, at most this number of times."""
+
 BASELINES: tuple[str, ...] = ("none", "constant")
 """Residuals with which all others are compared, besides that of the run."""
 
@@ -55,18 +62,42 @@ class FitData:
     Attributes:
         steps: Steps that ended with a next state, with the nominal next states as predictions.
         observed: Errors of these predictions.
+        origin: Where each step was recorded, for messages; shape (N,).
         left_out: Number of excluded rows by reason, such as "that ended without a next state"; no zeros.
         nominal: Description of the source of the predictions.
         source: That source: its name is a key of `NOMINALS`.
         learning: Settings of learning; those of the run, if the steps are those of a run.
+        columns: Meaning of the columns if the ranges of state and command are those of the data; None if they are those
+            of a robot.
     """
 
     steps: Steps
     observed: Observations
+    origin: NDArray[np.str_]
     left_out: Mapping[str, int]
     nominal: str
     source: NominalSource
     learning: LearningSettings
+    columns: Columns | None = None
+
+    def without(self, rows: Reasons) -> "FitData":
+        """The data without some rows, with the ranges of the others."""
+        kept = ~np.isin(np.arange(len(self.steps)), list(rows))
+        found = replace(
+            self,
+            steps=self.steps.selected(kept),
+            observed=self.observed.selected(kept),
+            origin=self.origin[kept],
+        )
+        return found.in_space(self.columns.space(found.steps.state, found.steps.requested)) if self.columns else found
+
+    def in_space(self, space: StepSpace) -> "FitData":
+        """The same data with other ranges."""
+        return replace(self, steps=self.steps.in_space(space), observed=replace(self.observed, space=space))
+
+    def named(self, rows: Reasons) -> dict[str, str]:
+        """What is suspicious in some rows, by their origins."""
+        return {str(self.origin[row]): reason for row, reason in rows.items()}
 
 
 def read_fit_data(
@@ -128,7 +159,8 @@ def read_nominal_errors(
         description += ", some overridden" if of_map else ""
     elif len(steps) and np.isnan(predicted).all():
         raise InputError(f"--nominal {source}: the log has none; name its columns by --{source}")
-    return _with_errors(found, predicted, description, NominalSource(source, step_map), settings.learning)
+    data = _with_errors(found, predicted, description, NominalSource(source, step_map), settings.learning)
+    return data if source == MAP else replace(data, columns=columns)
 
 
 def _with_errors(
@@ -142,7 +174,7 @@ def _with_errors(
     error, phase = steps.next_state - steps.predicted, found.phase[known]
     arrays = steps.state, steps.requested, error
     observed = Observations(steps.space, *arrays, phase=phase, deployment=steps.iteration)
-    return FitData(steps, observed, left_out, nominal, source, learning)
+    return FitData(steps, observed, found.origin[known], left_out, nominal, source, learning)
 
 
 def _common_experiment(logs: Sequence[Path]) -> Path | None:
@@ -172,8 +204,13 @@ def _read_runs(logs: Sequence[Path], space: StepSpace) -> FoundSteps:
             raise InputError(f"{error}; for any other CSV file name its columns, see --help") from None
     steps = joined(found)
     done, left_out = steps.status == StepStatus.OK, {"that ended without a next state": steps.failed_steps}
+    numbers = zip(steps.iteration.tolist(), steps.number.tolist(), strict=True)
+    origin = np.array([f"deployment {iteration}, step {number}" for iteration, number in numbers], np.str_)
     return FoundSteps(
-        steps.with_columns(predicted=np.nan).selected(done), steps.phase[done], left_out if steps.failed_steps else {}
+        steps.with_columns(predicted=np.nan).selected(done),
+        steps.phase[done],
+        origin[done],
+        left_out if steps.failed_steps else {},
     )
 
 
@@ -235,7 +272,70 @@ def read_test_data(
     if columns is None and experiment is None:
         _common_experiment([log / "steps.csv" if log.is_dir() else log for log in (*logs, *test)])
     found = read_fit_data(test, columns, nominal, experiment, overrides)
-    return replace(found, observed=replace(found.observed, space=data.observed.space))
+    return found.in_space(data.observed.space)
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Residuals scored on held-out steps.
+
+    Attributes:
+        data: Steps to which they were fitted, without those that are suspicious.
+        tested: Steps of other logs on which they were scored, likewise; None if parts of `data` were held out.
+        validation: The predictions.
+        suspicious: What is suspicious in the rows that were left out, by their origins.
+        with_them: The predictions if these rows are not left out; the same as `validation` if there are none.
+    """
+
+    data: FitData
+    tested: FitData | None
+    validation: Validation
+    suspicious: Mapping[str, str]
+    with_them: Validation
+
+    @property
+    def scored_last(self) -> list[FitData]:
+        """The steps that were fitted to, and those that were scored if they are others."""
+        return [self.data] if self.tested is None else [self.data, self.tested]
+
+
+def compare(
+    kinds: Sequence[str],
+    data: FitData,
+    tested: FitData | None,
+    folds: int | None,
+    on_fit: Callable[[int, int], None] = lambda done, total: None,
+) -> Comparison:
+    """Scores residuals on held-out steps; rows that are suspicious are left out, until no more are found.
+
+    Args:
+        kinds: Names of the residuals, from simple to complex.
+        data: Steps to which they are fitted.
+        tested: Other steps on which they are scored; None to hold out parts of `data`.
+        folds: Number of these parts; as of `choose_folds`.
+        on_fit: Called with the number of fits done and the number of all fits.
+    """
+
+    def validated(data: FitData, tested: FitData | None) -> Validation:
+        if tested is None:
+            return validate(kinds, data.observed, choose_folds(data.steps, folds), data.learning, on_fit)
+        return validate_on(kinds, data.observed, tested.observed, data.learning, on_fit)
+
+    first = now = Comparison(data, tested, both := validated(data, tested), {}, both)
+    for _ in range(MOST_ROUNDS):
+        rows = [far_rows(each.steps) for each in now.scored_last]
+        if not any(rows):
+            rows[-1] = improbable_rows(now.scored_last[-1].observed, now.scored_last[-1].steps.follows, now.validation)
+        if not any(rows):
+            break
+        named = dict(now.suspicious)
+        for each, of_each in zip(now.scored_last, rows, strict=True):
+            named |= each.named(of_each)
+        kept, *others = (each.without(of_each) for each, of_each in zip(now.scored_last, rows, strict=True))
+        left = others[0].in_space(kept.observed.space) if others else None
+        now = Comparison(kept, left, validated(kept, left), named, both)
+    count = sum(len(each.steps) for each in first.scored_last)
+    return now if len(now.suspicious) <= 2 * MOST * count else first
 
 
 def gains(validation: Validation, coordinates: Sequence[int]) -> dict[str, Reduction]:

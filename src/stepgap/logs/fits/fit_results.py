@@ -1,6 +1,7 @@
 """Text and JSON output of `stepgap fit`: tables, sentences and all numbers."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -11,29 +12,51 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from stepgap.logs.fits.fit import BASELINES, FitData, gains, heaviest_residual
+from stepgap.logs.fits.fit import BASELINES, Comparison, FitData, gains, heaviest_residual
 from stepgap.logs.fits.model_averaging import averaged, correlation_of_successive, residual_weights
 from stepgap.logs.fits.validation import Folds, HeldOut, Reduction, Validation
 from stepgap.logs.foreign_log import describe_left_out
 from stepgap.report.text import with_unit
 from stepgap.step import Array, Quantity
 
-FIT_SCHEMA = 4
+FIT_SCHEMA = 5
 """Version of the JSON file."""
 
+MOST_NAMED = 10
+"""Largest number of suspicious rows that are named."""
 
-def verdicts(state: Sequence[Quantity], validation: Validation, follows: NDArray[np.bool_]) -> str:
+LARGEST_CHANGE = 10.0
+"""An error that is larger than another one by more than this multiple is far worse, whatever the number."""
+
+
+def verdicts(found: Comparison) -> str:
     """Weights and correlation of the remaining errors; a sentence for each state coordinate, and for all together.
 
-    Args:
-        state: State coordinates.
-        validation: Predictions of held-out steps.
-        follows: Whether each of these is the step after the one in the row above; shape (N,).
+    Where suspicious rows were left out, the same sentences follow for all rows.
     """
-    lines = [f"{quantity.name + ':':16}{verdict(validation, [index])}" for index, quantity in enumerate(state)]
-    together = [f"{'all together:':16}{verdict(validation, range(len(state)))}"] if len(state) > 1 else []
-    weights = f"{'weights:':16}{weight_sentence(state, validation)}"
-    return "\n".join([weights, f"{'successive:':16}{lacking(state, averaged(validation), follows)}", *lines, *together])
+    state = found.data.observed.space.state
+    follows = found.scored_last[-1].steps.follows
+    lines = [f"{'weights:':16}{weight_sentence(state, found.validation)}"]
+    lines.append(f"{'successive:':16}{lacking(state, averaged(found.validation), follows)}")
+    for name, part in parts_of(state).items():
+        lines.append(f"{name + ':':16}{verdict(found.validation, part)}")
+    if found.suspicious:
+        lines.append("with the suspicious rows:")
+        lines += [f"{name + ':':16}{verdict(found.with_them, part)}" for name, part in parts_of(state).items()]
+    return "\n".join(lines)
+
+
+def parts_of(state: Sequence[Quantity]) -> dict[str, Sequence[int]]:
+    """State coordinates of each sentence: each, and all together."""
+    parts: dict[str, Sequence[int]] = {quantity.name: [index] for index, quantity in enumerate(state)}
+    return parts | ({"all together": range(len(state))} if len(state) > 1 else {})
+
+
+def describe_suspicious(rows: Mapping[str, str]) -> str:
+    """A line that names the suspicious rows."""
+    named = [f"{origin} ({reason})" for origin, reason in islice(rows.items(), MOST_NAMED)]
+    more = [f"and {len(rows) - MOST_NAMED} more"] if len(rows) > MOST_NAMED else []
+    return f"suspicious  {len(rows)} row{'s' if len(rows) > 1 else ''}, left out below: {'; '.join([*named, *more])}"
 
 
 def verdict(validation: Validation, coordinates: Sequence[int]) -> str:
@@ -45,7 +68,11 @@ def verdict(validation: Validation, coordinates: Sequence[int]) -> str:
 def gain_sentence(by: Reduction, other: str) -> str:
     """Sentence on a reduction of another error, with its 95 % interval."""
     if abs(by.value) <= by.half_width or not np.isfinite(by.half_width):
-        return f"no difference shown from the error {other} ({_percent(by.value, by.half_width)})"
+        wide = by.half_width > LARGEST_CHANGE and np.isfinite(by.half_width)
+        size = f"within more than ± {100 * LARGEST_CHANGE:.0f} %" if wide else _percent(by.value, by.half_width)
+        return f"no difference shown from the error {other} ({size})"
+    if by.value < -LARGEST_CHANGE:
+        return f"far worse than {other}"
     size = _percent(abs(by.value), by.half_width)
     return f"{size} {'less' if by.value > 0 else 'more'} error than {other}"
 
@@ -84,6 +111,8 @@ def weight_sentence(state: Sequence[Quantity], validation: Validation) -> str:
 
 
 def _percent(value: float, half_width: float) -> str:
+    if value < -LARGEST_CHANGE:
+        return "far worse"
     if not np.isfinite([value, half_width]).all():
         return "–"
     form = "z.0f" if half_width >= 0.0095 else "z.1f"
@@ -197,8 +226,9 @@ def _format(value: float, form: str) -> str:
     return f"{value:{form}}" if np.isfinite(value) else "–"
 
 
-def fit_report(logs: Sequence[Path], data: FitData, validation: Validation) -> dict[str, Any]:
+def fit_report(logs: Sequence[Path], found: Comparison) -> dict[str, Any]:
     """All results as JSON-ready data; NaN and infinities become null."""
+    data, validation = found.data, found.validation
     state = data.observed.space.state
     parts = {quantity.name: [index] for index, quantity in enumerate(state)} | {"all": range(len(state))}
 
@@ -230,11 +260,18 @@ def fit_report(logs: Sequence[Path], data: FitData, validation: Validation) -> d
         ],
         "weights": {kind: _named(state, weight) for kind, weight in residual_weights(validation).items()},
         "heaviest": heaviest_residual(validation),
-        "gain_over": {
-            name: {kind: reduction_as_data(by) for kind, by in gains(validation, part).items()}
-            for name, part in parts.items()
-        },
+        "gain_over": _gains_as_data(validation, parts),
         "verdict": {name: verdict(validation, part) for name, part in parts.items()},
+        "suspicious": dict(found.suspicious),
+        "gain_over_with_suspicious": _gains_as_data(found.with_them, parts),
+        "verdict_with_suspicious": {name: verdict(found.with_them, part) for name, part in parts.items()},
+    }
+
+
+def _gains_as_data(validation: Validation, parts: Mapping[str, Sequence[int]]) -> dict[str, Any]:
+    return {
+        name: {kind: reduction_as_data(by) for kind, by in gains(validation, part).items()}
+        for name, part in parts.items()
     }
 
 
