@@ -232,7 +232,7 @@ BROKEN: dict[str, tuple[bytes | Callable[[Path], None], str]] = {
         "/joints (no definition of a/msg/Missing in the log)",
     ),
     "wrong SQLite": (b"SQLite format 3\0" + bytes(99), "not a readable ROS 2 bag"),
-    "bag without parts": (bag_without_parts, "a ROS 2 bag must have .mcap or .db3 files"),
+    "bag without parts": (bag_without_parts, "a ROS 2 bag must have .mcap or .db3 files, not both"),
     "folder": (folder, "Is a directory"),
     "pipe": (pipe, "not a file"),
 }

@@ -161,11 +161,16 @@ module a { module msg {
 
 @pytest.mark.parametrize(
     ("encoding", "form", "definition"),
-    [("cdr", "ros2idl", IDL), ("cdr", "", ""), ("ros1", "ros1msg", "float64 x\nfloat32[] y\nstring name\n")],
+    [
+        ("cdr", "ros2idl", IDL),
+        ("cdr", "", ""),
+        ("cdr", "ros2msg", ""),
+        ("ros1", "ros1msg", "float64 x\nfloat32[] y\nstring name\n"),
+    ],
 )
 def test_other_definitions_in_mcap(encoding: str, form: str, definition: str, tmp_path: Path) -> None:
     """IDL, the standard types of which rosbag2 found no definition, and messages of ROS 1."""
-    name = "a/msg/A" if form else FLOAT
+    name = "a/msg/A" if definition else FLOAT
     store = get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg("float64 x\nfloat32[] y\nstring name", "a/msg/A"))
     serialize = store.serialize_ros1 if encoding == "ros1" else store.serialize_cdr
@@ -174,13 +179,18 @@ def test_other_definitions_in_mcap(encoding: str, form: str, definition: str, tm
         writer.start()
         channel = writer.register_channel("/a", encoding, writer.register_schema(name, form, definition.encode()))
         for value in V.tolist():
-            fields = (value, np.array([3.5], np.float32), "left") if form else (value,)
+            fields = (value, np.array([3.5], np.float32), "left") if definition else (value,)
             writer.add_message(channel, 0, bytes(serialize(store.types[name](*fields), name)), 0)
         writer.finish()
-    table = read_log_table(tmp_path / "log.mcap", ["x" if form else "data"])
-    np.testing.assert_array_equal(table.numbers("x" if form else "data"), V)
-    if form:
+    table = read_log_table(tmp_path / "log.mcap", ["x" if definition else "data"])
+    np.testing.assert_array_equal(table.numbers("x" if definition else "data"), V)
+    if definition:
         assert (table.numbers("y[0]")[0], str(table.columns["name"][0])) == (3.5, "left")
+
+
+def test_a_type_without_fields_has_a_byte(tmp_path: Path) -> None:
+    database(tmp_path / "bag.db3", {"/e": ("a/msg/E", [b"\0\1\0\0\0"])}, definitions=(("a/msg/E", "ros2msg", ""),))
+    assert list(read_log_tables(tmp_path / "bag.db3")["/e"].columns) == ["log_time"]
 
 
 def test_a_topic_with_a_wrong_definition_in_a_ros_1_bag(tmp_path: Path) -> None:

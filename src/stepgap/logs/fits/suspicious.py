@@ -37,7 +37,7 @@ def far_rows(steps: Steps) -> Reasons:
     """Rows with a number far outside of the others."""
     found: Reasons = {}
     for name, values in _columns(steps):
-        low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
+        low, middle, high = np.quantile(values, (0.05, 0.5, 0.95), method="nearest")
         width = high - low or FAR_FROM_CONSTANT * abs(middle)
         far = np.maximum(low - values, values - high) > FAR * width
         if width > 0 and far.sum() <= MOST * len(values):

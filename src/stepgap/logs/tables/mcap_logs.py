@@ -10,7 +10,7 @@ from stepgap.logs.tables.files import LARGEST_FILE, check_file_size
 from stepgap.logs.tables.libraries import library, reading
 from stepgap.logs.tables.log_table import LogTable
 from stepgap.logs.tables.messages import Decoder, TopicRows, unreadable
-from stepgap.logs.tables.ros_messages import defined_decoder, standard_decoders
+from stepgap.logs.tables.ros_messages import defined_decoders, standard_decoders
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 
@@ -79,8 +79,8 @@ def _decoders(encoding: str, schema: Any, path: Path, release: str) -> list[Deco
     form = schema.encoding if schema is not None else ""
     if schema is not None and encoding == form == "protobuf":
         return [_protobuf_decoder(schema, path)]
-    if schema is not None and schema.data.strip() and (encoding, form) in ROS_FORMS:
-        return [defined_decoder(path, schema.name, schema.data.decode("utf-8", "replace"), form)]
+    if schema is not None and (encoding, form) in ROS_FORMS:
+        return defined_decoders(path, schema.name, schema.data.decode("utf-8", "replace"), form, release)
     if encoding == "cdr" and schema is not None:
         return standard_decoders(path, schema.name, release)
     return [unreadable(f"messages in {encoding!r:.60}, not read; JSON, protobuf and ROS messages are")]

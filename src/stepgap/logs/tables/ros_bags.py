@@ -15,7 +15,7 @@ from stepgap.logs.tables.libraries import library, reading
 from stepgap.logs.tables.log_table import LogTable
 from stepgap.logs.tables.mcap_logs import read_mcap
 from stepgap.logs.tables.messages import Decoder, TopicRows, unreadable
-from stepgap.logs.tables.ros_messages import defined_decoder, standard_decoders
+from stepgap.logs.tables.ros_messages import defined_decoders, standard_decoders
 from stepgap.records.steps_csv import RecordError
 
 ROS1_MAGIC = b"#ROSBAG V"
@@ -42,7 +42,7 @@ def read_ros2_folder(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
     mcaps, databases = _parts(path)
     if bool(mcaps) == bool(databases):
         raise RecordError(
-            f"{path}: a ROS 2 bag must have .mcap or .db3 files; compressed ones are to be unpacked before"
+            f"{path}: a ROS 2 bag must have .mcap or .db3 files, not both; compressed ones are to be unpacked before"
         )
     release = _release_in(path / _METADATA)
     tables = read_mcap(mcaps, unread, release) if mcaps else _read_databases(path, databases, unread, release)
@@ -58,7 +58,7 @@ def read_ros1_bag(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
     """The topics of a ROS 1 bag; `unread` as of `read_ros2_folder`."""
     rosbag1 = library("rosbags.rosbag1", path)
     check_file_size(path)
-    topics, decoders, size = TopicRows(str(path)), dict[int, Decoder](), 0
+    topics, decoders, size = TopicRows(str(path)), dict[int, list[Decoder]](), 0
     with reading(path, "ROS 1 bag"), rosbag1.Reader(path) as bag:
         bag.chunks = {at: chunk._replace(decompressor=_bounded(chunk)) for at, chunk in bag.chunks.items()}
         for connection, time, data in bag.messages():
@@ -67,8 +67,8 @@ def read_ros1_bag(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
                 raise ValueError(f"more than {LARGEST_FILE} bytes of messages")
             if connection.id not in decoders:
                 definition = connection.msgtype, connection.msgdef.data
-                decoders[connection.id] = defined_decoder(path, *definition, "ros1msg")
-            topics.append(connection.topic, time, data, [decoders[connection.id]])
+                decoders[connection.id] = defined_decoders(path, *definition, "ros1msg")
+            topics.append(connection.topic, time, data, decoders[connection.id])
     return topics.tables(unread)
 
 
@@ -119,8 +119,8 @@ def _read_database(database: sqlite3.Connection, path: Path, topics: TopicRows, 
         text, form = definitions.get(kind, ("", ""))
         if encoding != "cdr":
             decoders[number] = topic, [unreadable(f"messages in {encoding!r:.60}, not read; those in CDR are")]
-        elif text.strip() and form in ("ros2msg", "ros2idl"):
-            decoders[number] = topic, [defined_decoder(path, kind, text, form)]
+        elif form in ("ros2msg", "ros2idl"):
+            decoders[number] = topic, defined_decoders(path, kind, text, form, release)
         else:
             decoders[number] = topic, standard_decoders(path, kind, release)
     for number, time, data in database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id"):

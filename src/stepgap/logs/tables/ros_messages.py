@@ -47,24 +47,27 @@ def ros_decoder(path: Path, name: str, types: Mapping[str, Any], cdr: bool = Tru
     return lambda data: _Message(data, types, node, cdr).whole(kind)
 
 
-def defined_decoder(path: Path, name: str, definition: str, form: str) -> Decoder:
-    """The function that decodes messages of a type by its definition.
+def defined_decoders(path: Path, name: str, definition: str, form: str, release: str = "") -> list[Decoder]:
+    """The functions that may decode messages of a type by its definition.
 
     Args:
         path: The file, for messages.
         name: Name of the type.
-        definition: Its definition.
+        definition: Its definition; an empty one is that of a type without fields, or missing.
         form: Language of the definition: ros1msg, ros2msg or ros2idl.
+        release: As of `standard_decoders`, which follow if the definition may be missing.
     """
     typesys = library("rosbags.typesys", path)
     text = definition.replace("\r\n", "\n")
     try:
         if form == "ros2idl":
-            return ros_decoder(path, name, typesys.get_types_from_idl(_IDL_HEADER.sub("", text)))
-        types = typesys.get_types_from_msg(_RULE.sub("=" * 80, text), name)
+            types = typesys.get_types_from_idl(_IDL_HEADER.sub("", text))
+        else:
+            types = typesys.get_types_from_msg(_RULE.sub("=" * 80, text), name)
     except Exception:
-        return unreadable(f"the definition of {name:.80} cannot be read")
-    return ros_decoder(path, name, types, cdr=form == "ros2msg")
+        return [unreadable(f"the definition of {name:.80} cannot be read")]
+    defined = ros_decoder(path, name, types, cdr=form != "ros1msg")
+    return [defined, *(standard_decoders(path, name, release) if form != "ros1msg" and not text.strip() else [])]
 
 
 def standard_decoders(path: Path, name: str, release: str) -> list[Decoder]:
@@ -76,6 +79,7 @@ def standard_decoders(path: Path, name: str, release: str) -> list[Decoder]:
         release: Release of ROS 2 that recorded the log; if it is not known, every definition is possible.
     """
     typesys, stores = library("rosbags.typesys", path), library("rosbags.typesys", path).Stores
+    name = library("rosbags.typesys.msg", path).normalize_msgtype(name)
     releases = {one.value.removeprefix("ros2_"): one for one in reversed(stores) if one.value.startswith("ros2_")}
     chosen = [releases[release]] if release in releases else list(releases.values())
     decoders: dict[str, Decoder] = {}
