@@ -94,7 +94,7 @@ def test_episodes_in_one_file_are_told_apart(stepgap: Command) -> None:
     assert found.code == 0, found
     assert "left out: log.csv, 1" in found.err
     labels = [(row["log"], row["push"]) for row in rows_of("steps.csv")]
-    assert labels == [("log.csv, 0", "0")] * 7 + [("log.csv, 2", "2")] * 7
+    assert labels == [("log.csv 0", "0")] * 7 + [("log.csv 2", "2")] * 7
 
 
 def test_times_since_1970_and_small_numbers_are_written_without_loss(stepgap: Command) -> None:

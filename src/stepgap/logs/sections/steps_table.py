@@ -90,8 +90,8 @@ def _row(log: ExtractedSteps, number: int) -> Iterator[float]:
 
 def label_of(log: ExtractedSteps) -> str:
     """A short name for a log: that of its first file, and of the deployment in it."""
-    deployment = f", {log.deployment}" if log.deployment else ""
-    return Path(log.source.removesuffix(deployment).split("+")[0].strip()).name + deployment
+    files = log.source.removesuffix(f", {log.deployment}") if log.deployment else log.source
+    return f"{Path(files.split('+')[0].strip()).name} {log.deployment}".rstrip()
 
 
 def _labels(logs: Sequence[ExtractedSteps]) -> list[str]:

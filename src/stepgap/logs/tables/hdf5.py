@@ -62,7 +62,9 @@ def _datasets(
             link = group.get(name, getlink=True)
             if isinstance(link, h5py.ExternalLink):
                 raise ValueError("a link to another file, which is not followed")
-            if isinstance(link, h5py.SoftLink) or name.startswith("#"):
+            if isinstance(link, h5py.SoftLink):
+                raise ValueError(f"a link to {link.path!s:.60}, which is not followed")
+            if name.startswith("#"):
                 continue
             entry = group[name]
             if isinstance(entry, h5py.Dataset) and (entry.external or entry.is_virtual):
