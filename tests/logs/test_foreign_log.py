@@ -47,10 +47,11 @@ def test_every_number_is_read(rows: list[tuple[float, ...]], names: list[str], d
         with pytest.raises(RecordError, match="no row holds a complete step"):
             read(text, WHOLE)
         return
-    steps, _, left_out = read(text, WHOLE)
+    steps, _, origin, left_out = read(text, WHOLE)
     found = np.hstack([steps.state, steps.next_state, steps.command])
     np.testing.assert_array_equal(found, table[whole][:, used])
     assert sum(left_out.values()) == len(rows) - whole.sum()
+    assert [int(text.rpartition(" ")[2]) - 2 for text in origin] == np.flatnonzero(whole).tolist()
     for quantity, values in zip((*steps.space.state, *steps.space.command), found[:, [0, 1, 4]].T, strict=True):
         assert quantity.lower <= values.min()
         assert values.max() <= quantity.upper
@@ -79,7 +80,7 @@ def test_rows_chain_as_if_the_next_state_were_written(rows: list[tuple[int, bool
             with pytest.raises(RecordError, match="no row holds a complete step"):
                 read(text, columns)
             continue
-        steps, _, left_out = read(text, columns)
+        steps, _, _, left_out = read(text, columns)
         np.testing.assert_array_equal(np.hstack([steps.state, steps.command, steps.next_state]), expected)
         assert left_out.get("at the end of a chain", 0) == len(rows) - sum(follows)
 
@@ -123,7 +124,7 @@ def test_each_file_is_a_deployment(tmp_path: Path) -> None:
     for name in "ab":
         (tmp_path / name).write_text(written(["v", "f", "trial"], [(1, 0, 1), (2, 0, 1), (3, 0, 2), (4, 0, 2)]))
     columns = Columns(state=("v",), command=("f",), deployment="trial")
-    steps, _, left_out = read_foreign_logs([tmp_path / "a", tmp_path / "b"], columns)
+    steps, _, _, left_out = read_foreign_logs([tmp_path / "a", tmp_path / "b"], columns)
     np.testing.assert_array_equal(steps.iteration, [0, 1, 2, 3])
     assert left_out == {"at the end of a chain": 4}
 

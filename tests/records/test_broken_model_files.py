@@ -39,7 +39,7 @@ def steps() -> FitData:
     predicted = NOMINAL.evaluate(state, command).next_state
     steps = Steps.of_columns(SPACE, state=state, command=command, next_state=predicted + 0.01, predicted=predicted)
     observed = Observations(SPACE, state, command, steps.next_state - predicted)
-    return FitData(steps, observed, {}, "a map", SOURCE, LearningSettings())
+    return FitData(steps, observed, np.full(4, "row"), {}, "a map", SOURCE, LearningSettings())
 
 
 def model(kind: str) -> dict[str, Any]:

@@ -24,5 +24,5 @@ def own_style(settings: Mapping[str, Any] | None = None) -> Iterator[None]:
             os.environ["MPLBACKEND"] = backend
     with matplotlib.rc_context(), paused_collection():  # collections would take an eighth of the time
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update(settings or {})
+        matplotlib.rcParams.update(dict[Any, Any](settings or {}))
         yield
