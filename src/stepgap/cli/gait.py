@@ -50,10 +50,11 @@ def gait(
     reachable = reachable_set(nominal, point.state)
     picture, content = out or free_name(Path("gait.png")), BytesIO()
     with own_style():
+        from matplotlib.backend_bases import FigureCanvasBase
+
         from stepgap.report.gait import describe_gait, gait_figure
 
+        form = format_by_name(picture, FigureCanvasBase.filetypes)
         print(describe_gait(nominal.space, point, reachable))
-        figure = gait_figure(nominal.space, point, reachable)
-        formats = figure.canvas.get_supported_filetypes()
-        figure.savefig(content, dpi=150, format=format_by_name(picture, formats))
+        gait_figure(nominal.space, point, reachable).savefig(content, dpi=150, format=form)
     write_new(picture, "--out", content.getvalue())

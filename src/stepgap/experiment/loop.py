@@ -105,8 +105,8 @@ class Setup:
 def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) -> list[Deployment]:
     """Runs the experiment, or resumes one that was interrupted, and keeps its record in `folder`.
 
-    Writes `steps.csv` as steps happen, `models/iteration_K.json` before deployment K and `summary.json` after every
-    deployment. No recorded step is lost; `experiment.resume` describes how a run is resumed.
+    Writes `steps.csv` as steps happen, `models/iteration_K.json` before deployment K (before 0 only with known steps) and
+    `summary.json` after every deployment. No recorded step is lost; `experiment.resume` describes how a run is resumed.
 
     Args:
         setup: What is run.
@@ -147,6 +147,7 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
         if plants.measure_noise_floor:
             noise_floor = recording.measured_noise_floor(len(deployments))
             if noise_floor is None:
+                # deploy updates a copy of the learner, so its end is found again from the recorded steps
                 last_map = reduce(Learner.after, steps.completed(), learner).step_map()
                 progress = partial(observer.on_phase, "measuring the noise floor")
                 noise_floor = plants.measure_noise_floor(last_map, random_stream(seed, iteration, 1), progress)
@@ -203,13 +204,13 @@ def is_finished(deployments: Sequence[Deployment], scale: Array, learning: Learn
         scale: Half the range of use of each state coordinate; shape (n,).
         learning: Settings of learning.
     """
-    if len(deployments) > learning.iterations:
+    if len(deployments) > learning.iterations:  # deployment 0 and so many redeployments
         return True
     return learning.early_stop and not _still_improves(deployments, scale, learning.tolerance)
 
 
 def _still_improves(deployments: Sequence[Deployment], scale: Array, tolerance: float) -> bool:
-    """Whether the last deployment still reduced the tracking error."""
+    """Whether to deploy again: fewer than three deployments, a failed step in the last, or an error still falling."""
     errors = [
         inf if deployment.failed_steps else float(np.linalg.norm(deployment.rmse / scale)) for deployment in deployments
     ]

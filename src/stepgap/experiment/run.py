@@ -369,10 +369,8 @@ class Run:
             return space_of_header(self.folder / "steps.csv")
         except FileNotFoundError as error:
             raise InputError(f"{error.filename}: no such file; {self.folder} must be the folder of a run") from None
-        except OSError as error:
+        except (ValueError, OSError) as error:
             raise InputError(f"{message_of(error)}; {self.folder} must be the folder of a run") from None
-        except ValueError as error:
-            raise InputError(message_of(error)) from None
 
     @cached_property
     def _summary_file(self) -> Summary | InputError:

@@ -94,7 +94,10 @@ class Steps:
         return self._of_rows(rows)
 
     def in_space(self, space: StepSpace) -> Self:
-        """The same steps in a space of the same state and command, such as with other units and ranges."""
+        """The same numbers in a space of the same state and command, such as with other ranges; nothing is converted.
+
+        Context that the new space does not name is dropped.
+        """
         if space.context == self.space.context:
             return type(self)(space)._of_rows(self.rows)
         return type(self)(space, self)
@@ -169,7 +172,7 @@ class Steps:
         return self.selected(self.number > 0)
 
     def completed(self) -> Self:
-        """The steps that ended at their section: those that can be learned from."""
+        """The steps that ended at their section: those with status OK."""
         return self.selected(self.status == StepStatus.OK)
 
     def tracking_errors(self) -> Array:

@@ -17,7 +17,7 @@ from stepgap.step import Array, ContextQuantity, Quantity, StepSpace
 LARGEST_VALUE = 1e12
 """Largest magnitude of a number that is accepted as a measurement."""
 
-ROUNDING = 1e-14
+_ROUNDING = 1e-14
 """Differences of numbers that are smaller than this part of them are rounding."""
 
 ROLES = ("state", "next", "command", "target", "predicted")
@@ -180,7 +180,7 @@ def _quantity(name: str, unit: str, values: Array) -> Quantity:
     """Coordinate with the range of its values, or with a range around them where they are equal but for rounding."""
     lower, upper = float(values.min()), float(values.max())
     largest = max(abs(lower), abs(upper))
-    margin = 0.0 if upper - lower > max(ROUNDING * largest, 1 / LARGEST_VALUE) else max(largest, 1.0)
+    margin = 0.0 if upper - lower > max(_ROUNDING * largest, 1 / LARGEST_VALUE) else max(largest, 1.0)
     return Quantity(name, unit, lower - margin, upper + margin)
 
 

@@ -16,6 +16,9 @@ from stepgap.records.summary import Deployment
 ROWS = 2**16
 """Number of ticks that the ring keeps for the page: nine minutes of motion."""
 
+_LONGEST_END = 10.0
+"""Time after which a page that does not end by itself is killed [s]."""
+
 
 class LiveView:
     """A page that shows a run from a separate process.
@@ -66,7 +69,13 @@ class LiveView:
 
     def __exit__(self, *exc_info: object) -> None:
         self._process.terminate()
-        self._process.wait()
+        try:
+            self._process.wait(_LONGEST_END)
+        except (
+            subprocess.TimeoutExpired
+        ):  # the signal came while a callback of the server was running, which swallowed it
+            self._process.kill()
+            self._process.wait()
         self._ring.__exit__()
 
     def _push(self, rows: Rows, step: int) -> None:

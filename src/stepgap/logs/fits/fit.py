@@ -45,7 +45,7 @@ NOMINALS = {
 }
 """Sources of the nominal next states, with descriptions."""
 
-MOST_ROUNDS = 4
+_MOST_ROUNDS = 4
 """Suspicious rows may hide others, so residuals are compared without them, at most this number of times."""
 
 BASELINES: tuple[str, ...] = ("none", "constant")
@@ -322,7 +322,7 @@ def compare(
         return validate_on(kinds, data.observed, tested.observed, data.learning, on_fit)
 
     first = now = Comparison(data, tested, both := validated(data, tested), {}, both)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(_MOST_ROUNDS):
         rows = [far_rows(each.steps) for each in now.scored_last]
         if not any(rows):
             rows[-1] = improbable_rows(now.scored_last[-1].observed, now.scored_last[-1].steps.follows, now.validation)

@@ -22,7 +22,7 @@ from stepgap.step import Array, Quantity
 FIT_SCHEMA = 5
 """Version of the JSON file."""
 
-MOST_NAMED = 10
+_MOST_NAMED = 10
 """Largest number of suspicious rows that are named."""
 
 LARGEST_CHANGE = 10.0
@@ -54,8 +54,8 @@ def parts_of(state: Sequence[Quantity]) -> dict[str, Sequence[int]]:
 
 def describe_suspicious(rows: Mapping[str, str]) -> str:
     """A line that names the suspicious rows."""
-    named = [f"{origin} ({reason})" for origin, reason in islice(rows.items(), MOST_NAMED)]
-    more = [f"and {len(rows) - MOST_NAMED} more"] if len(rows) > MOST_NAMED else []
+    named = [f"{origin} ({reason})" for origin, reason in islice(rows.items(), _MOST_NAMED)]
+    more = [f"and {len(rows) - _MOST_NAMED} more"] if len(rows) > _MOST_NAMED else []
     return f"suspicious  {len(rows)} row{'s' if len(rows) > 1 else ''}, left out below: {'; '.join([*named, *more])}"
 
 

@@ -34,7 +34,7 @@ UNCERTAIN: Final = 5.0
 IMPRECISE: Final = 0.1
 """and larger than this part of the standard deviation of the state over all sections."""
 
-EXACT: Final = 1e-6
+_EXACT: Final = 1e-6
 """Errors below this part of the range of a signal are those of a part that rests; what is usual is that of the others.
 
 A joint that rests in most hops would otherwise make the noise of all others unusual."""
@@ -202,7 +202,7 @@ def _note_uncertain(state: Array, std: Array, doubts: Sequence[list[str]], name:
     if not np.isfinite(std).any():
         return
     spread = float(np.nanstd(state))
-    typical = _usual(std, max(EXACT * spread, rounding_of(state[np.isfinite(state)])))
+    typical = _usual(std, max(_EXACT * spread, rounding_of(state[np.isfinite(state)])))
     for each, found in zip(std, doubts, strict=True):
         if each > max(UNCERTAIN * typical, IMPRECISE * spread):
             found.append(f"the standard error of {name} is {each / typical:.0f} times as large as usual")
@@ -211,7 +211,7 @@ def _note_uncertain(state: Array, std: Array, doubts: Sequence[list[str]], name:
 def _note_poor_fits(fits: Sequence[LocalFit | None], signal: Signal, doubts: Sequence[list[str]], name: str) -> None:
     """Notes which fits fail or are much worse than a typical one."""
     values = np.asarray(signal.values, float)
-    exact = max(EXACT * float(np.ptp(values)), rounding_of(values))
+    exact = max(_EXACT * float(np.ptp(values)), rounding_of(values))
     sizes = np.array([float(np.sqrt(np.mean(fit.residuals**2))) if fit else np.nan for fit in fits])
     typical = _usual(sizes, exact)
     for fit, size, found in zip(fits, sizes, doubts, strict=True):

@@ -35,7 +35,7 @@ def reading(path: Path, kind: str) -> Iterator[None]:
     except RecordError:
         raise
     except Exception as error:
-        raise RecordError(f"{path}: not a readable {kind} file, damaged or incomplete ({reason_of(error)})") from None
+        raise RecordError(f"{path}: not a readable {kind} file, damaged or incomplete ({cause_of(error)})") from None
 
 
 @contextmanager
@@ -50,9 +50,9 @@ def leaving_out(part: str, unread: dict[str, str]) -> Iterator[None]:
     except RecordError:
         raise
     except Exception as error:
-        unread[part] = reason_of(error)
+        unread[part] = cause_of(error)
 
 
-def reason_of(error: Exception) -> str:
+def cause_of(error: Exception) -> str:
     """One short line of an error."""
     return " ".join(str(error).split())[:120] or type(error).__name__

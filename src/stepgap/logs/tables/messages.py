@@ -5,7 +5,7 @@ from typing import Any, final
 
 import numpy as np
 
-from stepgap.logs.tables.libraries import reason_of
+from stepgap.logs.tables.libraries import cause_of
 from stepgap.logs.tables.log_table import MISSING, MOST_NUMBERS, LogColumn, LogTable, check_size
 from stepgap.records.steps_csv import RecordError
 
@@ -112,7 +112,7 @@ class TopicRows:
             except RecordError:
                 raise
             except Exception as error:
-                faults[number] = reason_of(error)
+                faults[number] = cause_of(error)
                 rows.pop(number, None)
                 continue
             if number not in rows:

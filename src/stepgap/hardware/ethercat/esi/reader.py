@@ -10,7 +10,7 @@ from stepgap.base.errors import InputError, StepGapWarning
 from stepgap.hardware.ethercat.esi.document import EsiDevice, EsiEntry, EsiFile, EsiModule, EsiPdo, InitCommand, OpMode
 from stepgap.hardware.ethercat.esi.tree import Element, read_tree
 
-T = TypeVar("T")
+_Part = TypeVar("_Part")
 
 ENGLISH = "1033"
 """Language of a name (LcId) that is preferred to others."""
@@ -50,7 +50,7 @@ def read_esi(path: Path) -> EsiFile:
     return file
 
 
-def _valid(read: Callable[[Element], T], elements: Iterable[Element], faults: list[ValueError]) -> Iterator[T]:
+def _valid(read: Callable[[Element], _Part], elements: Iterable[Element], faults: list[ValueError]) -> Iterator[_Part]:
     """Yields what the valid ones of some elements describe; the errors of others are added to `faults`."""
     for element in elements:
         try:
