@@ -71,9 +71,7 @@ class LiveView:
         self._process.terminate()
         try:
             self._process.wait(_LONGEST_END)
-        except (
-            subprocess.TimeoutExpired
-        ):  # the signal came while a callback of the server was running, which swallowed it
+        except subprocess.TimeoutExpired:  # the signal came during a callback, which swallowed it
             self._process.kill()
             self._process.wait()
         self._ring.__exit__()
