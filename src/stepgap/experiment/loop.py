@@ -105,9 +105,9 @@ class Setup:
 def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) -> list[Deployment]:
     """Runs the experiment, or resumes one that was interrupted, and keeps its record in `folder`.
 
-    Writes `steps.csv` as steps happen, `models/iteration_K.json` before deployment K (before 0 only with known steps) and
-    `summary.json` after every deployment. No recorded step is lost; `experiment.resume` describes how
-    a run is resumed.
+    Writes `steps.csv` as steps happen, `models/iteration_K.json` before deployment K (before 0 only with known steps),
+    and `summary.json` after every deployment. No recorded step is lost; `experiment.resume` describes how a run is
+    resumed.
 
     Args:
         setup: What is run.
