@@ -30,6 +30,7 @@ from stepgap.hardware.ethercat.emulator.frame import (
     encode,
 )
 from stepgap.hardware.ethercat.emulator.registers import AlState, StatusCode
+from stepgap.hardware.ethercat.emulator.ring_settings import DRIFTING_CLOCKS, RingClocks
 from tests.hardware.ethercat.emulator.bench import (
     ANALOG,
     DRIVES,
@@ -510,6 +511,28 @@ def test_arbitrary_datagrams_never_crash_the_ring_nor_exceed_the_torque(frames):
         bench.ring.pass_frame(encode(Frame(BROADCAST, BROADCAST, tuple(datagrams))))
         bench.cycle((30000, -30000))
         assert all(len(slave.memory) == reg.MEMORY_SIZE for slave in bench.ring.slaves)
+
+
+CLOCK_WRITES = st.builds(
+    a_datagram,
+    st.sampled_from([Command.APWR, Command.APRW, Command.BWR, Command.BRW, Command.ARMW, Command.FRMW]),
+    st.integers(0, 255),
+    ADDRESSES,
+    st.one_of(st.sampled_from([reg.DC_RECEIVE_TIME, reg.DC_SYSTEM_TIME, reg.DC_OFFSET]), st.integers(0x8F8, 0x9B0)),
+    st.one_of(st.binary(max_size=180), st.binary(min_size=4, max_size=4), st.binary(min_size=8, max_size=8)),
+)
+
+
+@pytest.mark.parametrize("clocks", [RingClocks(), DRIFTING_CLOCKS])
+@given(st.lists(CLOCK_WRITES, max_size=20))
+@settings(max_examples=100, deadline=None)
+def test_arbitrary_writes_to_the_clocks_leave_the_ring_running(clocks, writes):
+    """A time that is distributed far ahead of a clock sets it back beyond zero, from where its times wrap."""
+    bench = Bench(clocks=clocks)
+    for write in (*writes, Datagram(Command.BWR, 7, 0, reg.DC_RECEIVE_TIME, bytes(4))):
+        bench.send(write)
+        bench.cycle()
+    assert bench.ask(Command.BRD, 0, reg.TYPE, bytes(1)).counter == 6
 
 
 @given(st.binary(max_size=128))

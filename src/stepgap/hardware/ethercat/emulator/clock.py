@@ -120,7 +120,7 @@ class SlaveClock:
         """
         local = self.local_time()
         pack_into("<II", self._memory, reg.DC_RECEIVE_TIME, local % 2**32, (local + travel_behind) % 2**32)
-        pack_into("<Q", self._memory, reg.DC_RECEIVE_TIME_UNIT, local)
+        pack_into("<Q", self._memory, reg.DC_RECEIVE_TIME_UNIT, local % 2**64)
 
     def refresh(self) -> None:
         """Writes system time and mean difference into their registers, before they are read."""
