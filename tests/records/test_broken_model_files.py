@@ -190,8 +190,9 @@ def rows(count: int, columns: int) -> dict[str, Any]:
         ("gp", ("kind",), lambda _: "neural_network", "neural_network"),
         ("gp", ("kind",), lambda _: "__import__('os').system('true')", "not a residual"),
         ("gp", ("nominal",), lambda _: "target", "learned with '--nominal target'"),
-        ("gp", ("nominal_steps",), lambda _: [[1.0]], "was learned on another nominal map"),
-        ("gp", ("nominal_steps", 0, 0), lambda _: 0.3, "was learned on another nominal map"),
+        ("gp", ("nominal_steps",), lambda _: [[1.0]], "has (1, 1) numbers of steps, this version compares (9, 2)"),
+        ("gp", ("nominal_steps", 0, 0), lambda one: one + 0.25, "was learned on another nominal map: at speed "),
+        ("gp", ("nominal_steps", 4, 1), lambda _: None, "its next height was none (the step fails), that of"),
         ("gp", ("lagged_inputs",), lambda _: "previous_step", "inputs"),
         ("gp", ("command",), lambda _: [["fx", "N"], ["fy", "kN"]], "fy has the unit 'kN', in the steps 'N'; convert"),
         (

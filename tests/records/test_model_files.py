@@ -1,17 +1,20 @@
 """Files `models/iteration_K.json`: what is refused when one is read."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from stepgap.learning.entry_points import load_residual_model
 from stepgap.learning.exact_gaussian_process import condition
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
-from stepgap.learning.residual import Residual
+from stepgap.learning.residual import Residual, no_residual
 from stepgap.records.model_files import model_path, read_model, write_model
+from stepgap.step import Outcome, Quantity, StepMap, StepSpace, difference_jacobian
 from tests.export.controller.learned import CENTRE, SCALE, SPACE, affine, regression
 
 
@@ -60,6 +63,32 @@ def test_another_schema_is_refused(written: Path) -> None:
 def test_other_names_are_refused(written: Path, wrong: Any) -> None:
     change(written, lambda data: data.update(state=wrong))
     refused(written, "its state is .*, that of the steps is speed, height; both must be of the same run")
+
+
+@dataclass(frozen=True)
+class Mileage(StepMap):
+    """A position far from zero, in a narrow range: nine digits of it are coarser than the tolerance of a step."""
+
+    stride: float = 1e-7 / 3
+
+    @property
+    def space(self) -> StepSpace:
+        return StepSpace((Quantity("position", "m", 1000.0, 1000.001),), (Quantity("push", "N", -1.0, 1.0),))
+
+    jacobian = difference_jacobian  # pyright: ignore[reportAssignmentType]
+
+    def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
+        moved = np.asarray(state, float) + self.stride * np.asarray(command, float)
+        return Outcome(moved, np.zeros(moved.shape[:-1], np.int64))
+
+
+def test_a_map_is_known_again_although_its_steps_are_rounded(tmp_path: Path) -> None:
+    nominal, other = Mileage(), Mileage(stride=1e-3)
+    (tmp_path / "models").mkdir()
+    write_model(tmp_path, 1, no_residual(1, 1), nominal)
+    assert read_model(tmp_path, 1, nominal.space, nominal) is not None
+    with pytest.raises(ValueError, match=r"push -?0\.5 its next position was 1000\.0005 m, that of this map"):
+        read_model(tmp_path, 1, nominal.space, other)
 
 
 def process_formula(saved: dict[str, Any], x: np.ndarray, *, constant_is_exact: bool) -> tuple[float, float]:

@@ -28,6 +28,9 @@ SCHEMA: Final = 1
 SAME_STEP: Final = 1e-6
 """Largest difference of the same step on other machines and versions [half ranges]."""
 
+DIGITS: Final = 9
+"""Significant digits with which the steps of a nominal map are written."""
+
 LARGEST_MODEL: Final = 2**26
 """Largest model file that is read [bytes]."""
 
@@ -212,10 +215,8 @@ def _check_source(path: Path, data: Mapping[str, Any], source: str) -> None:
 
 def _steps_of(nominal: StepMap) -> list[list[float | None]]:
     """Next states of the nominal map at the middle of the ranges and half-way to the bounds; None for a failed step."""
-    outcome = nominal.evaluate(*_points(nominal.space))
-    return [
-        [float(f"{value:.9g}") if isfinite(value) else None for value in row] for row in outcome.next_state.tolist()
-    ]
+    steps = nominal.evaluate(*_points(nominal.space)).next_state.tolist()
+    return [[float(f"{value:.{DIGITS}g}") if isfinite(value) else None for value in row] for row in steps]
 
 
 def _points(space: StepSpace) -> tuple[Array, Array]:
@@ -236,8 +237,31 @@ def _check_nominal(path: Path, data: Mapping[str, Any], nominal: StepMap) -> Non
     except (KeyError, OverflowError, TypeError, ValueError):
         raise ValueError(f"{path}: has no steps of its nominal map; run the experiment again") from None
     here = nominal.evaluate(*_points(nominal.space)).next_state
-    if recorded.shape == here.shape:
-        same = np.isclose(recorded, here, rtol=0, atol=SAME_STEP * nominal.space.state_scale, equal_nan=True)
-        if same.all():
-            return
-    raise ValueError(f"{path}: was learned on another nominal map; use the nominal map and the settings of its run")
+    if recorded.shape != here.shape:
+        difference = f"its file has {recorded.shape} numbers of steps, this version compares {here.shape}"
+    elif not (difference := _difference(recorded, here, nominal.space)):
+        return
+    raise ValueError(
+        f"{path}: was learned on another nominal map: {difference}; use the nominal map and the settings of its run"
+    )
+
+
+def _difference(recorded: Array, here: Array, space: StepSpace) -> str:
+    """The largest difference of steps (k, n), with its coordinate, its step and its tolerance; empty if all agree."""
+    allowed = SAME_STEP * space.state_scale + 10.0 ** (1 - DIGITS) * np.abs(here)  # also that of the rounded numbers
+    same = np.isclose(recorded, here, rtol=0, atol=np.where(np.isfinite(allowed), allowed, 0.0), equal_nan=True)
+    if same.all():
+        return ""
+    excess = np.abs(recorded - here) / allowed
+    row, column = np.unravel_index(np.argmax(np.where(same, -1.0, np.nan_to_num(excess, nan=np.inf))), same.shape)
+    point = zip(space.names, np.hstack([part[row] for part in _points(space)]), strict=True)
+    quantity, number = space.state[column], f".{DIGITS}g"
+    texts = [
+        f"{value:{number}} {quantity.unit}".rstrip() if isfinite(value) else "none (the step fails)"
+        for value in (recorded[row, column], here[row, column])
+    ]
+    limit = f"; they may differ by {allowed[row, column]:.1g} {quantity.unit}".rstrip()
+    return (
+        f"at {', '.join(f'{name} {value:.8g}' for name, value in point)} its next {quantity.name} was {texts[0]}, "
+        f"that of this map is {texts[1]}{limit if isfinite(excess[row, column]) else ''}"
+    )
