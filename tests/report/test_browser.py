@@ -1,6 +1,7 @@
 """The report in a headless Chromium: it makes no request, has no error, and its replay can be scrubbed."""
 
 import json
+import re
 from functools import partial
 from pathlib import Path
 
@@ -57,6 +58,27 @@ def test_the_replay_scrubs_and_plays(run_folder: Path, watched_page: Watched) ->
     page.locator("#replay-play").click()
     expect(page.locator("#replay-play")).to_have_text("Pause")
     expect(slider).not_to_have_value("0")
+
+
+def test_all_of_it_is_printed_on_few_pages(run_folder: Path, watched_page: Watched) -> None:
+    page = watched_page.page
+    page.goto((run_folder / "report.html").resolve().as_uri())
+    closed = page.locator("details:not([open])")
+    expect(closed).to_have_count(1)
+    opened = "document.querySelectorAll('details[open]').length"
+    page.evaluate(f"addEventListener('beforeprint', () => {{ window.open_in_print = {opened} }})")
+    printed = page.pdf(prefer_css_page_size=True)
+    assert page.evaluate("window.open_in_print") == 1
+    expect(closed).to_have_count(1)
+    assert 3 <= len(re.findall(rb"/Type\s*/Page\b", printed)) <= 12
+    widest = (
+        "Math.max(...[...document.querySelectorAll('table, svg, pre')].map(each => each.getBoundingClientRect().right))"
+    )
+    page.emulate_media(media="print")
+    page.set_viewport_size(
+        {"width": 710, "height": 1000}
+    )  # 188 mm, an A4 page between its margins, at 96 pixels an inch
+    assert page.evaluate(widest) <= 710, "nothing is cut off at the edge of the paper"
 
 
 def test_a_fall_is_described_as_one(fallen: Path, watched_page: Watched) -> None:

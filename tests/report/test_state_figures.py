@@ -1,18 +1,29 @@
 """Figures over state and command: errors, and the learned correction."""
 
+from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 
 from stepgap.experiment.run import Run
 from stepgap.learning.observations import Observations
 from stepgap.learning.residual_fit import fit_residual
+from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
+from stepgap.records.summary import Summary
 from stepgap.report.analysis import Analysis, LearnedResidual, central_target, centre_of, reference_gait
-from stepgap.report.figures.state_errors import state_error_figure
+from stepgap.report.drawing import LOOK
+from stepgap.report.figures.state_errors import shown_coordinates, state_error_figure
 from stepgap.report.figures.surface import influential, surface_figure
+from stepgap.report.own_style import own_style
 from stepgap.robots.hopper.paper import paper_reference
+from stepgap.step import Quantity, StepSpace
 from tests.control.maps import LossyHopper
 from tests.report.runs import make_run
 
@@ -44,6 +55,52 @@ def test_errors_are_drawn_against_every_coordinate(folder: Path) -> None:
         np.testing.assert_array_equal(tracking.get_xdata(), values[:, column])
         np.testing.assert_array_equal(tracking.get_ydata(), (steps.next_state - steps.target)[:, row])
         np.testing.assert_array_equal(predicted.get_ydata(), (steps.next_state - steps.predicted)[:, row])
+
+
+@pytest.mark.parametrize(("states", "commands"), [(1, 1), (2, 2), (3, 2), (4, 3), (6, 2), (6, 8), (9, 1)])
+@pytest.mark.parametrize("size", [2e-5, 1.0, 3e4])
+def test_commands_are_shown_and_no_text_is_printed_over_another(states: int, commands: int, size: float) -> None:
+    names = ["foot_placement_lateral_offs", "x", "yaw_rate", "height", "pitch", "roll", "speed", "side_speed", "lean"]
+    space = StepSpace(
+        tuple(Quantity(name, "m/s", 3 * size, 5 * size) for name in names[:states]),
+        tuple(Quantity(f"push_of_the_leg_{number}", "N·m", -size, size) for number in range(commands)),
+    )
+    rng, steps = np.random.default_rng(0), 60
+    state = size * (4 + 0.1 * rng.normal(size=(steps, states)))
+    log = Steps.of_columns(
+        space,
+        state=state,
+        target=np.full_like(state, 4 * size),
+        command=size * rng.uniform(-1, 1, (steps, commands)),
+        next_state=np.roll(state, 1, axis=0),
+        predicted=np.full_like(state, 4 * size),
+    )
+    rows, columns = shown_coordinates(log)
+    assert len(rows) == min(states, 6)
+    assert len(columns) == min(states + commands, 6)
+    assert sum(column >= states for column in columns) == min(commands, max(3, 6 - states))
+    with own_style(LOOK):
+        figure = state_error_figure(Run("none", steps=log, space=space, summary=Summary()))
+        assert len(figure.axes) == len(rows) * len(columns)
+        assert overlapping_texts(figure) == []
+
+
+def overlapping_texts(figure: Figure) -> list[tuple[str, str]]:
+    """Pairs of texts that are printed over each other."""
+    drawn: dict[Text, Bbox] = {}
+    draw = Text.draw
+
+    def noted(text: Text, renderer: Any) -> None:
+        draw(text, renderer)
+        if text.get_visible() and text.get_text().strip():
+            drawn[text] = text.get_window_extent(renderer).padded(-1)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Text, "draw", noted)
+        FigureCanvasAgg(figure).draw()
+    assert len(drawn) > 4
+    pairs = combinations(drawn.items(), 2)
+    return [(one.get_text(), other.get_text()) for (one, a), (other, b) in pairs if a.overlaps(b)]
 
 
 def test_the_surface_is_over_the_inputs_that_matter() -> None:

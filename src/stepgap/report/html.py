@@ -19,6 +19,10 @@ STYLE: Final = files("stepgap.report").joinpath("page.css").read_text(encoding="
 """Style sheet of every page."""
 
 
+PRINT_SCRIPT: Final = files("stepgap.report").joinpath("print.js").read_text(encoding="utf-8")
+"""Script of every page that opens its closed parts while it is printed."""
+
+
 POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:;"
 """Content security policy of a page: only its own styles, and images within it."""
 
@@ -33,9 +37,9 @@ def page(title: str, sections: Sequence[str], script: str = "") -> str:
     Args:
         title: Title, as plain text.
         sections: HTML of the sections.
-        script: JavaScript of the page itself, which runs after the page is loaded, besides that of its figures.
+        script: JavaScript of the page itself, which runs after the page is loaded, besides those of every page.
     """
-    script = HOVER_SCRIPT + script
+    script = HOVER_SCRIPT + PRINT_SCRIPT + script
     script_source = f" script-src 'sha256-{b64encode(sha256(script.encode()).digest()).decode()}';"
     head = (
         f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}{script_source}">'
