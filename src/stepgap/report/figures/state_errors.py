@@ -22,7 +22,7 @@ MOST_SHOWN: Final = 6
 MOST_COMMANDS: Final = 3
 """Number of commands among them, if there are too many coordinates."""
 
-LONGEST_LINE: Final = 14
+LETTERS_PER_LINE: Final = 14
 """Largest number of letters in a line of a label."""
 
 SAME: Final = 1e-3
@@ -132,7 +132,7 @@ def _name(axis: Any, label: str) -> None:
 
 def _in_lines(label: str) -> str:
     """A label of a name and its unit in lines of equal length."""
-    return "\n".join(wrap(label, LONGEST_LINE))
+    return "\n".join(wrap(label, LETTERS_PER_LINE))
 
 
 def _caption(analysis: Analysis) -> str:
