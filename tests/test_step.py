@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stepgap.robots.hopper.parameters import CommandBounds
-from stepgap.step import ADVICE, Quantity, StepFailed, StepSpace, StepStatus, ending_of
+from stepgap.step import ADVICE, ContextQuantity, Quantity, StepFailed, StepSpace, StepStatus, ending_of
 
 SPACE = StepSpace(
     state=(Quantity("speed", "m/s", 0.0, 0.4),),
@@ -76,3 +76,10 @@ def test_only_a_fall_is_called_a_fall() -> None:
     assert {status.label: ending_of(status) for status in StepStatus if "fell" in ending_of(status)} == {"fell": "fell"}
     assert ending_of(StepStatus.STOPPED) == "was stopped"
     assert ending_of(StepStatus.NO_TAKE_OFF) == "ended without a next state (no take off)"
+
+
+@pytest.mark.parametrize(("name", "unit"), [("a b", ""), ("", ""), ("x", "*/"), ("x", "m\n"), ("x", "<b>")])
+def test_a_name_is_an_identifier_and_a_unit_has_few_characters(name: str, unit: str) -> None:
+    for made in (lambda: Quantity(name, unit, 0.0, 1.0), lambda: ContextQuantity(name, unit)):
+        with pytest.raises(ValueError, match="but it must"):
+            made()

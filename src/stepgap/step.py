@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepgap.base.errors import StepGapError
+from stepgap.base.names import NAME_RULE, UNIT_RULE, is_name, is_unit
 from stepgap.base.ranges import require
 
 Array = NDArray[np.float64]
@@ -94,10 +95,13 @@ class Quantity:
     """One coordinate of a state or command.
 
     Attributes:
-        name: Column name in files, for example `speed`.
-        unit: SI unit, for example `m/s`.
+        name: Column name in files, for example `speed`; an identifier.
+        unit: SI unit, for example `m/s`; empty if it is unknown.
         lower: Lower end of the range of use; for a command, a hard bound.
         upper: Upper end of the range of use; for a command, a hard bound.
+
+    Raises:
+        ValueError: The name is no identifier, the unit has a character that no unit has, or the range is empty.
     """
 
     name: str
@@ -106,6 +110,7 @@ class Quantity:
     upper: float
 
     def __post_init__(self) -> None:
+        _check_words(self.name, self.unit)
         require(isfinite(self.lower), "lower", self.lower, f"be finite ({self.name})")
         rule = f"be finite and exceed lower = {self.lower:g} ({self.name})"
         require(self.lower < self.upper < inf, "upper", self.upper, rule)
@@ -117,12 +122,12 @@ class ContextQuantity:
 
     Attributes:
         name: Name in `StepRecord.context`; its column in files is NAME_after.
-        unit: SI unit, for example `rad`.
+        unit: SI unit, for example `rad`; empty if it is unknown.
         period: Change after which the robot is where it was, such as 2π of an angle about the vertical: the part of the
             error that returns with it is estimated and removed. Infinite if there is none.
 
     Raises:
-        ValueError: The period is not positive.
+        ValueError: The name is no identifier, the unit has a character that no unit has, or the period is not positive.
     """
 
     name: str
@@ -130,6 +135,7 @@ class ContextQuantity:
     period: float = inf
 
     def __post_init__(self) -> None:
+        _check_words(self.name, self.unit)
         require(self.period > 0, "period", self.period, f"be positive ({self.name})")
 
     def phase(self, value: _Number) -> _Number:
@@ -252,6 +258,12 @@ class StepSpace:
     def command_grid(self, samples: int) -> Array:
         """Even grid over the command bounds, its ends included; shape (samples, …, samples, m)."""
         return self.command_at(box_grid(samples, len(self.command)))
+
+
+def _check_words(name: str, unit: str) -> None:
+    """Raises ValueError unless name and unit can be written into any program, page or table."""
+    require(is_name(name), "name", name, NAME_RULE)
+    require(is_unit(unit), "unit", unit, UNIT_RULE)
 
 
 def box_grid(samples: int, k: int) -> Array:

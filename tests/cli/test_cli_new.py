@@ -1,5 +1,6 @@
 """`stepgap new`: every form makes a folder that runs at once, and the documentation shows what is in it."""
 
+import ast
 import json
 import re
 import subprocess
@@ -7,6 +8,7 @@ import sys
 import tomllib
 from importlib.resources import files
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
@@ -88,7 +90,7 @@ def test_a_robot_from_mujoco_has_a_step_and_one_from_a_model_has_its_parts(
     Path("mine.xml").write_text(model)
     assert stepgap("new", "own", "--mjcf", "mine.xml").code == 0
     assert Path("own/model.xml").read_text() == model
-    assert "joints: x, z, hip, spring; actuators: hip, spring" in Path("own/own.py").read_text()
+    assert "JOINTS = ['x', 'z', 'hip', 'spring']" in Path("own/own.py").read_text()
     own = load_robot(installed(Path("own").resolve(), monkeypatch))
     again = own.nominal_maps()["simulator"]()
     assert again([0.4, 0.62], [0.05, 0.0]).tolist() == simulator([0.4, 0.62], [0.05, 0.0]).tolist()
@@ -177,11 +179,26 @@ def test_a_log_of_another_program_is_enough(stepgap: Command) -> None:
     assert 'UNITS = {"state": {"speed": "m/s"}' in Path("mine/robot.py").read_text()
 
 
-def test_a_unit_with_quotation_marks_is_read_back(stepgap: Command) -> None:
-    Path("log.csv").write_text("h,u\n0,1\n1,1\n1,0\n0,2\n2,1\n1,3\n")
-    Path("columns.toml").write_text('state = ["h"]\ncommand = ["u"]\n[units]\nh = "12\\""\n')
+def test_columns_become_names_and_a_unit_that_is_none_is_refused(stepgap: Command) -> None:
+    Path("log.csv").write_text('"h ""[m]""",u*/\n0,1\n1,1\n1,0\n0,2\n2,1\n1,3\n')
+    columns = "state = ['h \"[m]\"']\ncommand = ['u*/']\n[units]\n'u*/' = "
+    Path("columns.toml").write_text(f'{columns}"N·m"\n')
     assert stepgap("new", "x", "--from", "log.csv", "--columns", "columns.toml").code == 0
-    assert read_experiment(Path("x/experiment.toml")).robot.space.state[0].unit == '12"'
+    space = read_experiment(Path("x/experiment.toml")).robot.space
+    assert [(each.name, each.unit) for each in (*space.state, *space.command)] == [("h_m", ""), ("u", "N·m")]
+    Path("columns.toml").write_text(f'{columns}"*/ int x; /*"\n')
+    result = stepgap("new", "y", "--from", "log.csv", "--columns", "columns.toml")
+    refused(result, "columns.toml: units: u*/ = '*/ int x; /*', but it must be a unit of at most 40 letters")
+
+
+def test_the_name_of_a_part_is_no_code(stepgap: Command) -> None:
+    hostile = ['"""; open("x", "w"); """', "\\", "'''", "\N{BULLET}\N{RIGHT-TO-LEFT OVERRIDE}", "class"]
+    bodies = "".join(f"<body><joint name={quoteattr(name)}/><geom size='1'/></body>" for name in hostile)
+    Path("mine.xml").write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>", "utf-8")
+    assert stepgap("new", "parts", "--mjcf", "mine.xml").code == 0
+    tree = ast.parse(Path("parts/parts.py").read_text("ascii"))
+    assigned = {ast.unparse(each.targets[0]): each.value for each in tree.body if isinstance(each, ast.Assign)}
+    assert ast.literal_eval(assigned["JOINTS"]) == hostile
 
 
 def test_a_command_that_did_not_vary_in_the_log_is_named(stepgap: Command) -> None:
@@ -219,7 +236,7 @@ def test_a_command_that_did_not_vary_in_the_log_is_named(stepgap: Command) -> No
         (["x", "--from", "log.csv"], ["log.csv, line 1: not the header of a step log", "name its columns"]),
         (["x", "--from", "log.csv", "--state", "v", "--target", "w"], ["--command: no column"]),
         (["x", "--from", "log.csv", "--state", "w", "--command", "u"], ["state 'w': no column 'w'; there is v, u [N]"]),
-        (["x", "--from", "log.csv", "--state", "v", "--command", "u [N]"], ["column 'u [N]'", "by NAME=COLUMN"]),
+        (["x", "--from", "log.csv", "--state", "v", "--command", "u [N]"], ["fewer than 4 completed steps"]),
         (["x", "--from", "log.csv", "--state", "v", "--command", "u=u [N]"], ["fewer than 4 completed steps"]),
         (["x", "--state", "v"], ["--state: only with --from"]),
         (["there/file/x"], ["there/file/x: cannot be written"]),

@@ -7,6 +7,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, cast, get_args, get_origin, get_type_hints
 
+import tomli_w
+
 from stepgap.base.errors import InputError
 from stepgap.base.files import read_bounded_text
 from stepgap.base.plugins import suggestion
@@ -84,6 +86,11 @@ def check_keys(table: Mapping[str, Any], known: Sequence[str], where: str) -> No
 def inner_table(table: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
     """The table under a key, empty if there is none; raises InputError for another value, named as by `check_keys`."""
     return _as_table(table.get(key, {}), f"{where}{key}")
+
+
+def toml_string(text: str) -> str:
+    """A text as a quoted string of TOML; also a key that has any characters."""
+    return tomli_w.dumps({"x": text}).removeprefix("x = ").rstrip("\n")
 
 
 def with_table(name: str) -> str:

@@ -86,6 +86,8 @@ def new(
         raise InputError(f"{' and '.join(given)}: give only one of them")
     if not from_ and (columns or names.given()):
         raise InputError(f"--{next(iter(names.given()), 'columns')}: only with --from, whose columns it names")
+    if not folder.name.isprintable():
+        raise InputError(f"{folder.name!r}: not a name for a folder; it must be printable")
     if folder.exists():
         raise InputError(f"{folder}: exists already; choose another name")
     if process or from_:
@@ -122,8 +124,7 @@ def _package(name: str, starter: Starter, model: Path | None) -> dict[str, str]:
     if model:
         extra = {"model.xml": _model_text(model)}
         begin, end = code.index('MJCF = """'), code.index('"""\n', code.index('MJCF = """') + 12) + 4
-        parts = _parts_of(model)
-        code = code[:begin] + f'MJCF = Path(__file__).with_name("model.xml")\n"""{parts}"""\n' + code[end:]
+        code = code[:begin] + f'MJCF = Path(__file__).with_name("model.xml")\n{_parts_of(model)}\n' + code[end:]
         code = code.replace("from_xml_string(MJCF)", "from_xml_path(str(MJCF))")
         code = code.replace(
             "from dataclasses import dataclass\n", "from dataclasses import dataclass\nfrom pathlib import Path\n"
@@ -153,7 +154,7 @@ def _program(name: str, log: "Steps | None") -> dict[str, str]:
 
     space = log.space if log else CommandBounds().space()
     kind, file = ("log", "steps.csv") if log else ("template", "template.toml")
-    values = {"name": name, "kind": kind, "file": file, "quantities": _quantities(space)}
+    values = {"name": re.sub(r"([^\w ])", r"\\\1", name), "kind": kind, "file": file, "quantities": _quantities(space)}
     values["function"] = "take_step" if log else "hop"
     values["nominal"] = "the nominal map is fitted to `steps.csv`" if log else "`template.toml` is the nominal map"
     values["practice"] = f"\n{PRACTICE}" if log else ""
@@ -183,7 +184,7 @@ def _model_text(model: Path) -> str:
 
 
 def _parts_of(model: Path) -> str:
-    """Names of the joints, actuators and geoms of a MuJoCo model, to which the controller is to be adapted."""
+    """Python code of the names of joints, actuators and geoms of a MuJoCo model, as string literals in ASCII."""
     import mujoco
 
     try:
@@ -195,10 +196,8 @@ def _parts_of(model: Path) -> str:
         "actuators": (loaded.nu, loaded.actuator),
         "geoms": (loaded.ngeom, loaded.geom),
     }
-    lines = [
-        f"{kind}: {', '.join(get(i).name or '(no name)' for i in range(count))}" for kind, (count, get) in kinds.items()
-    ]
-    return "The model has the " + "; ".join(lines) + "."
+    lists = {kind: [get(i).name for i in range(count)] for kind, (count, get) in kinds.items()}
+    return "\n".join(f"{kind.upper()} = {names!a}" for kind, names in lists.items())
 
 
 def _read_log(path: Path, columns: Path | None, names: ColumnNames) -> "Steps":
@@ -240,12 +239,7 @@ def _steps_of_others(path: Path, columns: Path | None, names: ColumnNames) -> "S
     """Steps of a log of any origin, which a plug-in reads."""
     wanted = "callable with (path, columns, names)"
     read = load_plugin(IMPORTERS, "importer of steps", "columns", callable, wanted)
-    steps: Steps = read(path, columns, names.given())
-    for name in steps.space.names:
-        if not name.isidentifier():
-            rule = "a name consists of letters, digits and underscores; rename it by NAME=COLUMN"
-            raise InputError(f"--from {path}: column {name!r}: {rule}")
-    return steps
+    return read(path, columns, names.given())
 
 
 def _covered_space(log: "Steps") -> "StepSpace":

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from stepgap.base.errors import InputError
+from stepgap.base.names import UNIT_RULE, as_name, is_unit
 from stepgap.base.plugins import suggestion
 from stepgap.base.settings_file import read_toml
 from stepgap.logs.tables.text_format import AS_FOUND, TextFormat
@@ -28,8 +29,9 @@ ROLES = ("state", "next", "command", "target", "predicted")
 class Columns:
     """The meaning of a log's columns; a row is a step.
 
-    A column is given by its name, or as NAME=COLUMN to call its coordinate NAME. If only one of `state` and `next` is
-    given, rows are chained: the state after a step is the state before the step of the following row.
+    A column is given by its name, or as NAME=COLUMN to call its coordinate NAME; a name is made an identifier. If only
+    one of `state` and `next` is given, rows are chained: the state after a step is the state before the step of the
+    following row.
 
     Attributes:
         state: State before the step.
@@ -76,6 +78,9 @@ class Columns:
             for column in getattr(self, table):
                 if column not in numbers:
                     raise ValueError(f"{table}: {unknown_column(column, numbers)}")
+        for column, unit in self.units.items():
+            if not is_unit(unit):
+                raise ValueError(f"units: {column} = {unit!r:.60}, but it must {UNIT_RULE}")
         for column, factor in self.factors.items():
             if not 1 / LARGEST_VALUE <= abs(factor) <= LARGEST_VALUE:
                 raise ValueError(f"factors: {column} = {factor}, but its magnitude must lie between 1e-12 and 1e12")
@@ -196,5 +201,5 @@ def column_of(entry: str) -> str:
 
 
 def name_of(entry: str) -> str:
-    """The name of the coordinate in COLUMN or NAME=COLUMN."""
-    return entry.partition("=")[0] or entry
+    """The name of the coordinate in COLUMN or NAME=COLUMN, as an identifier."""
+    return as_name(entry.partition("=")[0] or entry)

@@ -14,6 +14,7 @@ import numpy as np
 
 from stepgap.base.errors import InputError
 from stepgap.base.files import naming
+from stepgap.base.names import is_name
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import ContextQuantity, Quantity, StepRecord, StepSpace, StepStatus
 
@@ -61,17 +62,12 @@ def check_names(space: StepSpace) -> None:
     """Ensures that a `steps.csv` with the names of a space can be read.
 
     Raises:
-        RecordError: There are too many state coordinates, or a name cannot be that of a column.
+        RecordError: There are too many state coordinates, or a name is that of another column.
     """
     if len(space.state) > MOST_COORDINATES:
         raise RecordError(f"the state has {len(space.state)} coordinates, but it must have at most {MOST_COORDINATES}")
     columns = [*column_names(space), _FORMER]
     for name in (*space.names, *(f"{each}{AFTER}" for each in space.context_names)):
-        if not name or "," in name or not name.isprintable():
-            raise RecordError(
-                f"the name {name!r:.80} of a coordinate cannot be a column of steps.csv: it must be printable text "
-                "without a comma"
-            )
         if columns.count(name) > 1:
             raise RecordError(
                 f"the name {name!r:.80} of a coordinate is that of another column of steps.csv; the names of state and "
@@ -172,6 +168,8 @@ def space_of_header(path: Path) -> StepSpace:
     for n, size in product(range(1, min(MOST_COORDINATES, len(header) // 6) + 1), range(len(names) + 1)):
         m = (len(header) - 3 - size - 6 * n) // 3
         state, command = header[2 : 2 + n], header[2 + 2 * n : 2 + 2 * n + m]
+        if not all(map(is_name, (*state, *command, *names[:size]))):
+            continue
         context = tuple(ContextQuantity(name, "") for name in reversed(names[:size]))
         space = StepSpace(tuple(map(_coordinate, state)), tuple(map(_coordinate, command)), context)
         if m >= 0 and column_names(space) == header and len(set(header)) == len(header):
@@ -179,7 +177,8 @@ def space_of_header(path: Path) -> StepSpace:
     raise ValueError(
         f"{path}, line 1: not the header of a step log; it must be iteration, step, the state's names (at most "
         f"{MOST_COORDINATES}), target_…, the command's names, requested_…, applied_…, next_…, true_next_…, "
-        "predicted_…, std_…, the context's names with _after, status"
+        "predicted_…, std_…, the context's names with _after, status, and names consist of letters, digits and "
+        "underscores"
     )
 
 
@@ -308,7 +307,9 @@ def _space_in(lines: Sequence[str], path: Path, space: StepSpace) -> StepSpace:
     fixed = len(wanted) - 1 - len(space.context)
     names = [name.removesuffix(AFTER) for name in columns[fixed:-1]]
     known = {each.name: each for each in space.context}
-    found = replace(space, context=tuple(known.get(name, ContextQuantity(name, "")) for name in names))
+    valid = all(map(is_name, names))
+    context = tuple(known.get(name) or ContextQuantity(name, "") for name in names) if valid else ()
+    found = replace(space, context=context)
     if columns != column_names(found) or len(set(columns)) < len(columns):
         raise RecordError(f"{path}, line 1: the columns must be {','.join(wanted)}")
     return found

@@ -210,9 +210,9 @@ def reference_gait(run: Run, nominal: StepMap, learned: LearnedResidual | Missin
 
 def input_quantities(space: StepSpace, history_inputs: HistoryInputs) -> list[Quantity]:
     """Names and units of a residual's inputs; those of the previous step are normalised by half their range."""
-    previous = [Quantity(f"previous error of {each.name}", "half ranges", -1, 1) for each in space.state]
+    previous = [Quantity(f"previous_error_of_{each.name}", "half ranges", -1, 1) for each in space.state]
     if history_inputs.lagged_inputs == "previous_step":
-        previous += [Quantity(f"previous {each.name}", "half ranges", -1, 1) for each in (*space.command, *space.state)]
+        previous += [Quantity(f"previous_{each.name}", "half ranges", -1, 1) for each in (*space.command, *space.state)]
     elif history_inputs.lagged_inputs == "none":
         previous = []
     time = [Quantity("time", "forgetting times", -1, 1)] if history_inputs.timed else []

@@ -42,13 +42,10 @@ class CustomRobot(Robot):
         return StepSpace(self.quantities.state, self.quantities.command, self.quantities.context)
 
     def check(self) -> None:
-        """Raises ValueError where a coordinate is missing, is named twice, or has a name that is no identifier."""
+        """Raises ValueError where a coordinate is missing or is named twice."""
         for kind in ("state", "command", "context"):
             given = getattr(self.quantities, kind)
             wanted = f"be at least one [[quantities.{kind}]] with name, unit, lower, upper"
             require(len(given) > 0 or kind == "context", f"quantities.{kind}", len(given), wanted)
-            for number, each in enumerate(given, start=1):
-                rule = "consist of letters, digits and underscores"
-                require(each.name.isidentifier(), f"quantities.{kind} {number}.name", each.name, rule)
         names = (*self.space.names, *self.space.context_names)
         require(len(set(names)) == len(names), "quantities", list(names), "have different names")

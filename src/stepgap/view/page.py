@@ -249,7 +249,7 @@ class Page:
         index = (*space.state_names, *space.command_names).index(self._along.value)
         curve = curve_along(residual, space, join_points(record.state, record.requested), index)
         error = error_of(record, self._source.nominal)
-        model = f"the model with which deployment {self.iteration} began ({residual.name})"
+        model = f"the model with which deployment {self.iteration} began ({as_markdown(residual.name)})"
         self._model_note.content = f"Actual − nominal by {model}."
         for plot in self._learned:
             plot.show(curve, named((*space.state, *space.command)[index]), error)
@@ -264,8 +264,13 @@ class Page:
         else:
             lines.append(_step_table(steps[number - 1], self._source))
         if missing := self._source.missing_motion:
-            lines.append(f"There is no motion: {missing.reason}")
+            lines.append(f"There is no motion: {as_markdown(missing.reason)}")
         return "\n\n".join(lines)
+
+
+def as_markdown(text: str) -> str:
+    """Plain text for Markdown, which viser shows with the HTML in it: marks that may mean something are entities."""
+    return "".join(letter if letter.isalnum() or letter in " .,:/()" else f"&#{ord(letter)};" for letter in text)
 
 
 def _number(label: str) -> int:
@@ -281,7 +286,7 @@ def _step_table(logged: LoggedStep, source: Source) -> str:
     rows = ["| | target | predicted | measured |", "|---|---:|---:|---:|"]
     for index, quantity in enumerate(space.state):
         values = (logged.target[index], logged.predicted[index], record.next_state[index])
-        rows.append(f"| {named(quantity)} | {' | '.join(f'{value:z.3f}' for value in values)} |")
+        rows.append(f"| {as_markdown(named(quantity))} | {' | '.join(f'{value:z.3f}' for value in values)} |")
     command = ", ".join(
         f"{quantity.name} {value:.1f} {quantity.unit}".replace("-", "−")
         for quantity, value in zip(space.command, record.command, strict=True)

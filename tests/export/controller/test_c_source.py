@@ -18,6 +18,7 @@ from stepgap.export.controller.model_document import filter_after
 from stepgap.export.controller.portable_controller import PortableController
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import Array, StepFailed, StepRecord, StepStatus
+from tests.base.test_names import HOSTILE
 from tests.control.maps import YAW
 from tests.export.controller.learned import KINDS, SPACE, learned, steps
 
@@ -237,3 +238,14 @@ int main(void)
 def test_a_prefix_must_be_an_identifier(prefix: str) -> None:
     with pytest.raises(InputError, match="C identifier"):
         c_source(learned("none"), prefix)
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_a_note_ends_neither_its_comment_nor_its_line(text: str) -> None:
+    controller = replace(learned("none", linear=True), notes=(f"{text}\nint injected;\n@real@",))
+    header = c_source(controller, "controller").header
+    (line,) = [line for line in header.splitlines() if "injected" in line]
+    assert line.isascii()
+    assert line.isprintable()
+    assert header.count("*/") == header.count("/*") == c_source(learned("none", linear=True), "c").header.count("*/")
+    assert not any(part in line for part in ("??", "\\", "@", "double"))

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Final, Literal, NamedTuple, final
+from unicodedata import normalize
 
 import numpy as np
 
@@ -154,6 +155,7 @@ def _header(controller: PortableController, arithmetic: _Arithmetic) -> str:
     space = controller.space
     noise = zip(space.state, controller.map.noise_std, strict=True)
     notes = [*map(str, controller.approximations), *controller.notes]
+    noises = ", ".join(f"{quantity.name} {std:.3g} {quantity.unit}" for quantity, std in noise)
     fields = {
         "title": "A step controller that was learned by StepGap: the command with which the next state is a target.",
         "version": versions_here()["stepgap"],
@@ -161,8 +163,8 @@ def _header(controller: PortableController, arithmetic: _Arithmetic) -> str:
         "m": str(len(space.command)),
         "state": _quantities(space.state, "range of use"),
         "command": _quantities(space.command, "bounds"),
-        "noise": ", ".join(f"{quantity.name} {std:.3g} {quantity.unit}" for quantity, std in noise),
-        "approximations": "\n".join(f"   - {_ascii(note)}" for note in notes) or "   none",
+        "noise": _in_comment(noises),
+        "approximations": "\n".join(f"   - {_in_comment(note)}" for note in notes) or "   none",
         "real": arithmetic.type,
         "filters": str(len(disturbance.FORGETTING)),
         "monitored": str(learner.MONITORED_STEPS),
@@ -170,22 +172,21 @@ def _header(controller: PortableController, arithmetic: _Arithmetic) -> str:
         "angle": f"{arithmetic.largest_angle:g}",
         "stack": "8" if arithmetic.type == "double" else "4",
     }
-    text = _template("controller.h.txt")
-    for name, value in fields.items():
-        text = text.replace(f"@{name}@", value)
-    return text
+    return re.sub("@([a-z]+)@", lambda found: fields[found[1]], _template("controller.h.txt"))
 
 
 def _quantities(quantities: Iterable[Quantity], what: str) -> str:
     return "\n".join(
-        f"       [{i}] {_ascii(each.name)} [{_ascii(each.unit)}], {what} {each.lower:g} to {each.upper:g}"
+        f"       [{i}] {_in_comment(each.name)} [{_in_comment(each.unit)}], {what} {each.lower:g} to {each.upper:g}"
         for i, each in enumerate(quantities)
     )
 
 
-def _ascii(text: str) -> str:
-    """The text without what could end a comment, and in ASCII."""
-    return text.replace("→", "->").replace("*/", "* /").replace("·", " ").encode("ascii", "replace").decode()
+def _in_comment(text: str) -> str:
+    """The text in one line of ASCII that cannot end a comment: without trigraphs, backslashes, and * beside /."""
+    letters = normalize("NFKD", " ".join(text.replace("→", "->").replace("·", " ").split()))
+    plain = re.sub(r"[^ -~]|[\\?@]", "_", letters)
+    return re.sub(r"(?<=\*)(?=/)|(?<=/)(?=\*)", " ", plain)
 
 
 @final

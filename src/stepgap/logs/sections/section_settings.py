@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, final
 
 from stepgap.base.errors import InputError
+from stepgap.base.names import UNIT_RULE, is_unit
 from stepgap.base.settings_file import merge, read_toml
 from stepgap.logs.columns import LARGEST_VALUE
 from stepgap.logs.tables.text_format import AS_FOUND, TextFormat
@@ -211,6 +212,9 @@ def _numbers_or_texts(file: Path | None, key: str, table: Any) -> Mapping[str, A
     if not fits:
         what = "strings" if key == "units" else "numbers"
         raise InputError(f"{file}: {key}: it must be a table of {what}, by column")
+    for column, unit in table.items() if key == "units" else ():
+        if not is_unit(unit):
+            raise InputError(f"{file}: units: {column} = {unit!r:.60}, but it must {UNIT_RULE}")
     for column, factor in table.items() if key == "factors" else ():
         if not 1 / LARGEST_VALUE <= abs(factor) <= LARGEST_VALUE:
             raise RecordError(f"{file}: factors: {column} = {factor}; its magnitude must lie between 1e-12 and 1e12")

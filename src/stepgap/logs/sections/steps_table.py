@@ -1,7 +1,6 @@
 """Extracted steps as a CSV file, and the file of columns with which `stepgap fit` reads it."""
 
 import csv
-import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from io import StringIO
@@ -9,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stepgap.base.settings_file import toml_string
 from stepgap.logs.sections.section_settings import SectionSettings
 from stepgap.logs.sections.step_extraction import ExtractedSteps
 
@@ -41,7 +41,7 @@ def columns_toml(log: ExtractedSteps, settings: SectionSettings) -> str:
     if not (columns.get("command") or columns.get("target")):
         return ""
     lines = [
-        f"{role} = {json.dumps(names, ensure_ascii=False)}"
+        f"{role} = [{', '.join(map(toml_string, names))}]"
         for role, names in columns.items()
         if names and role in _ROLES
     ]
@@ -49,10 +49,7 @@ def columns_toml(log: ExtractedSteps, settings: SectionSettings) -> str:
     units = {name: unit for name, unit in _units(columns, settings) if unit}
     if units:
         lines += ["", "[units]"]
-        lines += [
-            f"{json.dumps(name, ensure_ascii=False)} = {json.dumps(unit, ensure_ascii=False)}"
-            for name, unit in units.items()
-        ]
+        lines += [f"{toml_string(name)} = {toml_string(unit)}" for name, unit in units.items()]
     return "\n".join([*lines, ""])
 
 

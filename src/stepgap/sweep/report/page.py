@@ -119,10 +119,10 @@ def _read(folder: Path, state: Sequence[Quantity]) -> _Sweep:
     path = folder / RESULTS
     try:
         cases = sweep_cases(read_results(path))
+        known = {quantity.name: quantity for quantity in state}
+        quantities = [known.get(name) or Quantity(name, "", -1, 1) for name in cases.state_names]
     except ValueError as error:
         raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
-    known = {quantity.name: quantity for quantity in state}
-    quantities = [known.get(name, Quantity(name, "", -1, 1)) for name in cases.state_names]
     found = variance_shares(cases)
     axes = cases.axes
     if not isinstance(found, Missing):

@@ -4,9 +4,8 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
 
-import tomli_w
-
 from stepgap.base.errors import InputError
+from stepgap.base.settings_file import toml_string
 from stepgap.hardware.ethercat.distributed_clocks import SYNC0_AND_SYNC1, SYNC0_ONLY
 from stepgap.hardware.ethercat.esi.comparison import (
     SYNC_SIGNALS,
@@ -17,7 +16,7 @@ from stepgap.hardware.ethercat.esi.comparison import (
     startup_text,
 )
 from stepgap.hardware.ethercat.esi.document import EsiDevice, EsiFile, EsiPdo
-from stepgap.hardware.ethercat.esi.reader import parse_number
+from stepgap.hardware.ethercat.esi.reader import parse_number, shorten
 from stepgap.hardware.ethercat.pdo import ENTRY_FORMATS, Entry, Pdo, PdoSet
 from stepgap.hardware.ethercat.pdo_sets import PDO_SETS
 
@@ -56,7 +55,7 @@ def propose(file: EsiFile, product: str | None = None) -> str:
         InputError: The file has no such device.
     """
     devices = _latest(file, product)
-    title = f"# {file.name}: {len(devices)} device(s) of vendor 0x{file.vendor:08X}, {file.vendor_name}"
+    title = f"# {shorten(file.name)}: {len(devices)} device(s) of vendor 0x{file.vendor:08X}, {file.vendor_name}"
     if len(devices) > MOST_DEVICES:
         rows = [f"#   --product 0x{each.product:08X}  {each.kind}, {each.name}" for each in devices]
         return "\n".join([title, "# Give one of them:", *rows])
@@ -85,12 +84,12 @@ def _device_lines(file: EsiFile, device: EsiDevice) -> Iterator[str]:
     revisions = sorted({each.revision for each in file.devices if each.product == device.product})
     yield f"# {device.kind}: {device.name}"
     yield "[[slaves]]"
-    yield f"name = {_quoted(device.kind or device.name or 'device')}"
+    yield f"name = {toml_string(device.kind or device.name or 'device')}"
     yield f"vendor = 0x{file.vendor:08X}"
     yield f"product = 0x{device.product:08X}"
     others = f"; the file has {len(revisions)} revisions" if len(revisions) > 1 else ""
     yield f"revision = 0x{device.revision:08X} # remove this line if every revision is right{others}"
-    yield f"esi = {_quoted(file.name)} # in the folder of rig.toml"
+    yield f"esi = {toml_string(file.name)} # in the folder of rig.toml"
     yield f'pdos = "{next(iter(sets), "none")}"'
     fitting = [name for name, pdos in PDO_SETS.items() if _fits(pdos, device, file)]
     if fitting:
@@ -121,7 +120,7 @@ def _startup_lines(device: EsiDevice) -> Iterator[str]:
     if texts:
         yield "startup = ["
         for text, comment in texts.values():
-            yield f"    {_quoted(text)}," + (f" # {comment}" if comment else "")
+            yield f"    {toml_string(text)}," + (f" # {comment}" if comment else "")
         yield "]"
     for each in commands:
         if not startup_text(each):
@@ -259,8 +258,3 @@ def _other_lines(file: EsiFile, device: EsiDevice, sets: dict[str, _Chosen]) -> 
     if device.has_slots:
         names = ", ".join(module.name for module in file.modules[:8]) or "in other files"
         yield f"# The device has slots, whose modules have PDOs of their own: {names}"
-
-
-def _quoted(text: str) -> str:
-    """A string in TOML."""
-    return tomli_w.dumps({"x": text}).removeprefix("x = ").rstrip("\n")
