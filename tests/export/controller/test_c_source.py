@@ -249,3 +249,60 @@ def test_a_note_ends_neither_its_comment_nor_its_line(text: str) -> None:
     assert line.isprintable()
     assert header.count("*/") == header.count("/*") == c_source(learned("none", linear=True), "c").header.count("*/")
     assert not any(part in line for part in ("??", "\\", "@", "double"))
+
+
+FAST = ("-ffast-math", "-Ofast", "-ffinite-math-only", "-fno-honor-nans", "-fno-honor-infinities", "-fassociative-math")
+"""Options with which NaN, infinity or the order of roundings do not count; some compilers do not know all of them."""
+
+ANSWERS = """
+#include <stdio.h>
+#include <stdlib.h>
+#include "controller.h"
+/* Reads state, target and phase; prints the status of a plan and of an update, then the command. */
+int main(void)
+{
+    controller_filter filter;
+    controller_real x[5], command[2];
+    char word[40];
+    controller_filter_init(&filter);
+    for (int k = 0; scanf("%39s", word) == 1; k = (k + 1) % 5) {
+        x[k] = (controller_real)strtod(word, NULL);
+        if (k < 4) continue;
+        int status = controller_plan(&filter, x, x + 2, NULL, x[4], command, NULL, NULL);
+        int updated = controller_filter_update(&filter, x, command, x + 2, x[4]);
+        printf("%d %d %.6g %.6g\\n", status, updated, (double)command[0], (double)command[1]);
+    }
+    return 0;
+}
+"""
+SECTIONS = (
+    "0.1 0.56 0.2 0.58 nan  nan 0.58 0.3 0.6 0.1  0.2 inf 0.3 0.6 0.1  0.2 0.58 nan 0.6 0.1  0.2 0.58 0.3 0.6 inf"
+)
+
+
+@pytest.mark.parametrize("compiler", [name for name in ("gcc", "clang", "g++", "clang++") if shutil.which(name)])
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_fast_arithmetic_is_refused_or_changes_nothing(compiler: str, real: Real, tmp_path: Path) -> None:
+    source = c_source(learned("quadratic"), "controller", real)
+    for name, text in (("controller.c", source.code), ("controller.h", source.header), ("main.c", ANSWERS)):
+        (tmp_path / name).write_text(text)
+    language = ["-x", "c++"] if compiler.endswith("++") else ["-std=c99"]
+    where: dict[str, Any] = {"cwd": tmp_path, "capture_output": True, "text": True}
+
+    def compiled(name: str, *flags: str) -> str:
+        return subprocess.run([compiler, *language, "-O2", *flags, "-c", name], check=False, **where).stderr
+
+    def answers() -> list[str]:
+        subprocess.run([compiler, "main.o", "controller.o", "-o", "answers"], check=True, **where)
+        return subprocess.run(["./answers"], input=SECTIONS, check=True, **where).stdout.splitlines()
+
+    compiled("main.c")
+    assert "error" not in compiled("controller.c")
+    wanted = answers()
+    assert [line.split()[:2] for line in wanted] == [["0", "0"], *3 * [["6", "6"]], ["0", "0"]]
+    for flag in FAST:
+        message = compiled("controller.c", flag)
+        if "compile this file without -ffast-math" not in message and "unrecognized" not in message:
+            assert (flag, answers()) == (flag, wanted)
+        else:
+            assert flag not in FAST[:3] or "unrecognized" not in message

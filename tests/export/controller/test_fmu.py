@@ -36,7 +36,7 @@ int controller_filter_update(controller_filter *f, const double *state, const do
 {
     f->learned += 1;
     f->total += next[0] - state[0] + command[1];
-    f->yaw = yaw == yaw ? yaw : -1;
+    f->yaw = yaw < 1e6 ? yaw : -1;
     return 0;
 }
 int controller_plan(const controller_filter *f, const double *state, const double *target, const double *guess,
@@ -45,7 +45,7 @@ int controller_plan(const controller_filter *f, const double *state, const doubl
     command[0] = target[0] - state[0];
     command[1] = guess[1] + 1;
     predicted[0] = f->total;
-    predicted[1] = yaw == yaw ? yaw : -1;
+    predicted[1] = yaw < 1e6 ? yaw : -1;
     std[0] = f->learned;
     std[1] = f->yaw;
     return state[0] > 5 ? 3 : 0;

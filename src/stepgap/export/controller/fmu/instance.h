@@ -5,7 +5,6 @@
 #ifndef INSTANCE_H
 #define INSTANCE_H
 
-#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -21,6 +20,8 @@
 #define COMPLETED (REALS + 1)    /* boolean: the last command was executed, and its step ended in the present state */
 #define PHASE_KNOWN (REALS + 2)  /* boolean: the phase is measured */
 #define TIME (REALS + 3)
+
+#define UNKNOWN_PHASE 1e30 /* not NaN, which this file could not pass on where it is compiled with -ffast-math */
 
 #define EXPORTED __attribute__((visibility("default")))
 
@@ -52,7 +53,7 @@ static instance *new_instance(const char *token)
 /* One step of the robot: the filter learns from the step that has ended, then the next one is planned. */
 static void plan_step(instance *it)
 {
-    double guess[COMMANDS], *r = it->reals, phase = it->phase_known ? r[PHASE] : NAN;
+    double guess[COMMANDS], *r = it->reals, phase = it->phase_known ? r[PHASE] : UNKNOWN_PHASE;
     memcpy(guess, r + COMMAND, sizeof guess);
     if (it->planned && it->completed)
         controller_filter_update(&it->filter, it->last_state, guess, r, it->last_phase);

@@ -106,7 +106,7 @@ def _compiled(texts: Mapping[str, str], main: str, suffix: str) -> bytes:
             with naming(folder / file):
                 (folder / file).write_text(text, "utf-8")
         target = folder / f"{IDENTIFIER}{suffix}"
-        command = [compiler, *FLAGS, "-o", target.name, main, "controller.c", "-lm"]
+        command = [compiler, *FLAGS, "-o", target.name, main, "controller.c"]
         try:
             done = subprocess.run(
                 command, cwd=folder, capture_output=True, text=True, timeout=COMPILE_TIME, check=False
