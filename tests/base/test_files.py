@@ -1,12 +1,13 @@
 """A file has the old or the new content, and an error of writing names it."""
 
 import errno
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from stepgap.base.errors import InputError
-from stepgap.base.files import create, naming, new_folder, read_bounded_text, write_whole
+from stepgap.base.files import create, naming, new_file, new_folder, read_bounded_text, write_whole
 from stepgap.base.output_files import write_together
 from tests.full_disk import FILE_TOO_LARGE, largest_file
 
@@ -25,8 +26,8 @@ def test_a_new_file_or_folder_that_cannot_be_written_is_not_left_behind(tmp_path
     with largest_file(1000):
         with pytest.raises(OSError, match=FILE_TOO_LARGE) as caught:
             create(tmp_path / "run.mat", b"x" * 1001)
-        with pytest.raises(OSError, match=FILE_TOO_LARGE), new_folder(tmp_path / "robot"):
-            create(tmp_path / "robot" / "robot.py", "x" * 1001)
+        with pytest.raises(OSError, match=FILE_TOO_LARGE), new_folder(tmp_path / "robot") as robot:
+            create(robot / "robot.py", "x" * 1001)
     assert caught.value.filename == str(tmp_path / "run.mat")
     assert not list(tmp_path.iterdir())
 
@@ -49,6 +50,46 @@ def test_what_exists_already_is_kept(tmp_path: Path) -> None:
     with pytest.raises(FileExistsError), new_folder(tmp_path / "run.mat"):
         pass
     assert (tmp_path / "run.mat").read_text() == "old"
+
+
+@pytest.mark.parametrize("writing", [new_file, new_folder])
+def test_an_output_gets_its_name_when_it_is_complete(tmp_path: Path, writing: Callable) -> None:
+    """So that one that exists is complete, even if its process was killed."""
+    target = tmp_path / "run.mcap"
+    with writing(target) as partial:
+        assert not target.exists()
+        assert (partial.parent, partial.suffix) == (tmp_path, ".mcap")
+        file = partial / "ticks" if writing is new_folder else partial
+        file.parent.mkdir(exist_ok=True)
+        file.write_text("all")
+    assert list(tmp_path.iterdir()) == [target]
+    assert (target / "ticks" if writing is new_folder else target).read_text() == "all"
+
+
+@pytest.mark.parametrize("writing", [new_file, new_folder])
+def test_a_name_that_another_process_took_meanwhile_keeps_its_file(tmp_path: Path, writing: Callable) -> None:
+    target = tmp_path / "model"
+
+    def write() -> None:
+        with writing(target) as partial:
+            (partial / "model.xml" if writing is new_folder else partial).write_text("ours")
+            target.write_text("theirs")
+
+    with pytest.raises(FileExistsError):
+        write()
+    assert list(tmp_path.iterdir()) == [target]
+    assert target.read_text() == "theirs"
+
+
+def test_a_file_system_without_links_has_new_files_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(path: Path, target: Path) -> None:
+        raise PermissionError(errno.EPERM, f"no links from {path} to {target}")
+
+    monkeypatch.setattr(Path, "hardlink_to", refused)
+    create(tmp_path / "run.mat", "all")
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("run.mat", "all")]
+    with pytest.raises(FileExistsError):
+        create(tmp_path / "run.mat", "other")
 
 
 def test_only_errors_without_a_file_name_get_one(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from stepgap.base.compiled import generic
 from stepgap.cli.app import main
+from stepgap.cli.help_format import NARROWEST
 from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.records.steps_csv import StepWriter
@@ -208,7 +209,11 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("run --gains.stiffness --quiet", ["--gains.stiffness: give a value"]),
         ("run --gains.stifness 3", ["--gains.stifness: unknown key; did you mean stiffness?"]),
         ("run --parameters.body_mass -1", ["--parameters.body_mass = -1.0, but it must be positive"]),
-        ("run --parameters.body_mass 1e6", ["reference paper, step 1: ", "out of reach"]),
+        ("run --parameters.body_mass 1e6", ["reference paper, step 1: ", "out of reach", "body_mass = 1000000.0"]),
+        (
+            "run --gap.ground_slope 0.01 --gains.stiffness 100 --parameters.gravity 1e300",
+            ["out of reach", "bounds with parameters.gravity = 1e+300 and gains.stiffness = 100.0; `stepgap gait`"],
+        ),
         ("run --command.fx_lower 40", ["--command.fx_lower = 40.0, but it must lie below fx_upper = 30.0"]),
         ("run --parameters.boom_inertia_vertical 0 --parameters.boom_inertia_horizontal 0", ["boom_stiffness", "must"]),
         ("run --reference none.csv", ["none.csv: No such file or directory; reference must be 'paper' or"]),
@@ -222,7 +227,7 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("run --plant twn", ["--plant twn: unknown; it must be one of twin, emulated-ring, "]),
         (
             "run --out used --reference used/reference.csv",
-            ["used: reference.csv already exists and would be overwritten"],
+            ["used: neither empty nor a run, it holds reference.csv; choose another --out"],
         ),
         ("run --plant ethercatt --rig none.toml", ["rig 'ethercatt': unknown; did you mean ethercat?"]),
         ("run --plant ethercat --rig none.toml", ["none.toml: No such file or directory"]),
@@ -529,6 +534,14 @@ def test_descriptions_are_wrapped_to_the_width_of_the_terminal() -> None:
         assert "[default: " in line, "the last words of its docstring"
 
 
+@pytest.mark.parametrize("columns", ["0", "1", "3"])
+def test_the_help_ends_on_a_terminal_without_columns(columns: str) -> None:
+    program = [sys.executable, "-c", "from stepgap.cli.app import main; main()", "gait", "--help"]
+    shown = subprocess.run(program, env={**os.environ, "COLUMNS": columns}, capture_output=True, text=True, check=True)
+    assert max(map(len, shown.stdout.splitlines())) <= NARROWEST
+    assert "--state" in shown.stdout
+
+
 def test_the_version_is_that_of_the_package(stepgap: Command) -> None:
     assert re.fullmatch(r"\d+\.\d+\.\d+\S*\n", stepgap("--version").out)
 
@@ -605,6 +618,48 @@ start()
 
 def test_ctrl_c_during_the_first_imports_is_one_line() -> None:
     done = subprocess.run([sys.executable, "-c", CTRL_C_IN_AN_IMPORT], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "stepgap: stopped\n")
+
+
+CTRL_C_IN_A_MODULE_OF_C = """
+import sys
+
+class Interrupted:
+    def find_spec(self, name, path=None, target=None):
+        if name == "numba":
+            raise ImportError("initialization failed") from KeyboardInterrupt()
+
+sys.meta_path.insert(0, Interrupted())
+sys.argv = ["stepgap", "map"]
+from stepgap.cli.start import start
+start()
+"""
+
+
+def test_ctrl_c_while_a_module_of_c_is_imported_is_one_line() -> None:
+    """Such a module answers it by an ImportError."""
+    done = subprocess.run([sys.executable, "-c", CTRL_C_IN_A_MODULE_OF_C], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "stepgap: stopped\n")
+
+
+CTRL_C_IN_A_CALLBACK = """
+import ctypes, signal, sys, time
+from stepgap.cli import app, start
+
+def callback():
+    signal.raise_signal(signal.SIGINT)
+
+def main():
+    ctypes.CFUNCTYPE(None)(callback)()
+    time.sleep(60)
+
+app.main = main
+start.start()
+"""
+
+
+def test_ctrl_c_in_a_callback_of_c_is_not_lost() -> None:
+    done = subprocess.run([sys.executable, "-c", CTRL_C_IN_A_CALLBACK], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "stepgap: stopped\n")
 
 

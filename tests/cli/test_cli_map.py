@@ -23,8 +23,9 @@ def numbers(text: str) -> list[float]:
 def test_one_step_and_its_derivatives(stepgap: Command) -> None:
     result = stepgap("map", "--state", "speed=0.1,height=0.56", "--command", "fx=-3,fy=2.5")
     assert (result.code, result.err) == (0, "")
-    first, _, header, *rows = result.out.splitlines()
+    state, command, first, _, header, *rows = result.out.splitlines()
     apex_map = ApexMap()
+    assert (numbers(state), numbers(command)) == ([0.1, 0.56], [-3, 2.5])
     assert numbers(first) == pytest.approx(apex_map([0.1, 0.56], [-3, 2.5]), abs=1e-6)
     assert [word for word in ("speed", "height", "fx", "fy") if f"by {word} [" in header] == [
         *apex_map.space.state_names,
@@ -38,7 +39,7 @@ def test_a_tick_holds_the_torques(stepgap: Command) -> None:
     result = stepgap("map", "--tick", "0.0005")
     assert result.code == 0
     expected = SampledApexMap(tick=5e-4)([0.2, 0.58], [0, 0])
-    assert numbers(result.out.splitlines()[0]) == pytest.approx(expected, abs=1e-6)
+    assert numbers(result.out.splitlines()[2]) == pytest.approx(expected, abs=1e-6)
     refused(stepgap("map", "--tick", "0.1"), "--tick: tick = 0.1, but it must lie between")
     refused(
         stepgap("map", "--tick", "0.001", "--robot", "quadruped"),
@@ -52,7 +53,13 @@ def test_settings_change_the_map(stepgap: Command) -> None:
     for arguments in (["soft.toml"], ["--gains.stiffness", "2400"]):
         result = stepgap("map", *arguments)
         assert result.code == 0
-        assert numbers(result.out.splitlines()[0]) == pytest.approx(expected, abs=1e-6)
+        assert numbers(result.out.splitlines()[2]) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_value_that_is_not_given_is_shown(stepgap: Command) -> None:
+    state, command, *_ = stepgap("map", "--state", "speed=0.1").out.splitlines()
+    assert state.split() == ["state", "speed", "0.100000", "m/s,", "height", "0.580000", "m"]
+    assert command.split() == ["command", "fx", "0.000000", "N,", "fy", "0.000000", "N"]
 
 
 def test_a_failed_step_has_a_reason(stepgap: Command) -> None:
@@ -115,9 +122,15 @@ def test_a_table(stepgap: Command) -> None:
         ("map --quiet", ["--quiet: valid only with --table"]),
         ("map --table t.npz --points 1", ['Invalid value "1" for --points. Must be >= 2']),
         ("map --table t.npz --points 1.5", ["--points", "1.5"]),
-        ("map --table good.csv --points 2", ["good.csv: exists already; choose another --table"]),
+        (
+            "map --table good.csv --points 2",
+            ["good.csv: exists already; choose another --table"],
+        ),
         ("map --table none/t.npz --points 2", ["none/t.npz: cannot be written", "choose another --table"]),
-        ("map --csv good.csv --out good.csv", ["good.csv: exists already; choose another --out"]),
+        (
+            "map --csv good.csv --out good.csv",
+            ["good.csv: exists already; choose another --out"],
+        ),
         ("map --csv good.csv --out none/n.csv", ["none/n.csv: cannot be written", "choose another --out"]),
         ("map --nominal.kind log --nominal.file none.csv", ["stepgap: nominal.file: none.csv: No such file"]),
         ("map --tick -1", ["--tick: "]),

@@ -1,13 +1,17 @@
 """Compilation of code that is not in the cache yet: when it begins, which takes a while, and errors of the cache."""
 
+import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from threading import current_thread, main_thread
 from traceback import extract_tb
+from types import FrameType
 
 from numba.core.event import Event, Listener, install_listener
 
 from stepgap.base.compiled import cache_folder
+from stepgap.base.signals import ENDING, handled
 
 
 class _FirstCompilation(Listener):
@@ -29,6 +33,43 @@ class _FirstCompilation(Listener):
 def on_first_compilation(callback: Callable[[], None]) -> Iterator[None]:
     """Calls `callback` at the first compilation within the block; never if all code comes from the cache."""
     with install_listener("numba:compile", _FirstCompilation(callback)):
+        yield
+
+
+class _DelayedSignals(Listener):
+    """Delays signals that Python handles, such as that of Ctrl-C, to the end of a pass of Numba in the main thread."""
+
+    def __init__(self):
+        self._passes, self._pending, self._handled = 0, list[int](), ExitStack()
+
+    def on_start(self, event: Event) -> None:  # noqa: ARG002  (the signature is Numba's)
+        if current_thread() is not main_thread():
+            return
+        if self._passes == 0:
+            numbers = tuple(number for number in (signal.SIGINT, *ENDING) if callable(signal.getsignal(number)))
+            self._handled.enter_context(handled(self._delay, numbers))
+        self._passes += 1
+
+    def on_end(self, event: Event) -> None:  # noqa: ARG002
+        if current_thread() is not main_thread():
+            return
+        self._passes -= 1
+        if self._passes == 0 or self._pending:
+            self._handled.close()  # the usual handlers are back
+        while self._pending:
+            signal.raise_signal(self._pending.pop(0))
+
+    def _delay(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002
+        self._pending.append(number)
+
+
+@contextmanager
+def signals_between_passes() -> Iterator[None]:
+    """Delays signals that come while Numba compiles within the block by a pass, at most some seconds.
+
+    LLVM calls Python back: an exception that a signal raises there would be lost, and the compiled code with it.
+    """
+    with install_listener("numba:run_pass", _DelayedSignals()):
         yield
 
 

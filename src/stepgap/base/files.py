@@ -1,5 +1,6 @@
 """Files that are complete at every moment, and errors that name the file they are about."""
 
+import errno
 import os
 import shutil
 from collections.abc import Iterator
@@ -67,30 +68,69 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 
 def create(path: Path, content: str | bytes) -> None:
-    """Writes a file that must not exist; if this fails or is interrupted, it does not exist afterwards either.
+    """Writes a file that must not exist; also if this fails or is killed, there is never a part of it.
 
     Raises:
         FileExistsError: It exists already.
         OSError: It cannot be written.
     """
-    with naming(path):
-        file = path.open("xb")
-        with removed_on_failure(path), file:
-            file.write(content.encode("utf-8") if isinstance(content, str) else content)
+    with new_file(path) as partial:
+        partial.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
 
 
 @contextmanager
-def new_folder(path: Path) -> Iterator[None]:
-    """Makes a folder, which is filled within the block; if this fails or is interrupted, the folder is removed.
+def new_file(path: Path) -> Iterator[Path]:
+    """Gives a name beside `path`, under which the file is written within the block; at its end it becomes `path`.
 
     Raises:
-        FileExistsError: It exists already.
+        FileExistsError: `path` exists already.
+        OSError: It cannot be written.
+    """
+    with _becoming(path) as partial:
+        yield partial
+        try:
+            path.hardlink_to(partial)  # unlike a renamed file, it replaces no other one
+        except (PermissionError, NotImplementedError):  # a file system without links, such as FAT
+            _check_absent(path)
+            partial.rename(path)
+        partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Makes a folder beside `path`, which is filled within the block; at its end it becomes `path`.
+
+    Raises:
+        FileExistsError: `path` exists already.
         OSError: It cannot be made.
     """
-    with naming(path):
-        path.mkdir()
-    with removed_on_failure(path):
-        yield
+    with _becoming(path) as partial:
+        partial.mkdir()
+        yield partial
+        _check_absent(path)
+        partial.rename(path)
+
+
+@contextmanager
+def _becoming(path: Path) -> Iterator[Path]:
+    """Gives a name beside `path` for what will be `path`; removed if the block fails, whose error names `path`.
+
+    Raises:
+        FileExistsError: `path` exists already.
+    """
+    _check_absent(path)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial{path.suffix}")
+    try:
+        with removed_on_failure(partial):
+            yield partial
+    except OSError as error:
+        error.filename, error.filename2 = str(error.filename or path).replace(str(partial), str(path)), None
+        raise
+
+
+def _check_absent(path: Path) -> None:
+    if os.path.lexists(path):
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
 
 
 @contextmanager

@@ -11,6 +11,9 @@ from stepgap.base.files import create, removed_on_failure
 PICTURE_FORMATS = ("pdf", "png", "svg")
 """File formats of a figure."""
 
+EXISTING_IS_COMPLETE = " (one that StepGap wrote is complete)"
+"""What is true of each output that exists: it gets its name when it is complete, also if a process is killed."""
+
 
 def format_by_name(path: Path, formats: Collection[str] = PICTURE_FORMATS) -> str:
     """File format that the end of a name demands.
@@ -26,7 +29,7 @@ def format_by_name(path: Path, formats: Collection[str] = PICTURE_FORMATS) -> st
 def check_new(path: Path, option: str) -> None:
     """Raises InputError where a file would be overwritten or cannot be written."""
     if path.exists():
-        raise InputError(f"{path}: exists already; choose another {option}")
+        raise InputError(f"{path}: exists already; choose another {option}{EXISTING_IS_COMPLETE}")
     if not path.parent.is_dir():
         raise InputError(f"{path}: cannot be written: no folder to write in; choose another {option}")
     if not os.access(path.parent, os.W_OK):

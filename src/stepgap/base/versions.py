@@ -2,13 +2,35 @@
 
 import platform
 from functools import cache
+from importlib import import_module
 from pathlib import Path
+from typing import Any
+
+from stepgap.base.errors import InputError
 
 RECORDED_PACKAGES = ("stepgap", "numpy", "scipy", "numba", "mujoco")
 """Packages whose versions a run records: with other versions the same seed may give other last digits."""
 
 INSTALL = "./go uv pip install" if (Path(__file__).parents[3] / "go").is_file() else "pip install"
 """Command that installs a package: in a clone of the repository, or elsewhere."""
+
+
+def optional_package(module: str, user: str, extra: str) -> Any:
+    """A module of a package that only some installations have.
+
+    Args:
+        module: Name of the module, such as `pyarrow.parquet`.
+        user: What needs it, such as an option.
+        extra: The extra of StepGap that installs it.
+
+    Raises:
+        InputError: It is not installed; the message is the command that installs it.
+    """
+    try:
+        return import_module(module)
+    except ImportError:
+        package = module.partition(".")[0]
+        raise InputError(f"{user} needs {package}: {INSTALL} 'stepgap[{extra}]'") from None
 
 
 def versions_here() -> dict[str, str]:

@@ -53,11 +53,21 @@ def main(arguments: Sequence[str] | None = None, verbs: Callable[[str], App] = c
     except Exception as error:
         if debug:
             raise
+        if _is_interrupted(error):
+            warn("stopped")
+            sys.exit(STOPPED)
         line, code = _explained(error)
         warn(line)
         if is_output_error(error):
             discard_output()
         sys.exit(code)
+
+
+def _is_interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C caused the error; while a module of C is imported, Python turns it into an ImportError."""
+    while error and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _run_verb(arguments: Sequence[str], program: list[str], verbs: Callable[[str], App]) -> None:

@@ -7,6 +7,10 @@ if TYPE_CHECKING:  # slow imports are made where they are used
     from rich.console import Console, ConsoleOptions
 
 
+NARROWEST = 40
+"""Smallest width of the help, in characters; in two, as COLUMNS=0 demands, its tables would never end."""
+
+
 @final
 class HelpFormat:
     """Cyclopts' default format, in which each description of an option is one paragraph."""
@@ -29,10 +33,11 @@ class HelpFormat:
         DefaultFormatter()(console, options, panel)
 
     def render_usage(self, console: "Console", options: "ConsoleOptions", usage: Any) -> None:
-        """Prints the line of usage; arguments as above."""
+        """Prints the line of usage, which comes first, and from here on widens a console that is too narrow."""
         from cyclopts.help import DefaultFormatter
 
-        DefaultFormatter().render_usage(console, options, usage)
+        console.width = max(console.width, NARROWEST)
+        DefaultFormatter().render_usage(console, options.update(width=console.width), usage)
 
     def render_description(self, console: "Console", options: "ConsoleOptions", description: Any) -> None:
         """Prints the purpose of the command; arguments as above."""

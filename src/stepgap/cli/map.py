@@ -92,7 +92,7 @@ def _map_point(nominal: "StepMap", state: list[float], command: list[float]) -> 
     except StepFailed as error:
         point = f"{named_values(space.state, state)}, {named_values(space.command, command)}"
         raise InputError(f"{point}: the step has no next state ({error})") from None
-    print(describe_step(space, next_state, nominal.jacobian(state, command)))
+    print(describe_step(space, state, command, next_state, nominal.jacobian(state, command)))
 
 
 def _map_rows(nominal: "StepMap", rows: Path, out: Path | None) -> None:
@@ -113,10 +113,18 @@ def _map_rows(nominal: "StepMap", rows: Path, out: Path | None) -> None:
     write_new(out, "--out", text)
 
 
-def describe_step(space: "StepSpace", next_state: "Array", jacobian: "Array") -> str:
-    """Next state and Jacobian as text."""
+def describe_step(
+    space: "StepSpace", state: list[float], command: list[float], next_state: "Array", jacobian: "Array"
+) -> str:
+    """The point, its next state and the Jacobian there as text."""
     inputs = (*space.state, *space.command)
-    lines = [f"next state    {named_values(space.state, next_state)}", "", "derivative" + " " * 14]
+    lines = [
+        f"state         {named_values(space.state, state)}",
+        f"command       {named_values(space.command, command)}",
+        f"next state    {named_values(space.state, next_state)}",
+        "",
+        "derivative" + " " * 14,
+    ]
     lines[-1] += "".join(f"{f'by {q.name} [{q.unit}]':>18}" for q in inputs)
     for quantity, row in zip(space.state, jacobian, strict=True):
         lines.append(f"{f'of next {quantity.name} [{quantity.unit}]':24}" + "".join(f"{value:18.6g}" for value in row))

@@ -14,7 +14,7 @@ from cyclopts import Parameter
 
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.files import create, new_folder, read_bounded_text
-from stepgap.base.output_files import writing
+from stepgap.base.output_files import EXISTING_IS_COMPLETE, writing
 from stepgap.base.plugins import load_plugin
 from stepgap.cli.options import NO_COLUMNS, ColumnNames, Flag
 from stepgap.cli.terminal import warn
@@ -89,7 +89,7 @@ def new(
     if not folder.name.isprintable():
         raise InputError(f"{folder.name!r}: not a name for a folder; it must be printable")
     if folder.exists():
-        raise InputError(f"{folder}: exists already; choose another name")
+        raise InputError(f"{folder}: exists already; choose another name{EXISTING_IS_COMPLETE}")
     if process or from_:
         contents = _program(folder.name, _read_log(from_, columns, names) if from_ else None)
     else:
@@ -98,9 +98,9 @@ def new(
 
     with writing(folder, "FOLDER"):
         folder.parent.mkdir(parents=True, exist_ok=True)
-        with new_folder(folder):
+        with new_folder(folder) as partial:
             for name, text in contents.items():
-                create(folder / name, text)
+                create(partial / name, text)
     print(folder / "README.md")
     if mjcf:
         warn(f"adapt the controller in {folder / folder.name}.py to the joints and actuators of {mjcf} first")

@@ -1,16 +1,37 @@
-"""The entry point of the program `stepgap`: Ctrl-C is one line also while the verbs are imported."""
+"""The entry point of the program `stepgap`: Ctrl-C is one line, wherever it arrives."""
 
 import sys
+from _thread import interrupt_main
+from threading import Timer
 
 from stepgap.cli.terminal import STOPPED, warn
 
 
 def start() -> None:
     """Runs the command line of the program."""
+    sys.unraisablehook = _repeat_interrupt
     try:
         from stepgap.cli.app import main  # takes some tenths of a second
 
         main()
     except KeyboardInterrupt:
         warn("stopped")
-        sys.exit(STOPPED)
+        _end_stopped()
+    except SystemExit as end:
+        if end.code == STOPPED:
+            _end_stopped()
+        raise
+
+
+def _repeat_interrupt(unraisable: "sys.UnraisableHookArgs") -> None:
+    """Interrupts again if Ctrl-C arrived in a callback of C, as of the compiler, where Python would only print it."""
+    if isinstance(unraisable.exc_value, KeyboardInterrupt):
+        Timer(0.05, interrupt_main).start()  # after the callback
+    else:
+        sys.__unraisablehook__(unraisable)
+
+
+def _end_stopped() -> None:
+    """Ends the program; objects of the compiler that Ctrl-C left half made print no errors when they are deleted."""
+    sys.unraisablehook = lambda _: None
+    sys.exit(STOPPED)

@@ -67,13 +67,13 @@ def announces_compilation(verb: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(verb)
     def announcing(*arguments: Any, **options: Any) -> None:
-        from stepgap.base.compiling import naming_cache, on_first_compilation
+        from stepgap.base.compiling import naming_cache, on_first_compilation, signals_between_passes
 
         def announce() -> None:
             if not _is_quiet(options):
                 warn("compiling for this machine; this takes about half a minute, once")
 
-        with naming_cache(), on_first_compilation(announce):
+        with naming_cache(), on_first_compilation(announce), signals_between_passes():
             verb(*arguments, **options)
 
     return announcing

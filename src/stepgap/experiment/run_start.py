@@ -4,12 +4,13 @@ import fcntl
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from datetime import datetime
 from pathlib import Path
 
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import free_name
+from stepgap.base.ranges import format_value
 from stepgap.control.limit_cycle import fixed_point
 from stepgap.control.reference import Reference
 from stepgap.experiment.inputs import load_known
@@ -18,11 +19,9 @@ from stepgap.experiment.plants import PlantRequest, choose_plants
 from stepgap.experiment.resume import check_no_step_is_lost
 from stepgap.experiment.run import Run
 from stepgap.experiment.settings import Experiment
-from stepgap.records.recovery import INPUT_FILES
+from stepgap.robots.gap import Gap
+from stepgap.robots.robot import Robot
 from stepgap.step import StepFailed, StepMap
-
-ALSO_WRITTEN = (*INPUT_FILES, "report.html", "figures", "replay", "ticks")
-"""Other files and folders that a run may write into its folder."""
 
 
 def dated_folder(home: str = "runs") -> Path:
@@ -70,7 +69,8 @@ def load_setup(request: PlantRequest, nominal: StepMap) -> Setup:
     """
     settings = request.settings
     path = Path(settings.reference)
-    check_reach(nominal, request.reference, path.name if path.parent == request.folder else settings.reference)
+    name = path.name if path.parent == request.folder else settings.reference
+    check_reach(nominal, request.reference, name, settings.robot)
     known = load_known(settings, settings.robot.space)
     plants = choose_plants(request)
     return Setup(nominal, plants, request.reference, settings.learning, settings.control, settings.seed, known)
@@ -83,8 +83,8 @@ def start_folder(folder: Path, write: Callable[[], None]) -> None:
         with _locked(folder):
             if any((folder / name).exists() for name in ("experiment.toml", "steps.csv", "summary.json", "models")):
                 raise InputError(f"{folder}: already holds a run; continue it by --resume, or choose another --out")
-            if there := [name for name in ALSO_WRITTEN if (folder / name).exists()]:
-                raise InputError(f"{folder}: {there[0]} already exists and would be overwritten; choose another --out")
+            if others := sorted(path.name for path in folder.iterdir() if not path.name.startswith(".")):
+                raise InputError(f"{folder}: neither empty nor a run, it holds {others[0]}; choose another --out")
             write()
     except OSError as error:
         raise InputError(
@@ -147,8 +147,8 @@ def extended(run: Run, redeployments: int) -> Experiment:
     return replace(settings, learning=learning)
 
 
-def check_reach(nominal: StepMap, reference: Reference, name: str) -> None:
-    """Raises InputError if the nominal map cannot hold one of the targets."""
+def check_reach(nominal: StepMap, reference: Reference, name: str, robot: Robot) -> None:
+    """Raises InputError if the nominal map of `robot` cannot hold one of the targets."""
     for step in [0, *reference.changes]:
         target = reference.targets[step]
         try:
@@ -160,5 +160,16 @@ def check_reach(nominal: StepMap, reference: Reference, name: str) -> None:
             wanted = ", ".join(f"{q.name} {value:g} {q.unit}" for q, value in zip(state, target, strict=True))
             raise InputError(
                 f"reference {name}, step {step + 1}: {wanted} is out of reach: the model cannot hold it within the "
-                f"command bounds; `stepgap gait` shows its range"
+                f"command bounds{_changes(robot)}; `stepgap gait` shows its range"
             )
+
+
+def _changes(robot: Robot) -> str:
+    """The first settings of the model that are not its defaults, one of which may be wrong, for a message."""
+    default, changed = type(robot)(), []
+    for table in fields(robot):  # pyright: ignore[reportArgumentType]  (a robot is a dataclass)
+        mine, usual = getattr(robot, table.name), getattr(default, table.name)
+        for name, value in () if isinstance(mine, Gap) else vars(mine).items():
+            if isinstance(value, int | float) and value != getattr(usual, name):
+                changed.append(f"{table.name}.{name} = {format_value(value)}")
+    return f" with {' and '.join(changed[:3])}" if changed else ""

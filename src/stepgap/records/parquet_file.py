@@ -1,12 +1,9 @@
 """Steps as a Parquet file, for data frames; unit and meaning of a column are in its metadata."""
 
 from collections.abc import Sequence
-from importlib import import_module
 from io import BytesIO
-from typing import Any
 
-from stepgap.base.errors import InputError
-from stepgap.base.versions import INSTALL
+from stepgap.base.versions import optional_package
 from stepgap.records.step_columns import Column
 
 
@@ -16,7 +13,7 @@ def parquet_file(columns: Sequence[Column]) -> bytes:
     Raises:
         InputError: pyarrow is not installed.
     """
-    arrow, parquet = _module("pyarrow"), _module("pyarrow.parquet")
+    arrow, parquet = (optional_package(name, "--to parquet", "parquet") for name in ("pyarrow", "pyarrow.parquet"))
     arrays = [arrow.array(column.values) for column in columns]
     fields = [
         arrow.field(column.name, array.type, metadata={"unit": column.unit, "meaning": column.meaning})
@@ -25,10 +22,3 @@ def parquet_file(columns: Sequence[Column]) -> bytes:
     stream = BytesIO()
     parquet.write_table(arrow.Table.from_arrays(arrays, schema=arrow.schema(fields)), stream)
     return stream.getvalue()
-
-
-def _module(name: str) -> Any:
-    try:
-        return import_module(name)
-    except ImportError:
-        raise InputError(f"--to parquet needs pyarrow: {INSTALL} 'stepgap[parquet]'") from None

@@ -8,8 +8,9 @@ import numpy as np
 from mcap.writer import MCAP0_MAGIC
 
 from stepgap.base.errors import InputError, message_of
-from stepgap.base.files import create, new_folder, read_bounded_text, write_whole
+from stepgap.base.files import create, new_file, new_folder, read_bounded_text, write_whole
 from stepgap.base.json_data import parse_json
+from stepgap.base.output_files import EXISTING_IS_COMPLETE
 from stepgap.base.settings_file import read_toml
 from stepgap.control.reference import read_reference
 from stepgap.learning.steps import Steps
@@ -44,7 +45,7 @@ def recover_file(path: Path, out: Path) -> list[str]:
             return _recover_run(path, out)
         return _recover_ticks(path, out) if _is_tick_log(path) else _recover_steps(path, out)
     except FileExistsError:
-        raise InputError(f"{out}: exists already; choose another --out") from None
+        raise InputError(f"{out}: exists already; choose another --out{EXISTING_IS_COMPLETE}") from None
     except OSError as error:
         raise InputError(f"{error.filename or path}: {error.strerror}") from None
     except (ValueError, TickLogError) as error:
@@ -57,17 +58,18 @@ def _is_tick_log(path: Path) -> bool:
 
 
 def _recover_ticks(path: Path, out: Path) -> list[str]:
-    ticks, faults = recover_ticks(path, out)
+    with new_file(out) as partial:
+        ticks, faults = recover_ticks(path, partial)
     return [*(f"{path}: {fault}" for fault in faults), _counted(ticks, "tick", bool(faults))]
 
 
 def _recover_run(folder: Path, out: Path) -> list[str]:
     steps, fault = _intact_steps(folder / "steps.csv")
     lines = [fault] if fault else []
-    with new_folder(out):
-        lines += _copy_inputs(folder, out, steps.space)
-        lines += _recover_models(folder, out, steps) + _recover_summary(folder, out, steps)
-        write_whole(out / "steps.csv", text_of(steps))
+    with new_folder(out) as partial:
+        lines += _copy_inputs(folder, partial, steps.space)
+        lines += _recover_models(folder, partial, steps) + _recover_summary(folder, partial, steps)
+        write_whole(partial / "steps.csv", text_of(steps))
     return [*lines, _counted(len(steps), "step", bool(lines))]
 
 

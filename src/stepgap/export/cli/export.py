@@ -8,12 +8,16 @@ from cyclopts import Parameter, validators
 from stepgap.base.errors import InputError
 from stepgap.base.files import create, new_folder
 from stepgap.base.output_files import check_new, free_name, write_new, write_together, writing
+from stepgap.base.versions import optional_package
 from stepgap.cli.options import Integer
 from stepgap.cli.terminal import announces_compilation
 from stepgap.export.cli.export_controller import CONTROLLER_FILES, controller_file
 
 if TYPE_CHECKING:
     from stepgap.experiment.settings import Experiment
+
+PACKAGES = {"onnx": "onnx", "casadi": "casadi", "parquet": "pyarrow"}
+"""Package that a format needs, which is looked for before a run is read."""
 
 
 @announces_compilation
@@ -43,6 +47,8 @@ def export(
         real: For c, the type of the numbers.
         out: New file, or for mjcf a new folder. [default: a new one in the folder export/ of the run]
     """
+    if to in PACKAGES:
+        optional_package(PACKAGES[to], f"--to {to}", to)
     if to == "mjcf":
         _export_model(folder, iteration, out)
     elif to == "mcap":
@@ -150,9 +156,9 @@ def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None
     _, twin = simulation.direct_rig(deployment_generator(settings.seed, 0))
     files = mjcf_files(twin, simulation.parameters.boom_length)
     target = _target(folder, "mjcf", out)
-    with writing(target, "--out"), new_folder(target):
+    with writing(target, "--out"), new_folder(target) as partial:
         for name, content in files.items():
-            create(target / name, content)
+            create(partial / name, content)
     for name in files:
         print(target / name)
 

@@ -2,14 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stepgap.base.errors import InputError
-from stepgap.base.versions import INSTALL
+from stepgap.base.versions import optional_package
 from stepgap.export.controller.formulas import nominal_state, regression
 
 
@@ -24,7 +22,7 @@ def casadi_function(document: Mapping[str, Any]) -> Any:
     Raises:
         InputError: The package casadi is not installed.
     """
-    casadi = _package()
+    casadi = optional_package("casadi", "--to casadi", "casadi")
     algebra = _CasADi(casadi)
     state, command = (casadi.MX.sym(key, len(document[key])) for key in ("state", "command"))
     point = casadi.vertcat(state, command).T
@@ -71,10 +69,3 @@ class _CasADi:
     def squared_distances(self, x: Any, centres: NDArray[np.float64]) -> Any:
         away = self.casadi.repmat(x, len(centres), 1) - self.constant(centres)
         return self.casadi.sum2(away**2).T
-
-
-def _package() -> Any:
-    try:
-        return import_module("casadi")
-    except ImportError:
-        raise InputError(f"--to casadi needs casadi: {INSTALL} 'stepgap[casadi]'") from None

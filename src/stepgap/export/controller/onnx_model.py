@@ -3,15 +3,13 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from itertools import count
 from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stepgap.base.errors import InputError
-from stepgap.base.versions import INSTALL
+from stepgap.base.versions import optional_package
 from stepgap.export.controller.formulas import nominal_state, regression, scaled_point
 from stepgap.step import StepStatus
 
@@ -33,7 +31,7 @@ def onnx_model(document: Mapping[str, Any]) -> bytes:
     Raises:
         InputError: The package onnx is not installed.
     """
-    onnx = _package()
+    onnx = optional_package("onnx", "--to onnx", "onnx")
     graph = _Graph(onnx)
     point = graph.op("Concat", _Value(graph, "state"), _Value(graph, "command"), axis=-1)
     status = _status(graph, document["nominal"], point)
@@ -159,10 +157,3 @@ def _saved(onnx: Any, graph: _Graph, document: Mapping[str, Any]) -> bytes:
     onnx.helper.set_model_props(model, {**metadata, "stepgap": document["stepgap"]})
     onnx.checker.check_model(model, full_check=True)
     return model.SerializeToString()
-
-
-def _package() -> Any:
-    try:
-        return import_module("onnx")
-    except ImportError:
-        raise InputError(f"--to onnx needs onnx: {INSTALL} 'stepgap[onnx]'") from None

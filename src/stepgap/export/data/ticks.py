@@ -4,7 +4,7 @@ import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from stepgap.base.files import new_folder, removed_on_failure
+from stepgap.base.files import new_file, new_folder
 from stepgap.plants.ticks.tick_log import TickLog, TickLogError, read_ticks, recover_ticks
 from stepgap.plants.ticks.tick_table import TickTable
 
@@ -15,8 +15,7 @@ def write_ticks(ticks: TickTable, out: Path) -> None:
     Raises:
         TickLogError: The file exists or cannot be written.
     """
-    log = TickLog(out, ticks.units)
-    with removed_on_failure(out), log:  # an incomplete file would look complete
+    with new_file(out) as partial, TickLog(partial, ticks.units) as log:
         log.append(ticks.rows)
 
 
@@ -27,16 +26,15 @@ def copy_ticks(logs: Path, out: Path) -> Iterator[str]:
         OSError: A file cannot be read or written.
     """
     out.parent.mkdir(parents=True, exist_ok=True)
-    with new_folder(out):
+    with new_folder(out) as partial:
         for log in sorted(logs.glob("*.mcap")):
-            copy = out / log.name
             try:
                 read_ticks(log)
             except TickLogError:
-                yield _recovered(log, copy)
+                yield _recovered(log, partial / log.name, out)
             else:
-                shutil.copyfile(log, copy)
-                yield str(copy)
+                shutil.copyfile(log, partial / log.name)
+                yield str(out / log.name)
 
 
 def logged_units(logs: Path) -> Mapping[str, str]:
@@ -54,9 +52,9 @@ def logged_units(logs: Path) -> Mapping[str, str]:
     return read_ticks(last)[0]
 
 
-def _recovered(log: Path, copy: Path) -> str:
+def _recovered(log: Path, copy: Path, out: Path) -> str:
     try:
         ticks, faults = recover_ticks(log, copy)
     except TickLogError as error:
         return f"left out: {error}"
-    return f"{copy} ({ticks} ticks recovered: {'; '.join(faults)})"
+    return f"{out / copy.name} ({ticks} ticks recovered: {'; '.join(faults)})"

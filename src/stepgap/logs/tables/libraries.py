@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from stepgap.base.versions import INSTALL
+from stepgap.base.errors import InputError
+from stepgap.base.versions import optional_package
 from stepgap.records.steps_csv import RecordError
 
 
@@ -17,10 +17,9 @@ def library(name: str, path: Path, extra: str = "logs") -> Any:
         RecordError: It is not installed; the message says which extra of this package installs it.
     """
     try:
-        return import_module(name)
-    except ImportError:
-        package = name.partition(".")[0]
-        raise RecordError(f"{path}: this format needs {package}: {INSTALL} 'stepgap[{extra}]'") from None
+        return optional_package(name, f"{path}: this format", extra)
+    except InputError as error:
+        raise RecordError(str(error)) from None
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stepgap.base.errors import InputError
-from stepgap.base.versions import INSTALL
+from stepgap.base.versions import optional_package
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -35,10 +35,7 @@ def dask_executor(address: str, processes: int) -> Iterator[Executor]:
     Raises:
         InputError: dask.distributed is not installed, or there is no scheduler at the address.
     """
-    try:
-        import distributed
-    except ImportError:
-        raise InputError(f"--dask needs dask.distributed: {INSTALL} 'stepgap[cluster]'") from None
+    distributed = optional_package("distributed", "--dask", "cluster")
     with ExitStack() as stack:
         if address == LOCAL:
             options = {"host": "127.0.0.1", "dashboard_address": ":0", "threads_per_worker": 1}
