@@ -16,7 +16,7 @@ from stepgap.export.cli.export_controller import CONTROLLER_FILES, controller_fi
 if TYPE_CHECKING:
     from stepgap.experiment.settings import Experiment
 
-PACKAGES = {"onnx": "onnx", "casadi": "casadi", "parquet": "pyarrow"}
+PACKAGE_OF_FORMAT = {"onnx": "onnx", "casadi": "casadi", "parquet": "pyarrow"}
 """Package that a format needs, which is looked for before a run is read."""
 
 
@@ -47,8 +47,8 @@ def export(
         real: For c, the type of the numbers.
         out: New file, or for mjcf a new folder. [default: a new one in the folder export/ of the run]
     """
-    if to in PACKAGES:
-        optional_package(PACKAGES[to], f"--to {to}", to)
+    if to in PACKAGE_OF_FORMAT:
+        optional_package(PACKAGE_OF_FORMAT[to], f"--to {to}", to)
     if to == "mjcf":
         _export_model(folder, iteration, out)
     elif to == "mcap":
