@@ -49,7 +49,7 @@ def test_the_model_after_the_run_is_described(record: Run) -> None:
     written = write_report(Run(record.folder, nominal=LossyHopper(), final=final))
     text = Page(written.path).text
     assert "Deployment 0 learned while it ran. A further deployment would begin with the residual 'gp'" in text
-    assert f"of the recorded {len(TARGETS) + EXPLORATION} steps" in text
+    assert f"of {len(TARGETS) + EXPLORATION} earlier steps." in text
     assert "Corrected map: 4 of 4 targets are held" in text
     assert "Closed loop: with the step controller" in text
     assert not [part for part in written.missing if "model" in part]

@@ -12,7 +12,7 @@ from stepgap.experiment.bands import rmse_interval
 from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
 from stepgap.records.summary import parse_summary
-from stepgap.report.sentences import headline, sentences
+from stepgap.report.sentences import floor_sentences, headline, sentences
 from stepgap.step import Quantity, StepSpace
 from tests.control.maps import LossyHopper
 from tests.report.runs import logged, make_run
@@ -38,7 +38,8 @@ def test_an_error_above_three_noise_floors_is_not_called_tracking(run: Path) -> 
     large = small | {"height": 0.0031}
     found = headline(changed(run, 0.001, rmse=large))
     assert found.startswith("It did not track: the error of height is 3.1 noise floors. But the last deployment")
-    assert headline(changed(run, 0.0, rmse=large)).startswith("It tracked"), "an unknown noise floor claims nothing"
+    unknown = headline(changed(run, 0.0, rmse=large))
+    assert unknown.startswith("The last deployment made all its 40 steps"), "an unknown noise floor claims nothing"
 
 
 def test_the_noise_floor_has_its_number_of_steps_and_its_interval(run: Path) -> None:
@@ -46,7 +47,7 @@ def test_the_noise_floor_has_its_number_of_steps_and_its_interval(run: Path) -> 
     freedom = {"repeatability_freedom": {"speed": 60, "height": None}, "repeatability_steps": 240}
     content = json.loads((run / "summary.json").read_text()) | freedom
     (run / "summary.json").write_text(json.dumps(content))
-    text = " ".join(sentences(changed(run, 0.01)))
+    text = " ".join(floor_sentences(changed(run, 0.01)))
     ends = 0.01 * np.sqrt(60 / 83.298), 0.01 * np.sqrt(60 / 40.482)
     assert f"speed 0.0100 m/s (95 % interval {ends[0]:.5f} to {ends[1]:.4f}), height 0.0100 m, from 240 steps" in text
 
@@ -70,9 +71,10 @@ def test_intervals_contain_the_rmse_about_as_often_as_they_say(memory: float) ->
 def test_cut_commands_and_targets_that_were_not_held_are_listed(run: Path) -> None:
     text = " ".join(sentences(changed(run, 0.001, cut=7, unreachable=[[0.3, 0.7]], missed=[[0.1, 0.6]] * 8)))
     assert "Limits cut 7 of 40 commands of deployment 2" in text
-    assert "Unreachable according to the map of deployment 2: 1 target (0.3 m/s 0.7 m)." in text
-    assert "Unreachable according to the nominal map" not in text
-    assert "although reachable according to the map: 8 targets (0.1 m/s 0.6 m; " in text
+    held = "Not held by any command within the bounds, by the"
+    assert f"{held} map of deployment 2: 1 target (speed 0.3 m/s, height 0.7 m)." in text
+    assert f"{held} nominal map" not in text
+    assert "although its map holds them: 8 targets (speed 0.1 m/s, height 0.6 m; " in text
     assert "; and 2 more)" in text
     text = " ".join(sentences(changed(run, 0.001, cut=0, unreachable=[], missed=[])))
-    assert not any(word in text for word in ("cut", "Unreachable", "Missed"))
+    assert not any(word in text for word in ("cut", "Not held", "Missed"))

@@ -68,7 +68,12 @@ def interval_coverage(steps: Steps) -> tuple[Codes, Codes]:
 
 
 def rmse_interval(steps: Steps) -> Array:
-    """95 % confidence interval of the tracking RMSE of a deployment, with the reference as it was.
+    """95 % confidence interval of the tracking RMSE of a deployment, with the reference as it was: a `rms_interval`."""
+    return rms_interval(steps.tracking_errors())
+
+
+def rms_interval(errors: Array) -> Array:
+    """95 % confidence interval of the root mean square of consecutive errors.
 
     Errors of neighbouring steps are correlated, so the variance of the mean square follows from the means of all
     blocks of N^(1/3) consecutive steps, as in the circular block bootstrap (Politis and Romano, Exploring the Limits of
@@ -77,12 +82,12 @@ def rmse_interval(steps: Steps) -> Array:
     94 % of cases for independent errors, and in 91 % for errors with a correlation of 0.5 from step to step.
 
     Args:
-        steps: Steps of one deployment.
+        errors: Errors of consecutive steps; shape (N, n).
 
     Returns:
-        Lower and upper ends [units of the state], NaN for fewer than `FEWEST_TRACKED` steps; shape (2, n).
+        Lower and upper ends [units of the errors], NaN for fewer than `FEWEST_TRACKED` steps; shape (2, n).
     """
-    squares = steps.tracking_errors() ** 2
+    squares = errors**2
     count, size = squares.shape
     if count < FEWEST_TRACKED:
         return np.full((2, size), np.nan)

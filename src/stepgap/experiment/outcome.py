@@ -15,6 +15,9 @@ CUT = 0.01
 TRACKED = 3.0
 """An error of at most this number of noise floors counts as tracking."""
 
+NEGLIGIBLE = 1e-3
+"""An error of at most this part of half a range of use counts as tracking, too: of a plant without noise."""
+
 
 def summarise(
     steps: Steps,
@@ -102,13 +105,14 @@ def missed_targets(steps: Steps, reference: Reference, unreachable: Array, floor
     """Distinct targets that were missed although they are reachable; shape (k, n).
 
     A target is missed if the RMSE of the steady steps with this target exceeds `TRACKED` noise floors (n,) in some
-    coordinate.
+    coordinate, and `NEGLIGIBLE` half ranges.
     """
     steady, missed = _steady(steps, reference), []
+    limit = np.maximum(TRACKED * floor, NEGLIGIBLE * steps.space.state_scale)
     for target in np.unique(steady.target, axis=0):
         here = (steady.target == target).all(axis=1)
         rmse = np.sqrt(np.mean((steady.next_state[here] - target) ** 2, axis=0))
-        if (rmse > TRACKED * floor).any() and not (unreachable == target).all(axis=1).any():
+        if (rmse > limit).any() and not (unreachable == target).all(axis=1).any():
             missed.append(target)
     return np.array(missed).reshape(-1, len(reference.names))
 

@@ -15,13 +15,16 @@ from stepgap.control.closed_loop import largest_multiplier, step_controller_gain
 from stepgap.control.limit_cycle import FixedPoint, ReachableSet, fixed_point, reachable_set
 from stepgap.experiment.run import Run
 from stepgap.learning.corrected_map import CorrectedMap
+from stepgap.learning.disturbance import without_periodic_part
 from stepgap.learning.gradient_samples import gradient_samples
-from stepgap.learning.observations import next_history
+from stepgap.learning.observations import next_history, observe
 from stepgap.learning.regression import Prediction
 from stepgap.learning.residual import HistoryInputs, Residual, join_points
+from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
 from stepgap.records.motion_file import Replay
 from stepgap.report.measured_loop import MeasuredLoop, measured_loop
+from stepgap.report.text import in_words
 from stepgap.step import Array, Quantity, StepFailed, StepMap, StepSpace
 
 MOST_GAITS: Final = 40
@@ -115,8 +118,13 @@ class ReferenceGait:
     @property
     def centre_named(self) -> str:
         """The target from which the reachable sets start, with names and units."""
-        parts = zip(self.centre, self.space.state, strict=True)
-        return ", ".join(f"{quantity.name} {value:.4g} {quantity.unit}".rstrip() for value, quantity in parts)
+        return in_words(self.space.state, self.centre)
+
+    @property
+    def centre_point(self) -> FixedPoint | None:
+        """Limit cycle at the target `centre` on the last map, or the closest point; None if no command makes a step."""
+        (row, *_) = np.flatnonzero((self.targets == self.centre).all(axis=1))
+        return self.maps[-1].points[row]
 
     @property
     def has_closed_loop(self) -> bool:
@@ -150,6 +158,26 @@ class Analysis:
         if isinstance(final, Missing):
             return Missing(f"deployment 0 learned while it ran, so no model was saved before it, and {final.reason}")
         return LearnedResidual(1, final)
+
+    @cached_property
+    def removed_periodic_part(self) -> Array:
+        """RMS of what was removed from the errors before the residual was fitted, because it returned with the phase.
+
+        Shape (n,); zero where nothing was removed, or if it is not known.
+        """
+        run, settings, nominal, learned = self.run, self.run.settings, self.run.nominal, self.learned
+        nothing = np.zeros(len(run.space.state))
+        if isinstance(settings, Missing) or isinstance(nominal, Missing) or isinstance(learned, Missing):
+            return nothing
+        if not settings.learning.remove_yaw_dependence or not learned.steps:
+            return nothing
+        try:
+            log = Steps(run.steps.space) + run.known + run.steps.before(learned.iteration)
+        except InputError:  # the steps that were known before this run are lost
+            return nothing
+        seen = observe(log, nominal)
+        change = seen.error - without_periodic_part(seen, learned.iteration).error
+        return np.sqrt(np.mean(change**2, axis=0))
 
     @property
     def has_learned_steps(self) -> bool:
@@ -241,8 +269,7 @@ def centre_of(learned: LearnedResidual, gait: object) -> Array:
     """
     n, m = learned.residual.sizes
     if isinstance(gait, ReferenceGait):
-        (row, *_) = np.flatnonzero((gait.targets == gait.centre).all(axis=1))
-        point = gait.maps[-1].points[row]
+        point = gait.centre_point
         if point is not None:
             return join_points(point.state, point.command)
     return np.median(learned.residual.regressions[0].points[:, : n + m], axis=0)

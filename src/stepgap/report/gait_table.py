@@ -29,6 +29,12 @@ def measured_sentences(loops: Sequence[MeasuredLoop | None]) -> list[str]:
     ]
 
 
+def growth_sentences(loops: Sequence[MeasuredLoop | None]) -> list[str]:
+    """The sentence of `measured_sentences` if errors grow, which is unusual; else none."""
+    found = loops[-1] if loops else None
+    return measured_sentences(loops) if found is not None and _verdict(found.interval) == "grows" else []
+
+
 def measured_table(loops: Sequence[MeasuredLoop | None]) -> str:
     """Table of the measured multipliers of the closed loop by deployment; empty if none is known."""
     rows = [_measured_row(each) for each in loops if each is not None]

@@ -82,12 +82,28 @@ def inline_svg(drawing: Drawing, prefix: str) -> str:
     return svg.replace("<svg ", '<svg role="img" ', 1)
 
 
-def picture(drawn: Drawing | Missing, prefix: str, caption: str) -> str:
-    """Figure with its caption, or a sentence with the reason why there is none."""
+def picture(drawn: Drawing | Missing, prefix: str, caption: str, on_first_screen: bool = False) -> str:
+    """Figure with its caption, or a sentence with the reason why there is none.
+
+    Args:
+        drawn: The figure.
+        prefix: As of `inline_svg`.
+        caption: Text below it.
+        on_first_screen: Whether it is made so small that it is seen without scrolling, if it is wider than high.
+    """
     if isinstance(drawn, Missing):
         return paragraph(f"{drawn.reason[:1].upper()}{drawn.reason[1:]}.")
     values = safe(drawn.hover)
-    return f'<figure data-hover="{values}">{inline_svg(drawn, prefix)}<figcaption>{safe(caption)}</figcaption></figure>'
+    svg = inline_svg(drawn, prefix)
+    ratio = _ratio(svg) if on_first_screen else 0
+    small = f' class="first" style="--ratio: {ratio:.3f}"' if ratio > 1 else ""
+    return f'<figure{small} data-hover="{values}">{svg}<figcaption>{safe(caption)}</figcaption></figure>'
+
+
+def _ratio(svg: str) -> float:
+    """Width of a figure divided by its height."""
+    found = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg)
+    return float(found[1]) / float(found[2]) if found else 0.0
 
 
 def paragraph(text: str) -> str:

@@ -10,9 +10,9 @@ from stepgap.experiment.bands import interval_coverage
 from stepgap.experiment.run import Run
 from stepgap.learning.regression import Parameter
 from stepgap.records.missing import Missing
-from stepgap.report.analysis import LearnedResidual, input_quantities
+from stepgap.report.analysis import Analysis, LearnedResidual, input_quantities
 from stepgap.report.html import table
-from stepgap.report.text import decimal, with_unit
+from stepgap.report.text import decimal, listed, unit_suffix, with_unit
 from stepgap.step import Array
 
 UNIT_NOTES: Final = {
@@ -24,24 +24,34 @@ UNIT_NOTES: Final = {
 """Meaning of the units of a `Parameter`."""
 
 
-def learned_sentences(run: Run, learned: LearnedResidual | Missing) -> list[str]:
+def learned_sentences(analysis: Analysis) -> list[str]:
     """Sentences on the model of the error, and on the meaning of the tables."""
+    run, learned = analysis.run, analysis.learned
     if isinstance(learned, Missing):
         return [f"There is no model to describe: {learned.reason}."]
-    name, before = f"the residual '{learned.residual.name}'", "previous"
+    name = f"the residual '{learned.residual.name}'"
     model = f"Deployment {learned.iteration} began with {name}"
     if learned.iteration > run.shown_iterations[-1]:
-        before = "recorded"
         model = f"Deployment {learned.iteration - 1} learned while it ran. A further deployment would begin with {name}"
     if not learned.steps:
         return [f"{model}: {learned.residual.model.description}."]
     parameters = [parameter for each in learned.residual.regressions for parameter in each.parameters()]
     return [
-        f"{model}: for each state coordinate {learned.residual.model.description}, fitted to actual − nominal of the "
-        f"{before} {learned.steps} steps; the periodic part of the error was removed where it was significant.",
+        f"{model}: for each state coordinate {learned.residual.model.description}, fitted to actual − nominal of "
+        f"{learned.steps} earlier steps.{_removed(analysis)}",
         *_outliers(learned.residual.outliers),
         *dict.fromkeys(parameter.meaning for parameter in parameters if parameter.meaning),
     ]
+
+
+def _removed(analysis: Analysis) -> str:
+    """Sentence on the periodic part that was removed from the errors; empty if none was."""
+    periodic, parts = analysis.run.steps.space.periodic, analysis.removed_periodic_part
+    pairs = zip(analysis.run.space.state, parts, strict=True)
+    sizes = [f"{decimal(part, 2)}{unit_suffix(quantity)} in {quantity.name}" for quantity, part in pairs if part > 0]
+    if periodic is None or not sizes:
+        return ""
+    return f" Before, the part that returned with the {periodic.name} was removed: RMS {listed(sizes)}."
 
 
 def _outliers(outliers: Sequence[tuple[int, int]]) -> list[str]:
@@ -51,9 +61,12 @@ def _outliers(outliers: Sequence[tuple[int, int]]) -> list[str]:
     by_deployment = {
         deployment: [str(step) for other, step in outliers if other == deployment] for deployment, _ in outliers
     }
-    lists = [f"{', '.join(steps)} of deployment {deployment}" for deployment, steps in by_deployment.items()]
+    lists = [
+        f"{listed(steps)} of {f'deployment {deployment}' if deployment >= 0 else 'a deployment before this run'}"
+        for deployment, steps in by_deployment.items()
+    ]
     verb = "has a single, improbable error and was" if len(outliers) == 1 else "have single, improbable errors and were"
-    return [f"{'Step' if len(outliers) == 1 else 'Steps'} {'; '.join(lists)} {verb} not learned from."]
+    return [f"{'Step' if len(outliers) == 1 else 'Steps'} {listed(lists)} {verb} not learned from."]
 
 
 def learned_tables(run: Run, learned: LearnedResidual | Missing) -> str:

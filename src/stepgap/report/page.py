@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 from urllib.parse import quote
 
+import numpy as np
+
 from stepgap.control.reference import SETTLING_STEPS
 from stepgap.experiment.run import Run
 from stepgap.records.missing import Missing
@@ -11,12 +13,19 @@ from stepgap.report.analysis import Analysis
 from stepgap.report.diagnosis_sentences import diagnosis_sentences
 from stepgap.report.error_table import band_table, error_table
 from stepgap.report.figures import DrawnFigure
-from stepgap.report.gait_table import gait_sentences, gait_table, measured_sentences, measured_table
+from stepgap.report.gait_table import (
+    gait_sentences,
+    gait_table,
+    growth_sentences,
+    measured_sentences,
+    measured_table,
+)
 from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section, table
 from stepgap.report.learned_table import coverage_table, learned_sentences, learned_tables
 from stepgap.report.replay_view import REPLAY_SCRIPT, replay_view
-from stepgap.report.sentences import headline, sentences
+from stepgap.report.sentences import floor_sentences, headline, published_sentence, recorded, sentences
 from stepgap.report.settings_table import changed_settings
+from stepgap.report.summary_table import summary_table
 from stepgap.report.text import capitalised
 
 CONTENTS: Final = {
@@ -54,25 +63,34 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
     title = f"StepGap report: {run.folder.resolve().name}"
     links = "".join(f'<a href="#{name}">{heading}</a>' for name, heading in CONTENTS.items())
     pictures = {
-        name: [picture(each.drawing, each.prefix, each.caption) for each in figures if each.section == name]
+        name: [
+            picture(each.drawing, each.prefix, each.caption, each is figures[0])
+            for each in figures
+            if each.section == name
+        ]
         for name in CONTENTS
     }
     parts_by_name = {
         "numbers": [
             paragraph(_comparison_note(run)),
+            *map(paragraph, floor_sentences(run)),
             *(error_table(run, row) for row in range(len(run.space.state))),
             band_table(run),
         ],
         "diagnosis": [bullets(diagnosis_sentences(run))],
         "replay": [replay_view(run, analysis.replay)],
         "learned": [
-            bullets(learned_sentences(run, analysis.learned)),
+            bullets(learned_sentences(analysis)),
             learned_tables(run, analysis.learned),
             coverage_table(run),
             *pictures.pop("learned"),
         ],
-        "gait": [measured_table(analysis.loops), absence("gait", gait)] if isinstance(gait, Missing) else [
-            bullets(gait_sentences(gait)),
+        "gait": [
+            bullets(measured_sentences(analysis.loops)),
+            measured_table(analysis.loops),
+            absence("gait", gait),
+        ] if isinstance(gait, Missing) else [
+            bullets([*gait_sentences(gait), *measured_sentences(analysis.loops)]),
             measured_table(analysis.loops),
             *pictures.pop("gait"),
             gait_table(gait),
@@ -82,7 +100,8 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
     }  # fmt: skip
     top = (
         f'<h1>{safe(title)}</h1>\n<nav>{links}</nav>\n<p class="headline">{safe(headline(run))}</p>\n'
-        f"{bullets([*sentences(run), *measured_sentences(analysis.loops)])}"
+        f"{summary_table(run)}{bullets([*sentences(run), *growth_sentences(analysis.loops)])}"
+        f'<p class="note">{safe(recorded(run))}</p>'
     )
     parts = [
         section(name, heading, *parts_by_name.get(name, []), *pictures.get(name, []))
@@ -114,19 +133,21 @@ def _by_reason(parts: Mapping[str, object]) -> list[str]:
 
 
 def _comparison_note(run: Run) -> str:
-    note = (
-        f"This run was executed by the {run.plant}. Errors are next state − target, without those of exploratory "
-        f"steps. Transient: the first {SETTLING_STEPS} steps with each new target; steady: all later steps with it. "
-        "Steps with the first target of the reference are neither, since they include the start. RMSE and MAE include "
-        "them, so they may be smaller than both parts."
-    )
+    explored = ", without those of exploratory steps" * bool((run.steps.number < 1).any())
+    note = f"This run was executed by the {run.plant}. Errors are next state − target{explored}."
+    if any(np.isfinite(entry.errors["transient_rmse"]).any() for entry in run.deployments):
+        note += (
+            f" Transient: the first {SETTLING_STEPS} steps with each new target; steady: all later steps with it. "
+            "Steps with the first target of the reference are neither, since they include the start. RMSE and MAE "
+            "include them, so they may be smaller than both parts."
+        )
     theirs = run.published
     if theirs is None:
         return note
     if run.compared_result:
         return (
             f"{note} The run tracked {theirs.source}'s reference. {capitalised(theirs.source)}'s numbers are from its "
-            f"hardware, a different robot: {theirs.origin}."
+            f"hardware, a different robot: {theirs.origin}. {published_sentence(theirs)}"
         )
     return (
         f"{note} The run tracked another reference than {theirs.source}'s, so {theirs.source}'s errors are not shown."

@@ -1,15 +1,15 @@
-"""The results of a run in sentences."""
+"""The results of a run in sentences: the headline, and what is unusual."""
 
 from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 
-from stepgap.experiment.bands import rmse_interval
 from stepgap.experiment.outcome import TRACKED
 from stepgap.experiment.run import Run
 from stepgap.records.summary import Deployment
-from stepgap.report.text import between, capitalised, decimal, unit_suffix
+from stepgap.report.text import between, capitalised, decimal, in_words, listed, unit_suffix
+from stepgap.report.verdict import NEAR_FLOOR, Results
 from stepgap.robots.published_result import PublishedResult
 from stepgap.step import Array, StepStatus, ending_of
 
@@ -18,91 +18,94 @@ MOST_NAMED = 6
 
 
 def headline(run: Run) -> str:
-    """Sentence on whether the run tracked its reference."""
+    """Sentence on whether the run tracked its reference, and what learning changed."""
     if not run.deployments:
         return "No deployment is finished yet."
-    first, last = run.deployments[0], run.deployments[-1]
+    found = Results(run)
+    last = found.last
     if last.failed_steps:
         return f"It did not track to the end: {_ended(run, last)}."
     to_end = f"the last deployment made all its {_count(last.steps, 'step')} without a fall"
-    if first is last:
-        return f"One deployment so far, so there is nothing to compare with: {to_end}."
-    far = _beyond_noise(run, last)
-    verdict = f"It did not track: {far}. But {to_end}" if far else f"It tracked: {to_end}"
-    if (last.errors["rmse"] < first.errors["rmse"]).all():
-        return f"{verdict}, and every tracking error is smaller than in deployment {first.iteration}."
-    if first.failed_steps:
-        return f"{verdict}, whereas {_ended(run, first)}."
-    if np.isnan(last.errors["rmse"] - first.errors["rmse"]).any():
-        return f"No fall, but not every tracking error is known: {to_end}."
-    return f"No fall, but not better in every coordinate: {to_end}."
+    if far := found.beyond():
+        ratios = {run.space.state[row].name: f"{decimal(ratio, 2)} noise floors" for row, ratio in far.items()}
+        errors = [f"the error of {name} is {ratio}" for name, ratio in ratios.items()]
+        verdict = f"It did not track: {listed(errors)}. But {to_end}"
+    elif np.isfinite(found.floor).all():
+        verdict = f"It tracked: {to_end}"
+    else:
+        verdict = capitalised(to_end)
+    return f"{verdict}{_compared(found)}."
 
 
 def sentences(run: Run) -> list[str]:
-    """Sentences on errors, failed steps and unfinished deployments, and the published result for the same reference."""
-    found = []
-    if len(run.deployments) > 1:
-        found += [_change(run, row) for row in range(len(run.space.state))]
-    found += [
-        f"{capitalised(_ended(run, deployment))}; its errors include only the steps before."
-        for deployment in run.deployments
-        if deployment.failed_steps
+    """Sentences on what is unusual: failed steps, limits, targets that were not held, unfinished deployments."""
+    return [
+        *(
+            f"{capitalised(_ended(run, deployment))}; its errors include only the steps before."
+            for deployment in run.deployments
+            if deployment.failed_steps
+        ),
+        *_limits(run),
+        *(
+            f"Deployment {iteration} is running or was interrupted: "
+            f"its {_count(steps, 'step')} so far are not included in the errors."
+            for iteration, steps in run.unfinished.items()
+        ),
     ]
-    found += _floor(run)
-    found += _limits(run)
-    found.append(
+
+
+def recorded(run: Run) -> str:
+    """Sentence on the steps of a run, and on those without a next state."""
+    return (
         f"{_count(len(run.steps), 'step')} recorded in {_count(len(run.steps.iterations), 'deployment')} "
         f"on the {run.plant}, {_failures(run)}."
     )
-    found += [
-        f"Deployment {iteration} is running or was interrupted: "
-        f"its {_count(steps, 'step')} so far are not included in the errors."
-        for iteration, steps in run.unfinished.items()
-    ]
-    if theirs := run.compared_result:
-        found.append(_published(theirs))
-    return found
 
 
-def improvement(first: Deployment, last: Deployment, measure: str) -> Array:
-    """Factor by which an error decreased, NaN where unknown; shape (n,)."""
-    before, after = first.errors[measure], last.errors[measure]
-    return np.divide(before, after, out=np.full(len(before), np.nan), where=(before > 0) & (after > 0))
+def _compared(found: Results) -> str:
+    """Phrase on the errors before and after learning, and on when they became small; it begins with a comma."""
+    run, first = found.run, found.first
+    if first.failed_steps and first is not found.last:
+        return f", whereas {_ended(run, first)}"
+    if not found.learned:
+        return ", with the nominal map: nothing was learned yet" if first is found.last else ""
+    steps = found.steps_to_band() if found.predicted else None
+    within = f"; after {steps} executed steps they stayed within {found.band[0]}" if steps else ""
+    return f"{_changes(found)}{within}"
 
 
-def _change(run: Run, row: int) -> str:
-    """Sentence on the errors of one state coordinate in the first and the last deployment."""
-    first, last, quantity = run.deployments[0], run.deployments[-1], run.space.state[row]
-    interval, parts = rmse_interval(run.steps.of_iteration(last.iteration))[:, row], []
-    for measure in ("rmse", "mae"):
-        before, after = first.errors[measure][row], last.errors[measure][row]
-        factor = improvement(first, last, measure)[row]
-        outcome = f", {_times(factor)}" if np.isfinite(factor) else ""
-        known = f"from {decimal(before)} to {decimal(after)}{unit_suffix(quantity)}{outcome}"
-        parts.append(f"{measure.upper()} {known if np.isfinite(before - after) else 'unknown'}")
-    if np.isfinite([*interval, last.errors["rmse"][row]]).all():
-        ends = f"{decimal(interval[0])} to {decimal(interval[1])}{unit_suffix(quantity)}"
-        parts.insert(1, f"95 % interval of the last RMSE {ends}")
-    title = capitalised(quantity.name.replace("_", " "))
-    return f"{title}, from deployment {first.iteration} to {last.iteration}: {'; '.join(parts)}."
+def _changes(found: Results) -> str:
+    """Phrase on which errors are smaller and larger than before; it begins with a comma."""
+    changes, names = found.changes(), found.run.space.state_names
+    than = "that of the nominal map's predictions" if found.predicted else f"in deployment {found.first.iteration}"
+    if np.isnan(changes).any():
+        return f", but not every error is known, so that none is compared with {than.removeprefix('in ')}"
+    if all(change < 0 for change in changes):
+        return f", and every tracking error is smaller than {than}"
+    if not any(changes):
+        at_floor = (found.before <= NEAR_FLOOR * found.floor).all()
+        reason = ": all were near the noise floor from the beginning" if at_floor else ""
+        return f", and no tracking error is clearly smaller or larger than {than}{reason}"
+    words = {"smaller": -1, "larger": 1, "about the same": 0}
+    groups = {
+        word: [name for name, change in zip(names, changes, strict=True) if change == sign]
+        for word, sign in words.items()
+    }
+    parts = [f"{word} for {listed(group)}" for word, group in groups.items() if group]
+    return f". Compared with {than.removeprefix('in ')}, the error is {listed(parts)}"
 
 
-def _times(factor: float) -> str:
-    if factor >= 1:
-        return f"{decimal(factor, 2)} times smaller"
-    return f"{decimal(1 / factor, 2)} times larger"
-
-
-def _floor(run: Run) -> list[str]:
-    """Sentence on the noise floor of the plant, and on the ratio of the last errors to it."""
+def floor_sentences(run: Run) -> list[str]:
+    """Sentence on the noise floor of the plant and what it means for a controller; empty if it is not known."""
     known = [row for row, value in enumerate(run.noise_floor) if value > 0]
-    if not known:
+    if not known or not run.deployments:
         return []
-    state, floor = run.space.state, run.noise_floor
-    values = _with_intervals(run, floor, run.noise_floor_interval, known)
+    if Results(run).is_without_noise:
+        return [
+            "Steps that are repeated with the same command end alike: the plant has no noise, and so no noise floor."
+        ]
+    values = _with_intervals(run, run.noise_floor, run.noise_floor_interval, known)
     count = f"from {_count(run.noise_floor_steps, 'step')}, " if run.noise_floor_steps else ""
-    errors = run.deployments[-1].errors["steady_rmse"]
-    ratios = ", ".join(f"{decimal(errors[row] / floor[row], 2)} times that in {state[row].name}" for row in known)
     how = (
         f"is {values}, {count}measured with the same command and the same motion at the start, but "
         f"{_differences(run, known)}"
@@ -110,8 +113,7 @@ def _floor(run: Run) -> list[str]:
         else f"is at most about {values}, {count}the residual standard error of a linear fit to the steady steps of "
         "the last deployment; the true noise floor may be smaller"
     )
-    compared = f" The last steady RMSE is {ratios}." if np.isfinite([errors[row] for row in known]).all() else ""
-    return [f"The noise floor (standard deviation of repeated steps) {how}.{compared}"]
+    return [f"The noise floor (standard deviation of repeated steps) {how}."]
 
 
 def _differences(run: Run, rows: Sequence[int]) -> str:
@@ -124,8 +126,9 @@ def _differences(run: Run, rows: Sequence[int]) -> str:
     alone = _with_intervals(run, run.noise_floor_same_phase, run.noise_floor_same_phase_interval, rows)
     return (
         f"at another {periodic.name} and with other noise. A controller that knows neither noise nor {periodic.name} "
-        "cannot have smaller steady errors on average. One that estimates the periodic disturbance (learning.drift) "
-        f"can, but not smaller than the noise alone: {alone}"
+        "cannot have smaller steady errors on average. The noise alone, at one "
+        f"{periodic.name}, is {alone}: a controller that estimates the periodic disturbance (learning.drift) can have "
+        "steady errors between these two numbers"
     )
 
 
@@ -137,14 +140,6 @@ def _with_intervals(run: Run, floor: Array, ends: Array, rows: Sequence[int]) ->
     )
 
 
-def _beyond_noise(run: Run, deployment: Deployment) -> str:
-    """Phrase on the errors of a deployment that exceed three noise floors; empty if there are none."""
-    ratios = deployment.errors["rmse"] / np.where(run.noise_floor > 0, run.noise_floor, np.nan)
-    large = [row for row, ratio in enumerate(ratios) if ratio > TRACKED]
-    named = [f"the error of {run.space.state[row].name} is {decimal(ratios[row], 2)} noise floors" for row in large]
-    return " and ".join(named)
-
-
 def _limits(run: Run) -> list[str]:
     """Sentences on cut commands, and on targets that were not held."""
     if not run.deployments:
@@ -152,17 +147,17 @@ def _limits(run: Run) -> list[str]:
     first, last = run.deployments[0], run.deployments[-1]
     found = []
     if last.cut:
-        found.append(
-            f"Limits cut {last.cut} of {last.steps} commands of deployment {last.iteration}; the residual includes "
-            "what they removed."
-        )
+        learned = "; the residual includes what they removed" if last.residual != "none" else ""
+        found.append(f"Limits cut {last.cut} of {last.steps} commands of deployment {last.iteration}{learned}.")
     for of_map, entry in {"nominal map": first, f"map of deployment {last.iteration}": last}.items():
         if len(entry.unreachable):
-            found.append(f"Unreachable according to the {of_map}: {_targets(run, entry.unreachable)}.")
+            found.append(
+                f"Not held by any command within the bounds, by the {of_map}: {_targets(run, entry.unreachable)}."
+            )
     if len(last.missed):
         found.append(
-            f"Missed in deployment {last.iteration}, with a steady error above {TRACKED:g} noise floors, although "
-            f"reachable according to the map: {_targets(run, last.missed)}."
+            f"Missed in deployment {last.iteration}, with a steady error above {TRACKED:g} times the scatter of its "
+            f"steady steps, although its map holds them: {_targets(run, last.missed)}."
         )
     return found
 
@@ -170,19 +165,17 @@ def _limits(run: Run) -> list[str]:
 def _targets(run: Run, targets: Array) -> str:
     """Targets with their units."""
     count = _count(len(targets), "target")
-    texts = [
-        " ".join(f"{value:.4g}{unit_suffix(quantity)}" for value, quantity in zip(target, run.space.state, strict=True))
-        for target in targets[:MOST_NAMED]
-    ]
+    texts = [in_words(run.space.state, target) for target in targets[:MOST_NAMED]]
     more = f"; and {len(targets) - MOST_NAMED} more" if len(targets) > MOST_NAMED else ""
     return f"{count} ({'; '.join(texts)}{more})"
 
 
-def _published(result: PublishedResult) -> str:
+def published_sentence(result: PublishedResult) -> str:
+    """Sentence on how far the errors of the published result decreased."""
     ratios = result.errors[0]["rmse"] / result.band
-    factors = [f"{ratio:.1f} in {name}" for name, ratio in zip(result.reference.names, ratios, strict=True)]
+    factors = [f"{decimal(ratio, 2)} in {name}" for name, ratio in zip(result.reference.names, ratios, strict=True)]
     return (
-        f"For comparison: on {result.source}'s hardware the RMSE decreased by a factor of {' and '.join(factors)} with "
+        f"For comparison: on {result.source}'s hardware the RMSE decreased by a factor of {listed(factors)} with "
         f"{result.last} redeployments."
     )
 

@@ -43,16 +43,8 @@ LEAST_FLOOR: Final = 1e-2
 MOST_CHANGES: Final = 60
 """Number of changes of the target up to which each change is marked."""
 
-FARTHER: Final = (
-    " It is larger where state and command are farther from recorded ones, often after a change of the target."
-)
-"""Reason for changes of the standard deviation from step to step."""
-
-JUMPS: Final = (
-    " It jumps where the estimate of the periodic disturbance begins or ceases to be used, or where it follows "
-    "changes faster or more slowly than before."
-)
-"""Further reason, for robots with a periodic context that is measured."""
+VISIBLE: Final = 0.01
+"""Relative change of a standard deviation above which a caption explains that it changes."""
 
 FIRST_LOOK: Final[dict[str, Any]] = {"color": VERMILLION, "linestyle": "-.", "linewidth": 1.1}
 LAST_LOOK: Final[dict[str, Any]] = {"color": BLUE, "linestyle": "-", "linewidth": 1.1, "marker": ".", "markersize": 3}
@@ -176,9 +168,9 @@ def _name(run: Run, iteration: int) -> str:
 def _deployment_label(run: Run) -> str:
     """Label of the axis of deployments, with the maps that they used."""
     nominal = [each.iteration for each in run.deployments if each.residual == "none"]
-    if nominal == [0] or not run.deployments:
-        return "Deployment (0: nominal map; later ones: corrected map)"
-    return "Deployment" if nominal else "Deployment (all of this run: corrected map)"
+    if nominal == [0]:
+        return f"Deployment (0: nominal map{'; later ones: corrected map' * (len(run.deployments) > 1)})"
+    return "Deployment" if nominal or not run.deployments else "Deployment (all of this run: corrected map)"
 
 
 def step_panels(count: int) -> "tuple[Figure, list[Axes]]":
@@ -283,23 +275,29 @@ def _first_and_last(run: Run) -> tuple[str, str]:
     first, last = run.shown_iterations[0], run.shown_iterations[-1]
     if first == last:
         return f"in deployment {first}", "of a single deployment"
-    return "in the first and the last deployment", "without and with the learned correction"
+    if run.residual_name(first) == "none" and run.residual_name(last) not in ("none", None):
+        return "in the first and the last deployment", "without and with the learned correction"
+    return "in the first and the last deployment", "in two deployments"
 
 
 def _tracking_caption(analysis: Analysis) -> str:
     which, how = _first_and_last(analysis.run)
-    return (
-        f"Tracking {how}, drawn like the paper's Fig. 4: the state at the end of each step {which}, and the reference."
-    )
+    return f"Tracking {how}: the state at the end of each step {which}, and the reference."
 
 
 def _command_caption(analysis: Analysis) -> str:
-    which, _ = _first_and_last(analysis.run)
-    return f"Requested commands {which}. Dotted: their bounds. Triangles: limits of the robot removed a part."
+    run, (which, _) = analysis.run, _first_and_last(analysis.run)
+    drawn = {run.shown_iterations[0], run.shown_iterations[-1]}
+    cut = any(cut_commands(run.steps.of_iteration(number)).any() for number in drawn)
+    known = not isinstance(run.nominal, Missing)
+    return (
+        f"Requested commands {which}.{' Dotted: their bounds.' * known}"
+        f"{' Triangles: limits of the robot removed a part.' * (known and cut)}"
+    )
 
 
 def _error_caption(analysis: Analysis) -> str:
-    text = "Tracking error by deployment, drawn like the paper's Fig. 5, on logarithmic axes."
+    text = "Tracking error by deployment, on logarithmic axes."
     theirs = analysis.run.compared_result
     if theirs is None:
         return text
@@ -312,11 +310,8 @@ def map_caption(run: Run, row: int) -> str:
     unsure = [number for number in run.shown_iterations if run.steps.of_iteration(number).std[:, row].any()]
     held = [_held(run, iteration, row) for iteration in run.steps.iterations]
     band = " with 95 % band, noise included," if last in unsure else ""
-    reasons = FARTHER + (JUMPS if np.isfinite(run.steps.phase).any() else "")
-    text = (
-        f"Map of {quantity.name}, drawn like the paper's Figs. 6 and 7. (a) Its mean{band} and the measured next "
-        f"state, in deployment {last}."
-    )
+    reasons = _reasons(run, row, unsure)
+    text = f"Map of {quantity.name}. (a) Its mean{band} and the measured next state, in deployment {last}."
     if any(held):
         text += f" The band, predicted before the step, contains {', '.join(filter(None, held))}."
     if len(unsure) > 1:
@@ -324,13 +319,31 @@ def map_caption(run: Run, row: int) -> str:
     elif unsure:
         text += f" (b) Its standard deviation, noise included, in deployment {unsure[0]}.{reasons}"
     else:
-        text += " (b) The map gave no standard deviation, because nothing had been learned yet."
+        nothing = ", because nothing had been learned yet" * (run.residual_name(last) == "none")
+        text += f" (b) The map gave no standard deviation{nothing}."
     theirs = run.compared_result
     if theirs and theirs.largest_std and unsure:
         before, after = (f"{std[row]:g}{unit_suffix(quantity)}" for std in theirs.largest_std)
         text += (
             f" On {theirs.source}'s hardware it was at most about {before} in its first and {after} in its last "
             "redeployment."
+        )
+    return text
+
+
+def _reasons(run: Run, row: int, iterations: Sequence[int]) -> str:
+    """Sentences on why the standard deviation of a coordinate changes in the first and last of these deployments."""
+    drawn = [run.steps.of_iteration(number) for number in dict.fromkeys([*iterations[:1], *iterations[-1:]])]
+    stds = [steps.std[:, row] for steps in drawn]
+    if not any(np.ptp(std) > VISIBLE * std.max() for std in stds):
+        return ""
+    changes = any(np.diff(steps.tracking().target, axis=0).any() for steps in drawn)
+    farther = " It is larger where state and command are farther from recorded ones"
+    text = f"{farther}{', often after a change of the target' * changes}."
+    if not isinstance(run.settings, Missing) and run.settings.learning.drift and np.isfinite(run.steps.phase).any():
+        text += (
+            " It jumps where the estimate of the periodic disturbance begins or ceases to be used, or where it follows "
+            "changes faster or more slowly than before."
         )
     return text
 

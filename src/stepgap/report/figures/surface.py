@@ -85,17 +85,22 @@ def _range(values: Array) -> Array:
 
 _CAPTION = (
     "The learned correction, the expected error of the nominal map, and its standard deviation without noise, for each "
-    "state coordinate over the two inputs that change it most. All other inputs have their values at {}; inputs from "
-    "the step before are zero. Points: recorded steps to which the model was fitted, with any values of the other "
-    "inputs. Far from the points the correction is extrapolated."
+    "state coordinate over the two inputs that change it most.{} Points: recorded steps to which the model was fitted, "
+    "with any values of the other inputs. Far from the points the correction is extrapolated."
 )
 
 
 def _caption(analysis: Analysis) -> str:
-    gait = analysis.gait
-    if isinstance(gait, Missing):
-        return _CAPTION.format("the median of these steps")
-    return _CAPTION.format(f"the limit cycle of the target {gait.centre_named}, the nearest to the median of all")
+    gait, learned, space = analysis.gait, analysis.run.needed(analysis.learned), analysis.run.space
+    at, others = "the median of these steps", ""
+    if not isinstance(gait, Missing) and (point := gait.centre_point) is not None:
+        what = "the limit cycle of" if point.held else "the step that ends nearest to"
+        at = f"{what} the target {gait.centre_named}, the nearest to the median of all"
+    if len(space.names) > 2:
+        others += f" All other inputs have their values at {at}."
+    if learned.residual.history_inputs.lagged_inputs != "none":
+        others += " Inputs from the step before are zero."
+    return _CAPTION.format(others)
 
 
 SURFACE = RunFigure(

@@ -1,0 +1,159 @@
+"""What a run achieved, by state coordinate: its errors before and after learning, beside the noise floor.
+
+The *verdict* on a coordinate compares its errors with the noise floor only, the *change* its errors before and after.
+An error counts as changed if the two 95 % intervals have nothing in common, so nothing is claimed that noise explains.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, final
+
+import numpy as np
+
+from stepgap.control.gauss_newton import REACHED
+from stepgap.experiment.bands import executed_steps_to_band, rms_interval, rmse_interval
+from stepgap.experiment.outcome import TRACKED
+from stepgap.experiment.run import Run
+from stepgap.learning.observations import observe
+from stepgap.records.missing import Missing
+from stepgap.records.summary import Deployment
+from stepgap.report.text import decimal
+from stepgap.step import Array
+
+ABOUT: Final = 1.05
+"""Factor between two errors without intervals up to which they count as equal."""
+
+NEAR_FLOOR: Final = 1.25
+"""Errors up to this number of noise floors are at the noise floor, where that has no interval."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Results:
+    """Errors of a run with at least one finished deployment; a number that is not known is NaN.
+
+    Attributes:
+        run: The run.
+    """
+
+    run: Run
+
+    @property
+    def first(self) -> Deployment:
+        """The first finished deployment."""
+        return self.run.deployments[0]
+
+    @property
+    def last(self) -> Deployment:
+        """The last finished deployment."""
+        return self.run.deployments[-1]
+
+    @property
+    def predicted(self) -> bool:
+        """Whether `before` is the error of the nominal map's predictions, since no deployment used this map alone."""
+        return self.first.residual != "none"
+
+    @property
+    def learned(self) -> bool:
+        """Whether a deployment used what was learned, so that there is something to compare."""
+        return self.last.residual != "none"
+
+    @cached_property
+    def before(self) -> Array:
+        """RMSE of the first deployment, or of the nominal map's predictions of its steps; shape (n,)."""
+        if not self.predicted:
+            return self.first.rmse
+        errors = self._nominal_errors
+        return np.sqrt(np.mean(errors**2, axis=0)) if len(errors) else np.full(len(self.first.rmse), np.nan)
+
+    @cached_property
+    def before_ends(self) -> Array:
+        """Ends of the 95 % interval of `before`; shape (2, n)."""
+        if self.predicted:
+            return rms_interval(self._nominal_errors)
+        return rmse_interval(self.run.steps.of_iteration(self.first.iteration))
+
+    @property
+    def after(self) -> Array:
+        """RMSE of the last deployment; shape (n,)."""
+        return self.last.rmse
+
+    @cached_property
+    def after_ends(self) -> Array:
+        """Ends of the 95 % interval of `after`; shape (2, n)."""
+        return rmse_interval(self.run.steps.of_iteration(self.last.iteration))
+
+    @cached_property
+    def floor(self) -> Array:
+        """Noise floor; NaN too where it is so small that the plant has no noise; shape (n,)."""
+        floor = self.run.noise_floor
+        return np.where(floor > REACHED * self.run.space.state_scale, floor, np.nan)
+
+    @property
+    def is_without_noise(self) -> bool:
+        """Whether the noise floor is known, and zero in every coordinate."""
+        return bool(np.isfinite(self.run.noise_floor).all() and np.isnan(self.floor).all())
+
+    @property
+    def band(self) -> tuple[str, Array]:
+        """The band in which errors should stay, in words and by coordinate: a published error, or some noise floors."""
+        published = self.run.compared_result
+        if published:
+            return f"{published.source}'s last errors", published.band
+        return f"{TRACKED:g} noise floors", TRACKED * self.floor
+
+    def steps_to_band(self) -> int | None:
+        """Number of executed steps after which the errors stay in the band; None if they do not, or it is unknown."""
+        logs = [self.run.steps.of_iteration(each.iteration) for each in self.run.deployments]
+        return executed_steps_to_band(logs, self.band[1])
+
+    def beyond(self) -> dict[int, float]:
+        """Errors of the last deployment above three noise floors, by the index of the coordinate, in noise floors."""
+        ratios = self.after / self.floor
+        return {row: float(ratio) for row, ratio in enumerate(ratios) if ratio > TRACKED}
+
+    def changes(self) -> list[float]:
+        """Change of each error: 1 larger, −1 smaller, 0 if noise explains it, NaN if it is not known."""
+        return [self._change(row) for row in range(len(self.after))]
+
+    def change_in_words(self, row: int) -> str:
+        """Change of the error of a coordinate, for a table."""
+        change = self._change(row)
+        if np.isnan(change):
+            return "–"
+        factor = self.before[row] / self.after[row] if change < 0 else self.after[row] / self.before[row]
+        return {-1: f"{decimal(factor, 2)} times smaller", 1: f"{decimal(factor, 2)} times larger"}.get(
+            int(change), "no clear change"
+        )
+
+    def verdict_in_words(self, row: int) -> str:
+        """Comparison of the errors of a coordinate with its noise floor, for a table."""
+        floor, (low, high) = self.floor[row], self.run.noise_floor_interval[:, row]
+        if np.isnan(floor) or np.isnan(self.after[row]):
+            return "no noise" if self.is_without_noise else "–"
+        if row in self.beyond():
+            return f"not tracked: {decimal(self.after[row] / floor, 2)} noise floors"
+        steady = self.last.steady_rmse[row]
+        reached = self.after[row] if np.isnan(steady) else steady
+        if reached < (low if np.isfinite(low) else floor / NEAR_FLOOR):
+            return "below the noise floor"
+        if reached <= (high if np.isfinite(high) else floor * NEAR_FLOOR):
+            return "at the noise floor"
+        return f"{decimal(reached / floor, 2)} noise floors"
+
+    def _change(self, row: int) -> float:
+        before, after = self.before[row], self.after[row]
+        if (self.first is self.last and not self.predicted) or not before > 0 or not after > 0:
+            return np.nan
+        ends = self.before_ends[:, row], self.after_ends[:, row]
+        if np.isfinite(ends).all():
+            return float(ends[1][0] > ends[0][1]) - float(ends[1][1] < ends[0][0])
+        return float(after > ABOUT * before) - float(before > ABOUT * after)
+
+    @cached_property
+    def _nominal_errors(self) -> Array:
+        """Errors of the nominal map's predictions in the first deployment; none if it is missing; shape (k, n)."""
+        nominal = self.run.nominal
+        if isinstance(nominal, Missing):
+            return np.empty((0, len(self.first.rmse)))
+        return observe(self.run.steps.of_iteration(self.first.iteration).tracking(), nominal).error
