@@ -9,7 +9,7 @@ from stepgap.experiment.outcome import TRACKED
 from stepgap.experiment.run import Run
 from stepgap.records.summary import Deployment
 from stepgap.report.text import between, capitalised, decimal, in_words, listed, unit_suffix
-from stepgap.report.verdict import NEAR_FLOOR, Results
+from stepgap.report.verdict import NEAR_FLOOR, Achievement
 from stepgap.robots.published_result import PublishedResult
 from stepgap.step import Array, StepStatus, ending_of
 
@@ -21,7 +21,7 @@ def headline(run: Run) -> str:
     """Sentence on whether the run tracked its reference, and what learning changed."""
     if not run.deployments:
         return "No deployment is finished yet."
-    found = Results(run)
+    found = Achievement(run)
     last = found.last
     if last.failed_steps:
         return f"It did not track to the end: {_ended(run, last)}."
@@ -62,7 +62,7 @@ def recorded(run: Run) -> str:
     )
 
 
-def _compared(found: Results) -> str:
+def _compared(found: Achievement) -> str:
     """Phrase on the errors before and after learning, and on when they became small; it begins with a comma."""
     run, first = found.run, found.first
     if first.failed_steps and first is not found.last:
@@ -74,7 +74,7 @@ def _compared(found: Results) -> str:
     return f"{_changes(found)}{within}"
 
 
-def _changes(found: Results) -> str:
+def _changes(found: Achievement) -> str:
     """Phrase on which errors are smaller and larger than before; it begins with a comma."""
     changes, names = found.changes(), found.run.space.state_names
     than = "that of the nominal map's predictions" if found.predicted else f"in deployment {found.first.iteration}"
@@ -100,7 +100,7 @@ def floor_sentences(run: Run) -> list[str]:
     known = [row for row, value in enumerate(run.noise_floor) if value > 0]
     if not known or not run.deployments:
         return []
-    if Results(run).is_without_noise:
+    if Achievement(run).is_without_noise:
         return [
             "Steps that are repeated with the same command end alike: the plant has no noise, and so no noise floor."
         ]

@@ -5,7 +5,7 @@ import numpy as np
 from stepgap.experiment.run import Run
 from stepgap.report.html import table
 from stepgap.report.text import decimal, with_unit
-from stepgap.report.verdict import Results
+from stepgap.report.verdict import Achievement
 from stepgap.step import Array
 
 
@@ -13,7 +13,7 @@ def summary_table(run: Run) -> str:
     """HTML of the table; empty if no deployment is finished. Columns without any number are left out."""
     if not run.deployments:
         return ""
-    found = Results(run)
+    found = Achievement(run)
     first, last = found.first.iteration, found.last.iteration
     compared = found.predicted or first != last
     about = "" if run.summary.noise_floor_measured else ", at most about"
@@ -31,7 +31,7 @@ def summary_table(run: Run) -> str:
     return table("", list(known), list(zip(*known.values(), strict=True)))
 
 
-def _before(found: Results) -> dict[str, list[str]]:
+def _before(found: Achievement) -> dict[str, list[str]]:
     if found.predicted:
         return {"before: RMSE of the nominal map's predictions": [decimal(value) for value in found.before]}
     return {f"before: RMSE of deployment {found.first.iteration}": [decimal(value) for value in found.before]}

@@ -29,7 +29,7 @@ NEAR_FLOOR: Final = 1.25
 
 @final
 @dataclass(frozen=True, eq=False)
-class Results:
+class Achievement:
     """Errors of a run with at least one finished deployment; a number that is not known is NaN.
 
     Attributes:
