@@ -15,7 +15,7 @@ CUT = 0.01
 TRACKED = 3.0
 """An error of at most this number of noise floors counts as tracking."""
 
-NO_ERROR = 1e-3
+NEARLY_ZERO = 1e-3
 """An error of at most this part of half a range of use counts as tracking, too: of a plant without noise."""
 
 
@@ -105,10 +105,10 @@ def missed_targets(steps: Steps, reference: Reference, unreachable: Array, floor
     """Distinct targets that were missed although they are reachable; shape (k, n).
 
     A target is missed if the RMSE of the steady steps with this target exceeds `TRACKED` noise floors (n,) in some
-    coordinate, and `NO_ERROR` half ranges.
+    coordinate, and `NEARLY_ZERO` half ranges.
     """
     steady, missed = _steady(steps, reference), []
-    limit = np.maximum(TRACKED * floor, NO_ERROR * steps.space.state_scale)
+    limit = np.maximum(TRACKED * floor, NEARLY_ZERO * steps.space.state_scale)
     for target in np.unique(steady.target, axis=0):
         here = (steady.target == target).all(axis=1)
         rmse = np.sqrt(np.mean((steady.next_state[here] - target) ** 2, axis=0))
