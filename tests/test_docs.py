@@ -5,6 +5,7 @@ import runpy
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from stepgap.base.settings_file import read_toml
@@ -191,3 +192,11 @@ def test_links_lead_somewhere(page):
 def test_files_named_in_the_architecture_exist():
     for name in re.findall(r"`([a-z_/]+(?:/|\.py))`", TEXTS[ROOT / "ARCHITECTURE.md"]):
         assert (ROOT / "src" / "stepgap" / name).exists(), name
+
+
+def test_the_papers_hardware_run_has_the_errors_that_its_page_states():
+    run = np.genfromtxt(ROOT / "examples" / "krause2023_fig4.csv", delimiter=",", names=True)
+    assert len(run) == 227
+    for name, state, target in (("speed", "v_nogp", "v_ref"), ("height", "y_nogp", "y_ref")):
+        stated = re.findall(rf"^\| {name}, 10 blocks \| (\S+)", TEXTS[ROOT / "docs" / "fit.md"], re.MULTILINE)
+        assert float(stated[0]) == pytest.approx(np.sqrt(np.mean((run[state] - run[target]) ** 2)), abs=6e-5)
