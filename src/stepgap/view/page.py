@@ -149,7 +149,7 @@ class Page:
         self._speed = gui.add_dropdown("Speed", list(SPEEDS), initial_value="1", hint="Times real time")
         self._ride = gui.add_checkbox("Ride along", True, hint="The robot stays in view, and the floor turns under it")
         actions = {"Pause / play": self.toggle, "One step": self.one_step, "Newest": self.follow}
-        self._buttons.on_click(lambda event: self._actions.put(actions[event.target.value]))
+        self._buttons.on_click(lambda event: self._actions.put(actions.get(event.target.value, lambda: None)))
         self._when_changed(self._deployment, lambda label: self.choose(_number(label)))
         self._when_changed(self._overlay, lambda label: self.overlay(None if label == NO_OVERLAY else _number(label)))
         self._when_changed(self._step, self._show_from)
@@ -157,6 +157,7 @@ class Page:
 
     def _show_from(self, number: int) -> None:
         """Shows a step from its start; sets the slider again, because an automatic move may have come in between."""
+        number = min(max(number, 0), int(self._step.max))
         self.player.show(number)
         self._step.value = number + 1 if number < self._step.max else number - 1
         self._drawn = ()
@@ -166,11 +167,11 @@ class Page:
         self.player.speed = SPEEDS[label]
 
     def _when_changed(self, control: Any, act: Callable[[Any], None]) -> None:
-        """Calls `act` when a user, not this program, changes a control."""
+        """Calls `act` when a user, not this program, changes a control to one of its options, if it has some."""
 
         def changed(event: Any) -> None:
-            if event.client is not None:
-                value = control.value
+            value = control.value
+            if event.client is not None and value in getattr(control, "options", [value]):
                 self._actions.put(lambda: act(value))
 
         control.on_update(changed)
@@ -246,7 +247,8 @@ class Page:
                 plot.clear()
             return
         space, record = self._source.space, steps[number - 1].record
-        index = (*space.state_names, *space.command_names).index(self._along.value)
+        names = (*space.state_names, *space.command_names)
+        index = names.index(self._along.value) if self._along.value in names else 0
         curve = curve_along(residual, space, join_points(record.state, record.requested), index)
         error = error_of(record, self._source.nominal)
         model = f"the model with which deployment {self.iteration} began ({as_markdown(residual.name)})"

@@ -11,6 +11,7 @@ from time import monotonic, sleep
 from viser import ViserServer
 
 from stepgap.base.errors import InputError
+from stepgap.view.access import guarded
 from stepgap.view.page import Page
 
 HERE = "127.0.0.1"
@@ -24,7 +25,7 @@ FRAME = 1 / 30
 
 
 def start_server(host: str, port: int | None) -> ViserServer:
-    """Starts a server on a free port.
+    """Starts a server on a free port, which answers no page of another site.
 
     Args:
         host: Host name or address of the network interface.
@@ -32,8 +33,9 @@ def start_server(host: str, port: int | None) -> ViserServer:
 
     Raises:
         InputError: Host or port cannot be used.
+        StepGapError: This version of viser cannot be guarded.
     """
-    with redirect_stdout(io.StringIO()):  # `announce` prints the address
+    with redirect_stdout(io.StringIO()), guarded(host):  # `announce` prints the address
         return ViserServer(host, free_port(host, port), label="StepGap", verbose=False)
 
 

@@ -38,7 +38,7 @@ def dask_executor(address: str, processes: int) -> Iterator[Executor]:
     distributed = optional_package("distributed", "--dask", "cluster")
     with ExitStack() as stack:
         if address == LOCAL:
-            options = {"host": "127.0.0.1", "dashboard_address": ":0", "threads_per_worker": 1}
+            options = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "threads_per_worker": 1}
             target = stack.enter_context(distributed.LocalCluster(n_workers=processes, **options))
         else:
             target = address
