@@ -39,7 +39,7 @@ def steps_of(count: int, seed: int, error: Error) -> Steps:
 
 
 def diagnosis(count: int, seed: int, error: Error) -> Diagnosis:
-    return diagnose(observe(steps_of(count, seed, error), NOMINAL), NOMINAL)
+    return diagnose(observe(steps_of(count, seed, error), NOMINAL))
 
 
 def plain(state: Array, before: Array, rng: np.random.Generator) -> Array:
@@ -78,14 +78,11 @@ def test_noise_that_depends_on_the_state_is_found(seed: int) -> None:
     assert ratio[1] == 1
 
 
-def test_commands_at_bounds_and_what_they_move() -> None:
+def test_commands_at_bounds() -> None:
     log = steps_of(200, 0, plain)
     bounded = [replace(one, record=replace(one.record, requested=np.array([15.0, 0.0]))) for one in log]
     observed = observe(Steps(SPACE, bounded[:50] + list(log)[50:]), NOMINAL)
-    found = diagnose(observed, NOMINAL)
     np.testing.assert_allclose(part_at_bounds(observed), [0.25, 0.0])
-    jacobian = NOMINAL.jacobian(MIDDLE, HOLDING)[:, 2:]
-    np.testing.assert_allclose(found.authority, np.abs(jacobian) * [15, 20] / SPACE.state_scale[:, None], rtol=0.05)
 
 
 @pytest.mark.parametrize("count", [0, 1, 5, 30])

@@ -205,11 +205,19 @@ def deployment(speed: float, height: float = 0.0, failed_steps: int = 0) -> Depl
         ([0.1, 0.05, 0.07], False),
         ([0.1, math.inf, 0.05], True),
         ([0.1, 0.05, math.inf], True),  # an aborted one does not show how well it could track
-        ([math.inf, math.inf, math.inf], True),
+        ([math.inf, math.inf, math.inf], False),  # each after as many steps as the one before
     ],
 )
 def test_when_redeploying_is_worth_it(errors: list[float], goes_on: bool) -> None:
     done = [deployment(0.0 if math.isinf(error) else error, failed_steps=int(math.isinf(error))) for error in errors]
+    assert loop._still_improves(done, np.array([1.0, 1.0]), tolerance=0.01) is goes_on
+
+
+@pytest.mark.parametrize(
+    ("steps", "goes_on"), [((3, 5, 9), True), ((9, 5, 9), False), ((9, 10, 5), False), ((3, 3), True)]
+)
+def test_failures_are_repeated_only_as_long_as_they_come_later(steps: tuple[int, ...], goes_on: bool) -> None:
+    done = [replace(deployment(0.0, failed_steps=1), steps=count) for count in steps]
     assert loop._still_improves(done, np.array([1.0, 1.0]), tolerance=0.01) is goes_on
 
 

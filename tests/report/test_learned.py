@@ -12,9 +12,11 @@ from stepgap.experiment.run import Run
 from stepgap.learning.residual import HistoryInputs
 from stepgap.learning.settings import LAGGED_INPUTS
 from stepgap.records.missing import Missing
-from stepgap.report.analysis import Analysis, LearnedResidual, input_quantities, reference_gait
+from stepgap.report.analysis import Analysis, input_quantities
 from stepgap.report.gait_table import gait_table
+from stepgap.report.learned_residual import LearnedResidual
 from stepgap.report.learned_table import coverage_table, learned_tables
+from stepgap.report.reference_gait import reference_gait
 from stepgap.report.text import decimal
 from tests.control.maps import LossyHopper
 from tests.report.pages import Page, check_alone

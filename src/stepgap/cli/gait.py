@@ -55,6 +55,6 @@ def gait(
         from stepgap.report.gait import describe_gait, gait_figure
 
         form = format_by_name(picture, FigureCanvasBase.filetypes)
-        print(describe_gait(nominal.space, point, reachable))
+        print(describe_gait(nominal, point, reachable))
         gait_figure(nominal.space, point, reachable).savefig(content, dpi=150, format=form)
     write_new(picture, "--out", content.getvalue())

@@ -12,11 +12,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from stepgap.cli.terminal import warn
-from stepgap.experiment.loop import Observer
+from stepgap.experiment.loop import Observer, fails_no_later
 from stepgap.experiment.state_ranges import COMPARED_STEPS, far_states
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.records.steps_csv import values_of
 from stepgap.records.summary import Deployment, deployment_entry
+from stepgap.report.text import decimal, unit_suffix
 from stepgap.step import StepSpace, StepStatus, ending_of
 
 
@@ -58,6 +59,7 @@ class RunProgress:
         self._task: TaskID | None = None
         self._description = ""
         self._last = 0
+        self._deployments: list[Deployment] = []
         self._errors: list[np.ndarray] = []
         self._executed: list[LoggedStep] = []
 
@@ -73,7 +75,10 @@ class RunProgress:
     def __exit__(self, exc_type: object, *exc_info: object) -> None:
         self._bars.stop()
         if exc_type is None and self._last < self._iterations and not self._quiet:
-            self._console.print("stopped: the error no longer decreases (learning.tolerance)", soft_wrap=True)
+            reason = "stopped: the error no longer decreases (learning.tolerance)"
+            if fails_no_later(self._deployments):
+                reason = "stopped: three deployments failed, the last one no later than those before"
+            self._console.print(reason, soft_wrap=True)
 
     def _on_step(self, logged: LoggedStep) -> None:
         if logged.record.status == StepStatus.OK:
@@ -96,6 +101,7 @@ class RunProgress:
         status = self._executed[-1].record.status if self._executed else StepStatus.OK
         self._executed, self._errors = [], []
         self._last = deployment.iteration
+        self._deployments.append(deployment)
         if not self._quiet:
             end = f", then it {ending_of(status)}" if deployment.failed_steps else ""
             error = "" if np.isnan(deployment.rmse).any() else f", RMSE {self._describe(deployment.rmse)}"
@@ -124,7 +130,7 @@ class RunProgress:
 
     def _describe(self, rmse: np.ndarray) -> str:
         return ", ".join(
-            f"{quantity.name} {value:.4f} {quantity.unit}"
+            f"{quantity.name} {decimal(value)}{unit_suffix(quantity)}"
             for quantity, value in zip(self._space.state, rmse, strict=True)
         )
 

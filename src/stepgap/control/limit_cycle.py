@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepgap.base.ranges import require
+from stepgap.control.reach import within_noise
 from stepgap.control.step_controller import StepController, as_vector
 from stepgap.step import Array, Codes, StepMap, StepStatus
 
@@ -18,7 +19,7 @@ class FixedPoint:
         state: X₀; shape (n,).
         command: U₀; shape (m,).
         next_state: map(X₀, U₀), equal to X₀ if held, else the closest to it; shape (n,).
-        held: Whether the next state equals the state.
+        held: Whether the next state is the state, up to the noise of one step in each coordinate.
         distance: From `state` to `next_state` in half ranges, Euclidean.
         floquet_multipliers: Eigenvalues of the Poincaré map's derivative ∂next/∂state at the fixed command, the largest
             first; NaN where a failing step nearby leaves no Jacobian. They are Floquet multipliers only if the state is
@@ -85,7 +86,7 @@ def fixed_point(step_map: StepMap, target: ArrayLike, guess: ArrayLike | None = 
         state,
         plan.command,
         plan.predicted,
-        plan.reached,
+        bool(within_noise(step_map, state, plan.predicted)),
         plan.distance,
         floquet_multipliers(step_map, state, plan.command),
     )

@@ -1,4 +1,4 @@
-"""What the steps of a deployment say about the robot and its state: lagged inputs, noise that varies, authority.
+"""What the steps of a deployment say about the robot and its state: lagged inputs, and noise that varies.
 
 Every statement comes from a regression of the nominal map's error in state and command (quadratic, as far as there are
 steps enough), whose residual is what neither can explain:
@@ -7,8 +7,6 @@ steps enough), whose residual is what neither can explain:
   next one, or a disturbance changes slowly. Judged by an F test and by the reduction of the leave-one-out error.
 - *Noise that depends on the state*: the squared residual varies with state or command (Breusch & Pagan 1979, in the
   form of Koenker 1981), although the learned models have one noise level.
-- *Authority*: the part of steps whose command is at a bound, and how far the commands move the next state within their
-  bounds.
 """
 
 from dataclasses import dataclass
@@ -22,7 +20,7 @@ from stepgap.learning.observations import Observations
 from stepgap.learning.polynomial import monomials
 from stepgap.learning.residual import HistoryInputs
 from stepgap.learning.settings import LAGGED_INPUTS, LaggedInputs
-from stepgap.step import Array, StepMap
+from stepgap.step import Array
 
 CONFIDENT = 0.001
 """Largest p-value of a finding: several hypotheses are tested in every deployment."""
@@ -50,13 +48,11 @@ class Diagnosis:
             where the F test does not confirm it; shape (n,).
         heteroscedasticity: Standard deviation of the unexplained error where it is predicted to be large (upper third),
             in that where it is predicted to be small; 1 where the test does not confirm a dependence; shape (n,).
-        authority: Half the range over which each command moves the next state, in half ranges of use; shape (n, m).
     """
 
     steps: int
     gains: dict[str, Array]
     heteroscedasticity: Array
-    authority: Array
 
     @property
     def known(self) -> bool:
@@ -64,24 +60,19 @@ class Diagnosis:
         return bool(np.isfinite(self.heteroscedasticity).all())
 
 
-def diagnose(observed: Observations, step_map: StepMap) -> Diagnosis:
-    """Diagnoses the steps of one deployment.
-
-    Args:
-        observed: Errors of the nominal map at the steps, with their history.
-        step_map: Best map known, for the effect of the commands.
-    """
-    n, authority, basis = len(observed.space.state), _authority(observed, step_map), _basis(observed)
+def diagnose(observed: Observations) -> Diagnosis:
+    """Diagnoses the steps of one deployment, given the errors of the nominal map with their history."""
+    n, basis = len(observed.space.state), _basis(observed)
     if basis is None or observed.history is None:
         unknown = np.full(n, np.nan)
-        return Diagnosis(len(observed), dict.fromkeys(HISTORY, unknown), unknown, authority)
+        return Diagnosis(len(observed), dict.fromkeys(HISTORY, unknown), unknown)
     plain = fit_linear(basis, observed.error)
     gains = {}
     for name in HISTORY:
         inputs = HistoryInputs(name).of(observed.history, n)
         gains[name] = _gains(plain, fit_linear(np.hstack([basis, inputs]), observed.error))
     heteroscedasticity = np.array([_heteroscedasticity(_scaled(observed), residual) for residual in plain.residual.T])
-    return Diagnosis(len(observed), gains, heteroscedasticity, authority)
+    return Diagnosis(len(observed), gains, heteroscedasticity)
 
 
 def part_at_bounds(observed: Observations) -> Array:
@@ -89,16 +80,6 @@ def part_at_bounds(observed: Observations) -> Array:
     if not len(observed):
         return np.full(len(observed.space.command), np.nan)
     return np.mean(np.abs(observed.space.point_of(observed.command)) > AT_A_BOUND, axis=0)
-
-
-def _authority(observed: Observations, step_map: StepMap) -> Array:
-    """As in `Diagnosis`: from the median of the Jacobians at the steps."""
-    space, n = observed.space, len(observed.space.state)
-    jacobians = step_map.jacobian(observed.state, observed.command)[..., n:]
-    known = jacobians[np.isfinite(jacobians).all(axis=(1, 2))]
-    if not len(known):
-        return np.full((n, len(space.command)), np.nan)
-    return np.abs(space.scaled_jacobian(np.median(known, axis=0)))
 
 
 def _scaled(observed: Observations) -> Array:

@@ -211,8 +211,19 @@ def is_finished(deployments: Sequence[Deployment], scale: Array, learning: Learn
 
 
 def _still_improves(deployments: Sequence[Deployment], scale: Array, tolerance: float) -> bool:
-    """Whether to deploy again: fewer than three deployments, a failed step in the last, or an error still falling."""
+    """Whether to deploy again: fewer than three deployments, the last one failed later, or an error still falling."""
     errors = [
         inf if deployment.failed_steps else float(np.linalg.norm(deployment.rmse / scale)) for deployment in deployments
     ]
-    return len(errors) < 3 or errors[-1] == inf or errors[-1] <= (1 - tolerance) * min(errors[:-1])
+    if len(errors) < 3:
+        return True
+    if errors[-1] == inf:
+        return not fails_no_later(deployments)
+    return errors[-1] <= (1 - tolerance) * min(errors[:-1])
+
+
+def fails_no_later(deployments: Sequence[Deployment]) -> bool:
+    """Whether the last three deployments failed, the last of them after no more steps than one of the two before."""
+    latest = deployments[-3:]
+    steps = [deployment.steps for deployment in latest]
+    return len(latest) == 3 and all(each.failed_steps for each in latest) and steps[-1] <= max(steps[:-1])

@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from stepgap.control.gauss_newton import REACHED
+from stepgap.control.reach import reached_in_one_step
 from stepgap.control.reference import Reference
-from stepgap.control.solve_many import solve_many
 from stepgap.learning.steps import Steps
 from stepgap.records.summary import Deployment, NoiseFloor
-from stepgap.step import Array, StepMap, StepStatus
+from stepgap.step import Array, StepMap
 
 CUT = 0.01
 """A command counts as cut by limits if they remove more than this part of its half range."""
@@ -89,16 +88,9 @@ def count_cut(steps: Steps) -> int:
 
 
 def unreachable_targets(step_map: StepMap, reference: Reference) -> Array:
-    """Distinct targets that no command holds according to a map; shape (k, n).
-
-    A target is held if some command leads from it to itself, up to the noise of one step in each coordinate.
-    """
+    """Distinct targets that no command holds according to a map; shape (k, n)."""
     targets = np.unique(reference.targets, axis=0)
-    found = solve_many(step_map, targets, targets[:, None])
-    miss = np.abs(found.predicted[:, 0] - targets)
-    near = miss <= np.maximum(step_map.noise_std, REACHED * step_map.space.state_scale)
-    held = found.reached[:, 0] | ((found.status[:, 0] == StepStatus.OK) & near.all(axis=1))
-    return targets[~held]
+    return targets[~reached_in_one_step(step_map, targets, targets)]
 
 
 def missed_targets(steps: Steps, reference: Reference, unreachable: Array, floor: Array) -> Array:

@@ -26,6 +26,7 @@ from stepgap.experiment.settings import Experiment
 from stepgap.gym.camera import FRAMES_PER_SECOND, Camera
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
+from stepgap.report.text import in_scale, unit_suffix
 from stepgap.robots.entry_points import load_robot, simulations_of
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap, StepStatus
@@ -166,7 +167,8 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         rows = [f"step {self._done} of {len(self._tracked)}"]
         target = self._tracked.targets[max(self._done - 1, 0)]
         for quantity, value, wanted in zip(self.space.state, self._state, target, strict=True):
-            rows.append(f"{quantity.name} {value:.3f}, target {wanted:.3f} {quantity.unit}".rstrip())
+            numbers = f"{in_scale(value, quantity)}, target {in_scale(wanted, quantity)}"
+            rows.append(f"{quantity.name} {numbers}{unit_suffix(quantity)}")
         return "\n".join(rows)
 
     def _observation(self) -> Array:

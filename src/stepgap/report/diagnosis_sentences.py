@@ -1,65 +1,97 @@
-"""The diagnosis of the first deployment in sentences: units, lagged inputs, noise that varies, authority."""
+"""The diagnosis of a run in sentences: units, offsets, lagged inputs, noise that varies, response to commands."""
 
-import numpy as np
-
+from stepgap.experiment.command_response import command_response
 from stepgap.experiment.diagnosis import SMALLEST_GAIN, Diagnosis, diagnose, part_at_bounds
 from stepgap.experiment.run import Run
 from stepgap.experiment.state_ranges import far_states
 from stepgap.learning.observations import Observations, observe
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
-from stepgap.report.text import decimal
-from stepgap.step import StepMap, StepSpace
+from stepgap.report.text import capitalised, decimal, listed, unit_suffix
+from stepgap.step import StepMap
 
 WORTH_MENTION = 1.25
 """Smallest ratio of noises that is worth a sentence."""
+
+FEWEST_OFFSET = 5
+"""Smallest number of steps that show that a coordinate stays away from its targets."""
+
+FAR_OFFSET = 2.0
+"""Smallest ratio of a mean error to its scatter that is called an offset."""
+
+OFFSET_ADVICE = (
+    "No command that was tried made up for this, so further redeployments would hardly help. Compare the range of the "
+    "robot with that of the targets, unit and zero of the sensor, and what the commands move."
+)
+"""What to do about a coordinate that ends on the same side of all targets."""
 
 OFTEN = 0.1
 """Part of the steps from which on a command at its bound is worth a sentence."""
 
 
 def diagnosis_sentences(run: Run) -> list[str]:
-    """Sentences on the first recorded deployment, and on commands at their bounds in the last one."""
+    """Sentences on the first recorded deployment, and on errors and commands at their bounds in the last one."""
     first = run.steps.of_iteration(run.steps.iterations[0])
+    offsets = [f"{sentence} {OFFSET_ADVICE}" for sentence in offset_sentences(run)]
     if isinstance(run.nominal, Missing):
-        return [*far_states(first), f"Not available: {run.nominal.reason}."]
-    return [*far_states(first), *_of_nominal(run, run.nominal)]
+        return [*far_states(first), *offsets, f"Not available: {run.nominal.reason}."]
+    return [*far_states(first), *offsets, *_of_nominal(run, run.nominal)]
+
+
+def offset_sentences(run: Run) -> list[str]:
+    """Sentences on coordinates that ended on the same side of all their targets, far away, in the last deployment."""
+    steps = run.steps.of_iteration(run.steps.iterations[-1]).tracking().completed()
+    if len(steps) < FEWEST_OFFSET:
+        return []
+    sentences = []
+    for row, quantity in enumerate(run.space.state):
+        error, ends, unit = steps.tracking_errors()[:, row], steps.next_state[:, row], unit_suffix(quantity)
+        low, high = error.min(), error.max()
+        apart = ends.max() < steps.target[:, row].min() or ends.min() > steps.target[:, row].max()
+        if low * high <= 0 or not apart or abs(error.mean()) < FAR_OFFSET * error.std():
+            continue
+        side, least, most = ("above", low, high) if low > 0 else ("below", -high, -low)
+        sentences.append(
+            f"In all {len(steps)} steps of deployment {steps.iterations[0]}, {quantity.name} ended {side} all targets, "
+            f"{decimal(least)} to {decimal(most)}{unit} from its own."
+        )
+    return sentences
 
 
 def _of_nominal(run: Run, nominal: StepMap) -> list[str]:
     """The sentences for which the errors of the nominal map are needed."""
     first, last = run.steps.iterations[0], run.steps.iterations[-1]
-    steps, space = run.steps.of_iteration(first), run.space
+    steps = run.steps.of_iteration(first)
     observed = observe(steps, nominal)
-    found = diagnose(observed, nominal)
-    if not found.known:
-        counted = f"Deployment {first} has {found.steps} steps with a known error"
-        return [f"{counted}, too few to diagnose lagged inputs and noise.", *_authority(found, space, steps)]
+    found = diagnose(observed)
     deployments = {first: observed}
     if last != first:
         deployments[last] = observe(run.steps.of_iteration(last), nominal)
+    few = f"Deployment {first} has {found.steps} steps with a known error, too few to diagnose lagged inputs and noise."
     return [
-        *_lagged_inputs(found, space, first),
-        *_noise(found, space),
-        *_authority(found, space, steps),
+        *([*_lagged_inputs(run, found, first), *_noise(run, found)] if found.known else [few]),
+        *_response(run, steps, nominal),
         *(sentence for number, each in deployments.items() for sentence in _bounds(number, each)),
     ]
 
 
-def _lagged_inputs(found: Diagnosis, space: StepSpace, number: int) -> list[str]:
+def _lagged_inputs(run: Run, found: Diagnosis, number: int) -> list[str]:
     """Whether the step before helps to predict the error of the next one."""
-    sentences = []
+    sentences, space = [], run.space
+    uses = not isinstance(run.settings, Missing) and run.settings.learning.lagged_inputs != "none"
+    advice = "as the residual of this run may do" if uses else "or use learning.lagged_inputs = 'auto'"
     for row, quantity in enumerate(space.state):
         error, step = (100 * found.gains[name][row] for name in ("previous_error", "previous_step"))
         if max(error, step) > 100 * SMALLEST_GAIN:
+            gains = {"its error": error, "its error, command and state": step}
+            parts = [f"{what} reduces it by {gain:.0f} %" for what, gain in gains.items() if gain > 0]
             sentences.append(
-                f"The step before helps to predict the error of {quantity.name}: as an input, its error reduces what "
-                f"state and command leave unexplained by {error:.0f} %, together with its command and state by "
-                f"{step:.0f} %. So the state does not contain all that the next step depends on, or a disturbance "
-                "changes slowly. Measure what is missing, or use learning.lagged_inputs = 'auto'."
+                f"The step before helps to predict the error of {quantity.name}, beyond state and command. "
+                f"As an input, {listed(parts)}. So the state does not contain all that the next step depends on, or a "
+                f"disturbance changes slowly. Measure what is missing, {advice}."
             )
     if not sentences:
-        names = " and ".join(quantity.name for quantity in space.state)
+        names = listed([quantity.name for quantity in space.state])
         sentences.append(
             f"The step before does not help to predict the error of {names} ({found.steps} steps of deployment "
             f"{number}): as far as they show, the state is sufficient."
@@ -67,31 +99,36 @@ def _lagged_inputs(found: Diagnosis, space: StepSpace, number: int) -> list[str]
     return sentences
 
 
-def _noise(found: Diagnosis, space: StepSpace) -> list[str]:
+def _noise(run: Run, found: Diagnosis) -> list[str]:
+    verb = "has" if run.steps.std.any() else "would have"
     return [
         f"The unexplained error of {quantity.name} depends on state and command: in some parts of their range it is "
-        f"{ratio:.1f} times as large as in others. The learned model has one noise level, so its intervals are too "
-        "narrow in the former and too wide in the latter."
-        for quantity, ratio in zip(space.state, found.heteroscedasticity, strict=True)
+        f"{decimal(ratio, 2)} times as large as in others. A learned model {verb} one noise level, so its intervals "
+        "are too narrow in the former and too wide in the latter."
+        for quantity, ratio in zip(run.space.state, found.heteroscedasticity, strict=True)
         if ratio > WORTH_MENTION
     ]
 
 
-def _authority(found: Diagnosis, space: StepSpace, steps: Steps) -> list[str]:
-    """Whether the commands can move the state in one step by as much as the targets change."""
-    if not np.isfinite(found.authority).all() or len(steps) < 2:
+def _response(run: Run, steps: Steps, nominal: StepMap) -> list[str]:
+    """Coordinates that do not respond to the commands as the nominal map says."""
+    found, number = command_response(steps, nominal), steps.iterations[0]
+    if found is None:
         return []
-    effect = 2 * found.authority.sum(axis=1) * space.state_scale  # from one end of the bounds to the other
-    largest = np.abs(np.diff(steps.tracking().target, axis=0)).max(axis=0, initial=0.0)
-    weak = [
-        f"{one.name} by only {decimal(most)} {one.unit} in one step, but its target changes by "
-        f"{decimal(change)} {one.unit}"
-        for one, most, change in zip(space.state, effect, largest, strict=True)
-        if most < change
+    late = [
+        f"{quantity.name} follows the command of the step before, not that of the same step, in deployment {number}: "
+        "the command acts one step later than the nominal map assumes."
+        for quantity, now, later in zip(run.space.state, found.acts, found.acts_later, strict=True)
+        if later and not now
     ]
-    if weak:
-        return [f"From one end of their bounds to the other, the commands move {'; and '.join(weak)}."]
-    return ["Within their bounds the commands move the state in one step by more than the targets change."]
+    rows = zip(run.space.state, found.acts, found.acts_later, found.expected, strict=True)
+    dead = [quantity.name for quantity, now, later, expected in rows if expected and not now and not later]
+    if dead:
+        late.append(
+            f"The {found.steps} steps of deployment {number} show no effect of the commands on {listed(dead)}, but "
+            "by the nominal map it would be clearly seen: check that the commands reach the robot, and their units."
+        )
+    return [capitalised(sentence) for sentence in late]
 
 
 def _bounds(number: int, observed: Observations) -> list[str]:

@@ -4,25 +4,29 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stepgap.control.limit_cycle import FixedPoint, ReachableSet
+from stepgap.control.reach import SMALL_PART, command_effect
 from stepgap.report.drawing import axis_label
-from stepgap.step import Array, StepSpace, StepStatus
+from stepgap.report.reach_sentences import effect_sentences
+from stepgap.report.text import decimal, in_scale, in_words, unit_suffix
+from stepgap.step import StepMap, StepSpace, StepStatus
 
 
-def describe_gait(space: StepSpace, point: FixedPoint, reachable: ReachableSet) -> str:
-    """A few lines on a limit cycle and its reachable set, for the terminal."""
+def describe_gait(step_map: StepMap, point: FixedPoint, reachable: ReachableSet) -> str:
+    """A few lines on a limit cycle, the effect of the commands there, and the reachable set, for the terminal."""
+    space = step_map.space
     lines = [
-        f"state X0             {_named(space.state_names, point.state, [q.unit for q in space.state])}",
-        f"command U0           {_named(space.command_names, point.command, [q.unit for q in space.command])}",
+        f"state X0             {in_words(space.state, point.state)}",
+        f"command U0           {in_words(space.command, point.command)}",
     ]
-    if point.held:
-        sizes = ", ".join(f"{abs(multiplier):.3f}" for multiplier in point.floquet_multipliers)
+    if not np.isfinite(point.floquet_multipliers).all():
+        lines.append("Floquet multipliers  unknown: a step nearby fails, so the map has no derivative here")
+    elif point.held:
+        sizes = ", ".join(decimal(abs(multiplier)) for multiplier in point.floquet_multipliers)
         verdict = "stable" if point.stable else "not stable"
         lines.append(f"Floquet multipliers  |λ| = {sizes}: {verdict} at a constant command")
-    else:
-        lines.append(
-            "not held             within the command bounds; the closest next state is "
-            + _named(space.state_names, point.next_state, [q.unit for q in space.state])
-        )
+    if not point.held:
+        closest = in_words(space.state, point.next_state)
+        lines.append(f"not held             within the command bounds; the closest next state is {closest}")
     failed = reachable.statuses != StepStatus.OK
     if failed.all():
         lines.append("reachable            no state: every command fails from this state")
@@ -30,12 +34,19 @@ def describe_gait(space: StepSpace, point: FixedPoint, reachable: ReachableSet) 
         low = np.nanmin(reachable.next_states, axis=tuple(range(len(space.command))))
         high = np.nanmax(reachable.next_states, axis=tuple(range(len(space.command))))
         ranges = ", ".join(
-            f"{q.name} {a:.3f} … {b:.3f} {q.unit}" for q, a, b in zip(space.state, low, high, strict=True)
+            f"{q.name} {in_scale(a, q)} … {in_scale(b, q)}{unit_suffix(q)}"
+            for q, a, b in zip(space.state, low, high, strict=True)
         )
         lines.append(
             f"reachable            in one step: {ranges}"
             + (f"; {failed.mean():.0%} of the commands fail" if failed.any() else "")
         )
+    jacobian = step_map.jacobian(point.state, point.command)
+    if np.isfinite(jacobian).all():
+        effect = command_effect(space, jacobian, SMALL_PART * space.state_scale)
+        sentences = effect_sentences(space, effect, "the map", "hundredths of half the ranges of use")
+        first, *others = (sentence.removeprefix("By the map, ") for sentence in sentences)
+        lines += [f"{'commands':21}{first.removeprefix('the commands ')}", *(f"{'':21}{other}" for other in others)]
     return "\n".join(lines)
 
 
@@ -79,7 +90,3 @@ def gait_figure(space: StepSpace, point: FixedPoint, reachable: ReachableSet) ->
     verdict = ("stable" if point.stable else "not stable") if point.held else "not held"
     circle.set(aspect="equal", xlabel="real part", ylabel="imaginary part", title=f"Floquet multipliers ({verdict})")
     return figure
-
-
-def _named(names: tuple[str, ...], values: Array, units: list[str]) -> str:
-    return ", ".join(f"{name} {value:.4f} {unit}" for name, value, unit in zip(names, values, units, strict=True))

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from stepgap.control.limit_cycle import FixedPoint
-from stepgap.report.analysis import MapGait, Multipliers, ReferenceGait
 from stepgap.report.html import table
 from stepgap.report.measured_loop import MeasuredLoop
-from stepgap.report.text import between, decimal, with_unit
-from stepgap.step import Array
+from stepgap.report.reference_gait import MapGait, Multipliers, ReferenceGait
+from stepgap.report.text import between, decimal, in_scale, trimmed, with_unit
+from stepgap.step import Array, StepSpace
 
 
 def measured_sentences(loops: Sequence[MeasuredLoop | None]) -> list[str]:
@@ -61,7 +61,10 @@ def gait_table(gait: ReferenceGait) -> str:
         heads += [f"{each.name} {name}" for name in [*command, "open-loop |λ|"]]
         heads += ["95 % interval of the largest", "closed-loop |λ|, 95 % interval"] if each.multipliers else []
     rows = [
-        [*(f"{value:.4g}" for value in target), *(cell for each in gait.maps for cell in _cells(each, row))]
+        [
+            *(trimmed(in_scale(value, one)) for value, one in zip(target, gait.space.state, strict=True)),
+            *(cell for each in gait.maps for cell in _cells(each, row, gait.space)),
+        ]
         for row, target in enumerate(gait.targets)
     ]
     closed = ", and closed loop, with the step controller" if gait.has_closed_loop else ""
@@ -78,8 +81,8 @@ def gait_sentences(gait: ReferenceGait) -> list[str]:
     for each in gait.maps:
         held = [point for point in each.points if point is not None and point.held]
         found.append(
-            f"{each.name.capitalize()} map: {len(held)} of {len(each.points)} targets are held by a constant command "
-            f"within its bounds. {_open_loop(each, held)}"
+            f"{each.name.capitalize()} map: {len(held)} of {_count(each)} held by a constant command within "
+            f"its bounds, up to the noise of one step.{_open_loop(each, held) if held else ''}"
         )
         if each.multipliers:
             found += _closed_loop(each.name, each.multipliers)
@@ -88,12 +91,20 @@ def gait_sentences(gait: ReferenceGait) -> list[str]:
     return found
 
 
+def _count(gait: MapGait) -> str:
+    """Number of targets with its verb."""
+    count = len(gait.points)
+    return f"{count} target{'s are' if count > 1 else ' is'}"
+
+
 def _open_loop(gait: MapGait, held: Sequence[FixedPoint]) -> str:
     """Sentence on the stability at constant commands."""
-    start = "Without the step controller, at this constant command (open loop), an error of the state"
+    start = " Without the step controller, at this constant command (open loop), an error of the state"
     if gait.multipliers is None:
-        stable = sum(point.stable for point in held)
-        return f"{start} decays at {stable} of them and grows at {len(held) - stable}, by the map."
+        known = [point for point in held if np.isfinite(point.floquet_multipliers).all()]
+        stable = sum(point.stable for point in known)
+        unknown = f", and at {len(held) - len(known)} it is not known" if len(known) < len(held) else ""
+        return f"{start} decays at {stable} of them and grows at {len(known) - stable}{unknown}, by the map."
     counted = _counted(gait.multipliers.open_loop)
     return f"{start} {counted}, within 95 % intervals that hold if the learned model is of the right kind."
 
@@ -108,7 +119,7 @@ def _closed_loop(name: str, multipliers: Multipliers) -> list[str]:
 
 
 def _counted(quantiles: Array) -> str:
-    """Phrase on how many targets have multipliers below and above 1."""
+    """Phrase on how many held targets have multipliers below and above 1."""
     verdicts = [_verdict(row[[0, 2]]) for row in quantiles if np.isfinite(row).all()]
     decays, grows, open_ = (verdicts.count(verdict) for verdict in ("decays", "grows", "not decided"))
     undecided = f", and at {open_} of them it is not decided" if open_ else ""
@@ -120,14 +131,14 @@ def _verdict(ends: Array) -> str:
     return "decays" if ends[1] < 1 else "grows" if ends[0] > 1 else "not decided"
 
 
-def _cells(gait: MapGait, row: int) -> list[str]:
+def _cells(gait: MapGait, row: int, space: StepSpace) -> list[str]:
     """Cells of a map at one target: command, multipliers and their intervals."""
-    point, size = gait.points[row], len(gait.reachable.commands.shape) - 1
+    point, size = gait.points[row], len(space.command)
     intervals = [gait.multipliers.open_loop, gait.multipliers.closed_loop] if gait.multipliers else []
     if point is None:
         return [*["–"] * size, "no step", *["–"] * len(intervals)]
-    multipliers = ", ".join(f"{abs(value):.3f}" for value in point.floquet_multipliers) if point.held else "not held"
-    command = (f"{value:.2f}".replace("-", "−") for value in point.command)
+    multipliers = ", ".join(decimal(abs(value)) for value in point.floquet_multipliers) if point.held else "not held"
+    command = (in_scale(value, one) for value, one in zip(point.command, space.command, strict=True))
     return [*command, multipliers, *(_interval(quantiles[row, [0, 2]]) for quantiles in intervals)]
 
 

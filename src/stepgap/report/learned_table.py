@@ -10,8 +10,9 @@ from stepgap.experiment.bands import interval_coverage
 from stepgap.experiment.run import Run
 from stepgap.learning.regression import Parameter
 from stepgap.records.missing import Missing
-from stepgap.report.analysis import Analysis, LearnedResidual, input_quantities
+from stepgap.report.analysis import Analysis, input_quantities
 from stepgap.report.html import table
+from stepgap.report.learned_residual import LearnedResidual
 from stepgap.report.text import decimal, listed, unit_suffix, with_unit
 from stepgap.step import Array
 

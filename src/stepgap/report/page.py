@@ -10,7 +10,7 @@ from stepgap.control.reference import SETTLING_STEPS
 from stepgap.experiment.run import Run
 from stepgap.records.missing import Missing
 from stepgap.report.analysis import Analysis
-from stepgap.report.diagnosis_sentences import diagnosis_sentences
+from stepgap.report.diagnosis_sentences import diagnosis_sentences, offset_sentences
 from stepgap.report.error_table import band_table, error_table
 from stepgap.report.figures import DrawnFigure
 from stepgap.report.gait_table import (
@@ -22,6 +22,7 @@ from stepgap.report.gait_table import (
 )
 from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section, table
 from stepgap.report.learned_table import coverage_table, learned_sentences, learned_tables
+from stepgap.report.reach_sentences import reach_sentences
 from stepgap.report.replay_view import REPLAY_SCRIPT, replay_view
 from stepgap.report.sentences import floor_sentences, headline, published_sentence, recorded, sentences
 from stepgap.report.settings_table import changed_settings
@@ -77,7 +78,9 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
             *(error_table(run, row) for row in range(len(run.space.state))),
             band_table(run),
         ],
-        "diagnosis": [bullets(diagnosis_sentences(run))],
+        "diagnosis": [
+            bullets([*diagnosis_sentences(run), *([] if isinstance(gait, Missing) else reach_sentences(gait))])
+        ],
         "replay": [replay_view(run, analysis.replay)],
         "learned": [
             bullets(learned_sentences(analysis)),
@@ -100,7 +103,7 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
     }  # fmt: skip
     top = (
         f'<h1>{safe(title)}</h1>\n<nav>{links}</nav>\n<p class="headline">{safe(headline(run))}</p>\n'
-        f"{summary_table(run)}{bullets([*sentences(run), *growth_sentences(analysis.loops)])}"
+        f"{summary_table(run)}{bullets([*sentences(run), *offset_sentences(run), *growth_sentences(analysis.loops)])}"
         f'<p class="note">{safe(recorded(run))}</p>'
     )
     parts = [

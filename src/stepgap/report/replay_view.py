@@ -12,6 +12,7 @@ from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
 from stepgap.records.motion_file import INTERVAL, Replay
 from stepgap.report.html import absence, safe
+from stepgap.report.text import decimals_of
 from stepgap.robots.scene import Motion, Scene
 from stepgap.step import Array, Quantity
 
@@ -81,7 +82,7 @@ def _legend(height: bool, signals: bool) -> str:
 
 def _described(quantity: Quantity) -> list[str | int]:
     """Name, unit and number of decimals of a quantity."""
-    return [quantity.name, quantity.unit, int(np.clip(3 - np.log10(quantity.upper - quantity.lower), 0, 6))]
+    return [quantity.name, quantity.unit, decimals_of(quantity)]
 
 
 def _packed(number: int, motion: Motion, scene: Scene, log: Steps) -> dict[str, Any]:
@@ -117,4 +118,4 @@ def _levels(channel: Array) -> Array:
 
 
 def _rounded(values: Array) -> list[float | None]:
-    return [round(float(value), 5) if np.isfinite(value) else None for value in values]
+    return [float(f"{value:.9g}") if np.isfinite(value) else None for value in values]

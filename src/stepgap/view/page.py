@@ -11,6 +11,7 @@ from stepgap.learning.observations import error_of
 from stepgap.learning.residual import join_points
 from stepgap.learning.steps import LoggedStep
 from stepgap.report.drawing import BLUE, VERMILLION
+from stepgap.report.text import in_scale, in_words
 from stepgap.robots.scene import Scene
 from stepgap.step import StepStatus
 from stepgap.view.learned import curve_along
@@ -288,9 +289,6 @@ def _step_table(logged: LoggedStep, source: Source) -> str:
     rows = ["| | target | predicted | measured |", "|---|---:|---:|---:|"]
     for index, quantity in enumerate(space.state):
         values = (logged.target[index], logged.predicted[index], record.next_state[index])
-        rows.append(f"| {as_markdown(named(quantity))} | {' | '.join(f'{value:z.3f}' for value in values)} |")
-    command = ", ".join(
-        f"{quantity.name} {value:.1f} {quantity.unit}".replace("-", "−")
-        for quantity, value in zip(space.command, record.command, strict=True)
-    )
+        rows.append(f"| {as_markdown(named(quantity))} | {' | '.join(in_scale(value, quantity) for value in values)} |")
+    command = in_words(space.command, record.command)
     return "\n".join([head, "", *rows, "", f"Command: {command}"])

@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stepgap.records.missing import Missing
-from stepgap.report.analysis import Analysis, ReferenceGait
+from stepgap.report.analysis import Analysis
 from stepgap.report.drawing import BLACK, BLUE, GREY, VERMILLION, axis_label, new_figure
 from stepgap.report.figures import RunFigure
+from stepgap.report.reference_gait import ReferenceGait
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from matplotlib.figure import Figure

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stepgap.base.normal import INTERVAL_95
-from stepgap.report.analysis import LearnedResidual
 from stepgap.report.drawing import BLACK, BLUE, GREY, MOST_VECTORS, axis_label, new_figure, unit_label
 from stepgap.report.figures import RunFigure
+from stepgap.report.learned_residual import LearnedResidual
 from stepgap.step import StepSpace
 
 if TYPE_CHECKING:  # slow imports are made where they are used

@@ -6,9 +6,10 @@ import numpy as np
 
 from stepgap.learning.residual import Residual
 from stepgap.records.missing import Missing
-from stepgap.report.analysis import Analysis, LearnedResidual, centre_of
+from stepgap.report.analysis import Analysis, centre_of
 from stepgap.report.drawing import BLACK, axis_label, new_figure, unit_label
 from stepgap.report.figures import RunFigure
+from stepgap.report.learned_residual import LearnedResidual
 from stepgap.step import Array, StepSpace
 
 if TYPE_CHECKING:  # slow imports are made where they are used

@@ -1,0 +1,72 @@
+"""What commands can do: which targets one step reaches, in how many independent directions, and after how many steps.
+
+A target is *reached* if some command within the bounds leads to it, up to the noise of one step in each coordinate. It
+is *held* if it is reached from itself. All that StepGap says of targets uses this one notion.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepgap.control.gauss_newton import REACHED
+from stepgap.control.solve_many import solve_many
+from stepgap.step import Array, StepMap, StepSpace, StepStatus
+
+SMALL_PART: Final = 0.01
+"""Part of half a range of use that counts as a change of a coordinate whose noise is not known."""
+
+
+def within_noise(step_map: StepMap, target: Array, next_state: Array) -> NDArray[np.bool_]:
+    """Whether next states are targets, up to the noise of one step in each coordinate; (…, n) and (…, n) to (…)."""
+    limit = np.maximum(step_map.noise_std, REACHED * step_map.space.state_scale)
+    return np.all(np.abs(next_state - target) <= limit, axis=-1)
+
+
+def reached_in_one_step(step_map: StepMap, states: Array, targets: Array) -> NDArray[np.bool_]:
+    """Whether some command leads from each state (k, n) to its target (k, n); shape (k,)."""
+    if not len(states):
+        return np.zeros(0, bool)
+    found = solve_many(step_map, states, targets[:, None])
+    near = within_noise(step_map, targets, found.predicted[:, 0])
+    return found.reached[:, 0] | ((found.status[:, 0] == StepStatus.OK) & near)
+
+
+@dataclass(frozen=True, eq=False)
+class CommandEffect:
+    """How far the commands move the next states, to first order.
+
+    Attributes:
+        sizes: Lengths of the axes of the ellipsoid that the commands between their bounds fill, the largest first
+            (singular values), in units of the state that the caller chose; shape (min(n, m),).
+        delays: Number of steps until a command moves each coordinate by at least one unit, 1 for the next state; 0 if
+            it does not within n steps; shape (n,).
+    """
+
+    sizes: Array
+    delays: NDArray[np.int64]
+
+    @property
+    def rank(self) -> int:
+        """Number of independent directions in which the commands move the next state by at least one unit."""
+        return int(np.count_nonzero(self.sizes >= 1))
+
+
+def command_effect(space: StepSpace, jacobian: Array, unit: Array) -> CommandEffect:
+    """Computes the effect of the commands from the derivatives of the next state.
+
+    Args:
+        space: State and command.
+        jacobian: ∂(next state)/∂(state, command); shape (n, n + m).
+        unit: What counts as a change of each coordinate, such as its noise; shape (n,).
+    """
+    n = len(space.state)
+    by_state = jacobian[:, :n] * unit / unit[:, None]
+    by_command = 2 * jacobian[:, n:] * space.command_scale / unit[:, None]  # from one end of the bounds to the other
+    delays, moved = np.zeros(n, np.int64), by_command
+    for steps in range(1, n + 1):
+        moves = np.abs(moved).sum(axis=1) >= 1
+        delays[moves & (delays == 0)] = steps
+        moved = by_state @ moved
+    return CommandEffect(np.asarray(np.linalg.svd(by_command, compute_uv=False), float), delays)

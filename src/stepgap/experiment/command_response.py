@@ -1,0 +1,74 @@
+"""Whether recorded steps respond to their commands, and with which delay, whatever a map says.
+
+The next state is regressed on state, command and the command of the step before. A command acts if it explains more
+than chance beyond the two others, by an F test. Where commands hardly vary for equal states, the steps show nothing. So
+the effect that a map expects is compared with the scatter; that a small one is not seen is no finding.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtrc
+
+from stepgap.experiment.diagnosis import CONFIDENT, FEWEST_STEPS_PER_WEIGHT
+from stepgap.learning.linear_regression import fit_linear
+from stepgap.learning.steps import Steps
+from stepgap.step import Array, StepMap
+
+CLEARLY_SEEN: Final = 8.0
+"""Smallest expected effect, in standard errors, whose absence is a finding."""
+
+
+@dataclass(frozen=True, eq=False)
+class CommandResponse:
+    """What some steps show of the effect of their commands on each state coordinate; shapes (n,).
+
+    Attributes:
+        steps: Number of steps.
+        acts: Whether the command of the same step has an effect.
+        acts_later: Whether the command of the step before has one.
+        expected: Whether the map expects an effect of the same step that these steps would clearly show.
+    """
+
+    steps: int
+    acts: NDArray[np.bool_]
+    acts_later: NDArray[np.bool_]
+    expected: NDArray[np.bool_]
+
+
+def command_response(log: Steps, nominal: StepMap) -> CommandResponse | None:
+    """Judges the steps of one deployment that directly follow another one; None if they are too few.
+
+    Args:
+        log: The steps.
+        nominal: Map that says which effect is expected.
+    """
+    rows = np.flatnonzero(log.follows & np.isfinite(log.next_state).all(axis=1) & ~log.doubtful)
+    known, before = log.selected(rows), log.selected(rows - 1)
+    plain = np.hstack([np.ones((len(rows), 1)), known.state])
+    n, m = len(log.space.state), len(log.space.command)
+    if len(rows) < FEWEST_STEPS_PER_WEIGHT * (1 + n + 2 * m):
+        return None
+    now, later = known.requested, before.requested
+    both = fit_linear(np.hstack([plain, now, later]), known.next_state)
+    acts, acts_later = (
+        _explains(fit_linear(np.hstack([plain, other]), known.next_state).residual, both.residual, m, len(rows))
+        for other in (later, now)
+    )
+    by_command = nominal.jacobian(known.state, now)[..., n:]
+    usable = np.isfinite(by_command).all(axis=(1, 2))
+    if not usable.any():
+        return CommandResponse(len(rows), acts, acts_later, np.zeros(n, bool))
+    varied = fit_linear(np.hstack([plain, later]), now).residual @ np.median(by_command[usable], axis=0).T
+    scatter = np.sqrt(np.mean(both.residual**2, axis=0))
+    return CommandResponse(len(rows), acts, acts_later, np.linalg.norm(varied, axis=0) > CLEARLY_SEEN * scatter)
+
+
+def _explains(without: Array, both: Array, added: int, count: int) -> NDArray[np.bool_]:
+    """Whether some columns reduce the residual (N, n) by more than chance does; shape (n,)."""
+    before, after = np.sum(without**2, axis=0), np.sum(both**2, axis=0)
+    free = count - 1 - both.shape[1] - 2 * added
+    statistic = np.maximum(before - after, 0) / added / np.maximum(after / free, 1e-300)
+    return np.asarray(fdtrc(added, free, statistic) < CONFIDENT)
