@@ -164,7 +164,7 @@ def _read(path: Path, columns: Columns) -> _Rows:
     roles = columns.numbers | ({columns.deployment: "deployment"} if columns.deployment else {})
     tables = read_log_tables(path, columns.format, LARGEST_LOG)
     table = chosen_table(path, tables, list(roles), roles)
-    numbers = {name: table.numbers(name) * columns.factors.get(name, 1.0) for name in columns.numbers}
+    numbers = {name: table.numbers(name, columns.factors.get(name, 1.0)) for name in columns.numbers}
     return _Rows(table, numbers, _deployments(table, columns.deployment))
 
 

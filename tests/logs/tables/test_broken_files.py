@@ -206,7 +206,7 @@ BROKEN: dict[str, tuple[bytes | Callable[[Path], None], str]] = {
     "huge MAT": (mat_with_size(10**9), "1e+12 values, rows times columns"),
     "lying MAT": (mat_with_size(2), "nothing in it can be read: t ("),
     "MAT bomb": (mat(deflated(2**23), t=0.0), "when decompressed"),
-    "damaged MAT": (mat(b"not deflated", t=0.0), "not a readable MAT file"),
+    "damaged MAT": (mat(b"not deflated", t=0.0), "nothing in it can be read: variable 1 (Error -3 while"),
     "truncated MAT 7.3": (of_writer(write_mat_73, half), "not a readable HDF5 file"),
     "truncated HDF5": (half(hdf5(lambda file: file.create_dataset("t", data=np.zeros(999)))), "not a readable HDF5"),
     "huge HDF5": (hdf5(lambda file: file.create_dataset("t", (10**10,), float, chunks=(10**4,))), "1e+10 values"),

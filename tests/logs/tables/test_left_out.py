@@ -2,9 +2,11 @@
 
 import json
 import sqlite3
+import struct
 import warnings
 from collections.abc import Callable
 from contextlib import closing
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from scipy.sparse import eye_array
 from stepgap.base.errors import StepGapWarning
 from stepgap.logs.columns import Columns
 from stepgap.logs.foreign_log import read_foreign_logs
+from stepgap.logs.tables import parquet_logs
 from stepgap.logs.tables.log_table import LogTable
 from stepgap.logs.tables.reading import chosen_table, read_log_table, read_log_tables
 from stepgap.records.steps_csv import RecordError
@@ -264,7 +267,7 @@ def test_lists_in_parquet_are_columns_as_in_mcap(tmp_path: Path) -> None:
     steps = pa.array([[{"x": 1.5}]] * 3)
     columns = {"observation.state": state, "ragged": ragged, "nested": nested, "steps": steps}
     parquet.write_table(pa.table(columns | {"wide": pa.array([list(range(101))] * 3)}), tmp_path / "log.parquet")
-    (found,) = read_log_tables(tmp_path / "log.parquet").values()
+    (found,) = read(tmp_path / "log.parquet", "wide (101 elements; at most 100 become columns)").values()
     numbers: dict[str, Any] = {name: found.numbers(name).tolist() for name in found.columns}
     assert str(numbers) == str({
         "observation.state[0]": [1.0, np.nan, 3.0],
@@ -275,6 +278,70 @@ def test_lists_in_parquet_are_columns_as_in_mcap(tmp_path: Path) -> None:
         "nested[0][1]": [2.0] * 3,
         "steps[0].x": [1.5] * 3,
     })  # fmt: skip
+
+
+def matlab_object(path: Path) -> None:
+    """Two arrays, and between them a variable of a class, as MATLAB's `save` writes a table."""
+    texts = [(16, b"events"), (16, b"MCOS"), (16, b"table")]
+    parts = [struct.pack("<4I", 6, 8, 17, 0)]
+    parts += [struct.pack("<2I", kind, len(text)) + text + bytes(-len(text) % 8) for kind, text in texts]
+    array = BytesIO()
+    savemat(array, {"t": np.array([1, 2], np.uint32)})
+    parts.append(array.getvalue()[128:])
+    content = b"".join(parts)
+    both = [BytesIO(), BytesIO()]
+    savemat(both[0], {"t": T})
+    savemat(both[1], {"v": V}, do_compression=True)
+    first, last = (one.getvalue() for one in both)
+    path.write_bytes(first + struct.pack("<2I", 14, len(content)) + content + last[128:])
+
+
+def test_a_variable_of_a_class_does_not_hide_the_others(tmp_path: Path) -> None:
+    matlab_object(tmp_path / "log.mat")
+    tables = read(tmp_path / "log.mat", "left out events (a table of MATLAB, which only MATLAB can read")
+    table = chosen_table(tmp_path / "log.mat", tables, ["t", "v"])
+    np.testing.assert_array_equal([table.numbers("t"), table.numbers("v")], [T, V])
+
+
+def test_a_damaged_variable_does_not_hide_the_others(tmp_path: Path) -> None:
+    file = BytesIO()
+    savemat(file, {"t": T, "v": V}, do_compression=True)
+    content = bytearray(file.getvalue())
+    content[content.index(struct.pack("<I", 15)) + 20] ^= 0xFF
+    (tmp_path / "log.mat").write_bytes(content)
+    (table,) = read(tmp_path / "log.mat", "left out variable 1 (").values()
+    np.testing.assert_array_equal(table.numbers("v"), V)
+
+
+def test_a_page_of_parquet_whose_checksum_is_wrong(tmp_path: Path) -> None:
+    path = tmp_path / "log.parquet"
+    options: dict[str, Any] = {"write_page_checksum": True, "compression": "none", "use_dictionary": False}
+    parquet.write_table(pa.table({"t": T, "v": V}), path, **options)
+    content = path.read_bytes()
+    path.write_bytes(content.replace(V.tobytes(), V[::-1].tobytes()))
+    (table,) = read(path, "left out v (").values()
+    np.testing.assert_array_equal(table.numbers("t"), T)
+
+
+def test_a_column_of_parquet_that_is_small_only_in_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parquet_logs, "_LARGEST_COLUMN", 2**20)
+    path, notes = tmp_path / "log.parquet", ["x" * 2**19 + end for end in "abc"]
+    parquet.write_table(pa.table({"t": [0.0, 1.0, 2.0], "note": notes}), path, compression="zstd")
+    (table,) = read(path, "left out note (larger than 1048576 bytes when decompressed)").values()
+    assert list(table.columns) == ["t"]
+
+
+@pytest.mark.parametrize("kind", ["json", "ros"])
+def test_an_array_that_is_too_long_is_named_if_it_is_asked_for(kind: str, tmp_path: Path) -> None:
+    path, name = tmp_path / "log", "std_msgs/msg/Float64MultiArray"
+    if kind == "json":
+        path.write_text(json.dumps({"t": 0.0, "data": [0.0] * 101}) + "\n")
+    else:
+        layout = HUMBLE.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+        message = HUMBLE.types[name](layout=layout, data=np.zeros(101))
+        database(path, {"/state": (name, [bytes(HUMBLE.serialize_cdr(message, name))])})
+    with pytest.raises(RecordError, match=r"data was left out: 101 elements; at most 100 become columns"):
+        read_log_table(path, ["data[3]"])
 
 
 def test_a_log_is_given_as_text_or_path(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import gzip
 import re
 import sys
+import warnings
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stepgap.base.errors import StepGapWarning
 from stepgap.logs.columns import read_columns
 from stepgap.logs.tables.log_table import LogTable
 from stepgap.logs.tables.reading import read_log_table, read_log_tables
@@ -32,7 +34,9 @@ def read_or_refused(content: bytes) -> LogTable | None:
     """The table, or None if the content was refused by one line; any other error fails the test."""
     message = ""
     try:
-        return read(content)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", StepGapWarning)
+            return read(content)
     except RecordError as error:
         message = str(error)
     assert "log.csv" in message
@@ -121,6 +125,9 @@ def test_a_comma_that_may_separate_thousands_is_refused_or_named(wholes: list[in
         ("t,v\n0,\n1,NaN\n2,-inf\n", {"t": [0, 1, 2], "v": [np.nan] * 3}),
         ("t;v\n,5;-1,5e3\n", {"t": [0.5], "v": [-1500]}),
         ("v\n0.5\n", {"v": [0.5]}),
+        ("sep=;\nt;v\n0,5;1,25\n", {"t": [0.5], "v": [1.25]}),
+        ('"sep=,"\nt,v\n0.5,1.25\n', {"t": [0.5], "v": [1.25]}),
+        ("sep=\t\nt\tv\n0,5\t1,25\n", {"t": [0.5], "v": [1.25]}),
     ],
 )
 def test_special_cases(text: str, columns: dict[str, list[float]]) -> None:
@@ -135,6 +142,41 @@ def test_labels_are_kept() -> None:
     assert table.columns["phase"].tolist() == ["flight", ""]
     with pytest.raises(RecordError, match=r"line 2, column 'phase': 'flight'; it must be a number"):
         table.numbers("phase")
+
+
+TITLED = {
+    "motion file": "Coordinates\nversion=1\n\nas in the manual\nendheader\n{}time\tx\tv\n0\t1\t2\n1\t3\t4\n",
+    "padded": "walk.mot\t\t\nversion=1\t\t\n{}time\tx\tv\n0\t1\t2\n1\t3\t4\n",
+    "statements": "Measurement\nWriter\t2\nSeparator\tTab\n***End***\n{}time\tx\tv\n0\t1\t2\n1\t3\t4\n",
+    "a table above": "Version,1.2,Rate,100\n{}time,x,v\n0,1,2\n1,3,4\n",
+}
+"""Files whose first line is not that of the names."""
+
+
+@pytest.mark.parametrize("above", ["", "\n", "# time is below\n"])
+@pytest.mark.parametrize("name", TITLED)
+def test_names_below_other_lines_are_given_by_their_beginning(name: str, above: str) -> None:
+    text = TITLED[name].format(above).encode()
+    table = read(text, TextFormat(header="time"))
+    assert [table.numbers(one).tolist() for one in ("time", "x", "v")] == [[0, 1], [1, 3], [2, 4]]
+    with pytest.raises(RecordError, match="no line begins with 'Frame'; it is `header` in "):
+        read(text, TextFormat(header="Frame"))
+    with pytest.raises(RecordError, match="give its beginning as `header` in the table"):
+        read(text + b"2\t5\t6\n" * 9 if b"\t" in text else text)
+
+
+@pytest.mark.parametrize("units", ["s;m/s;\n", "[s];[m/s];[ ]\n", "s;m/s;-\nabsolute;filtered;raw\n"])
+def test_lines_of_units_below_the_names_are_left_out_and_named(units: str) -> None:
+    with pytest.warns(StepGapWarning, match="line 2: left out, as units: "):
+        table = read(f"t;v;phase\n{units}0,5;1,25;a\n1,0;;b\n".encode())
+    np.testing.assert_array_equal(table.numbers("v"), [1.25, np.nan])
+    assert table.columns["phase"].tolist() == ["a", "b"]
+    assert table.row(0).endswith(f"line {2 + units.count(chr(10))}")
+
+
+def test_a_row_without_numbers_is_kept_where_it_may_be_data() -> None:
+    for text in ("t,phase\n,stand\n1,hop\n", "a,b\nx,y\nz,w\n", "t,v\nfast,slow\n1,faster\nnow,2\n"):
+        assert len(read(text.encode())) == text.count("\n") - 1
 
 
 def test_the_format_of_a_file_of_columns(tmp_path: Path) -> None:
@@ -157,7 +199,7 @@ def test_the_format_of_a_file_of_columns(tmp_path: Path) -> None:
         ("delimiter = '|'", "format.delimiter = '|', but it must be one of comma, semicolon, tab, space"),
         ("decimal = ','\ndelimiter = 'comma'", "format.delimiter = ',', but it must differ from the decimal sign"),
         ("encoding = 'klingon'", "format.encoding = 'klingon', but it must be an encoding"),
-        ("decimals = ','", "but it must be a table of strings, decimal, delimiter, encoding, comment"),
+        ("decimals = ','", "but it must be a table of strings, decimal, delimiter, encoding, comment, header"),
     ],
 )
 def test_faults_of_a_format_are_named(entry: str, message: str, tmp_path: Path) -> None:
@@ -165,6 +207,12 @@ def test_faults_of_a_format_are_named(entry: str, message: str, tmp_path: Path) 
     file.write_text(f"state = ['v']\ncommand = ['f']\n[format]\n{entry}\n")
     with pytest.raises(RecordError, match=re.escape(message)):
         read_columns(file, {})
+
+
+def test_what_git_lfs_has_in_the_place_of_a_file(tmp_path: Path) -> None:
+    (tmp_path / "log.mcap").write_text("version https://git-lfs.example/spec/v1\noid sha256:0\nsize 7\n")
+    with pytest.raises(RecordError, match=r"log.mcap: not the file, but what Git LFS has in its place; .*git lfs pull"):
+        read_log_tables(tmp_path / "log.mcap")
 
 
 def test_a_file_that_must_not_be_read(tmp_path: Path) -> None:

@@ -130,24 +130,23 @@ class Plans:
         Raises:
             RecordError: It contains something else.
         """
-        values = self._numbers(column)
+        values = self._numbers(column, self.factors.get(column, 1.0))
         if values is None:
             return None
-        values = values * self.factors.get(column, 1.0)
         known = np.isfinite(self.time) & np.isfinite(values)
         order = np.argsort(self.time[known], kind="stable")
         return Signal(self.time[known][order], values[known][order])
 
-    def _numbers(self, column: str) -> Array | None:
+    def _numbers(self, column: str, factor: float) -> Array | None:
         if not self.table.fault_of(column):
-            return self.table.numbers(column)
+            return self.table.numbers(column, factor)
         name, bracket, index = column.removesuffix("]").rpartition("[")
         if not bracket or not index.isdecimal() or self.table.fault_of(name):
             return None
         cells = self.table.columns[name]
         if cells.dtype.kind != "U":
             return None
-        return np.array([_element(cell, int(index)) for cell in cells.tolist()])
+        return np.array([_element(cell, int(index)) for cell in cells.tolist()]) * factor
 
 
 def read_plans(path: Path, log: SignalLog, settings: SectionSettings) -> Plans:
@@ -172,9 +171,9 @@ def read_plans(path: Path, log: SignalLog, settings: SectionSettings) -> Plans:
         if column is None:
             missing = unknown_column(wanted[0], list(table.columns))
             raise RecordError(f"{path}: {missing}; name the time of the plan by --plan-time, or use --plan-match")
-        return Plans(table, table.numbers(column) * settings.factors.get(column, 1.0), settings.factors)
+        return Plans(table, table.times(column, settings.factors.get(column, 1.0)), settings.factors)
     own, _, other = settings.plan_match.partition("=")
-    time = _matching_times(log.signal(other), table.numbers(own) * settings.factors.get(own, 1.0))
+    time = _matching_times(log.signal(other), table.numbers(own, settings.factors.get(own, 1.0)))
     if not np.isfinite(time).any():
         raise RecordError(f"{path}: no number of {own!r} occurs once in {other!r} of {log.source}")
     return Plans(table, time, settings.factors)

@@ -91,7 +91,7 @@ class SignalLog:
             RecordError: There is no such column, several tables of that file have it, or it does not contain numbers.
         """
         found = self._find(column)
-        values = found.table.numbers(column) * self.factors.get(column, 1.0)
+        values = found.table.numbers(column, self.factors.get(column, 1.0))
         known = np.isfinite(found.time) & np.isfinite(values)
         if known.sum() < 2:
             raise RecordError(f"{found.table.source}, column {column!r}: {known.sum()} numbers; at least 2 are needed")
@@ -241,7 +241,7 @@ def _with_times(
 
 
 def _checked_times(table: LogTable, column: str, factor: float) -> Array:
-    time = table.numbers(column) * factor
+    time = table.times(column, factor)
     known = np.flatnonzero(np.isfinite(time))
     back = np.flatnonzero(np.diff(time[known]) < 0)
     if len(back):

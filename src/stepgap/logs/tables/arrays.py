@@ -12,6 +12,10 @@ MOST_COLUMNS = 10_000
 """Largest number of columns of one array; wider arrays, such as pictures, are left out."""
 
 
+_PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "ps": 1e12}
+"""Units of times; those that are longer are whole seconds."""
+
+
 def tables_of_arrays(
     source: str, arrays: Iterable[tuple[str, str, Any]], unread: dict[str, str]
 ) -> dict[str, LogTable]:
@@ -60,7 +64,10 @@ def columns_of_array(name: str, values: Any) -> Iterator[tuple[str, LogColumn | 
     if values.ndim == 2 and 1 in values.shape:
         values = values.reshape(-1)
     width = int(np.prod(values.shape[1:], dtype=float))
-    if values.ndim == 0 or values.shape == (1,) or width > MOST_COLUMNS:
+    if values.ndim == 0 or values.shape == (1,):
+        return
+    if width > MOST_COLUMNS:
+        yield name, f"{width} values in a row; at most {MOST_COLUMNS} become columns"
         return
     for at in np.ndindex(*values.shape[1:]):
         column = numbers_or_labels(values[(slice(None), *at)])
@@ -74,8 +81,10 @@ def numbers_or_labels(values: Any) -> LogColumn | None:
     """LogColumn as numbers, NaN where one is not finite, or as labels; times in seconds; None for any other type."""
     kind = values.dtype.kind
     if kind in "mM":
-        seconds = values.astype(f"{kind}8[ns]").astype(np.int64) / 1e9
-        return np.where(np.isnat(values), np.nan, seconds)
+        unit, count = np.datetime_data(values.dtype)
+        if unit not in _PER_SECOND:
+            values, unit, count = values.astype(f"{kind}8[s]"), "s", 1
+        return np.where(np.isnat(values), np.nan, values.astype(np.int64) / (_PER_SECOND[unit] / count))
     if kind in "biuf":
         numbers = np.asarray(values, np.float64)
         return np.where(np.isfinite(numbers), numbers, np.nan)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, time, timedelta
 from typing import Any, final
 
 import numpy as np
@@ -13,6 +14,8 @@ from stepgap.step import Array
 
 MOST_NUMBERS = 2**25
 """Largest number of values, rows times columns, that is read from one log."""
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 LogColumn = NDArray[np.float64] | NDArray[np.str_]
 """A column of a log: numbers, or labels."""
@@ -63,8 +66,8 @@ class LogTable:
                 return f"{part} was left out: {reason}"
         return ""
 
-    def numbers(self, column: str) -> Array:
-        """The numbers of a column; shape (R,).
+    def numbers(self, column: str, factor: float = 1.0) -> Array:
+        """The numbers of a column times a factor; shape (R,).
 
         Raises:
             RecordError: There is no such column, or a value is no measurement; the message names its row.
@@ -72,17 +75,37 @@ class LogTable:
         if fault := self.fault_of(column):
             raise RecordError(f"{self.heading or self.source}: {fault}")
         values: Any = self.columns[column]
+        right = f"a number within ±{LARGEST_VALUE:g}, such as 0.5, or empty"
         if values.dtype.kind == "U":
-            wrong = np.array([number_in(cell) is None for cell in values.tolist()], bool)
-        else:
-            wrong = np.abs(values) > LARGEST_VALUE
-        if wrong.any():
-            index = int(wrong.argmax())
-            right = f"a number within ±{LARGEST_VALUE:g}, such as 0.5, or empty"
-            raise RecordError(
-                f"{self.row(index)}, column {column!r}: {_shown(values[index])!r:.40}; it must be {right}"
-            )
-        return values
+            numbers = list(map(number_in, values.tolist()))
+            if None in numbers:
+                raise self._wrong(column, numbers.index(None), right)
+            values = np.array(numbers, float)
+        scaled = values * factor
+        if (wrong := np.abs(scaled) > LARGEST_VALUE).any():
+            hint = "; [factors] of --columns may give its factor, such as 1e-9 for a time in ns"
+            raise self._wrong(column, int(wrong.argmax()), right + hint)
+        return scaled
+
+    def times(self, column: str, factor: float = 1.0) -> Array:
+        """The times in a column [s]: numbers times a factor, or text that `seconds_in` reads; shape (R,).
+
+        Raises:
+            RecordError: As of `numbers`, or only some cells are such text.
+        """
+        values: Any = self.columns.get(column, np.zeros(0))
+        cells = values.tolist() if values.dtype.kind == "U" else []
+        first = next((cell for cell in cells if cell.lower() not in MISSING), "")
+        if seconds_in(first) is None:
+            return self.numbers(column, factor)
+        seconds = [np.nan if cell.lower() in MISSING else seconds_in(cell) for cell in cells]
+        if None in seconds:
+            raise self._wrong(column, seconds.index(None), f"a time such as {first:.40}, or empty")
+        return np.array(seconds, float)
+
+    def _wrong(self, column: str, index: int, right: str) -> RecordError:
+        shown = _shown(self.columns[column][index])
+        return RecordError(f"{self.row(index)}, column {column!r}: {shown!r:.40}; it must be {right}")
 
 
 MISSING = {"", "na", "n/a", "nan", "null", "none", "inf", "-inf"}
@@ -97,6 +120,21 @@ def number_in(cell: str) -> float | None:
         return None if "_" in cell else float(cell)
     except ValueError:
         return None
+
+
+def seconds_in(cell: str) -> float | None:
+    """The time in a cell [s]; None if it holds something else.
+
+    It is a date and a time as in ISO 8601, counted from 1970 and in UTC unless there is a zone, or a time of the day.
+    """
+    try:
+        moment = datetime.fromisoformat(cell)
+    except ValueError:
+        try:
+            moment = datetime.combine(_EPOCH, time.fromisoformat(cell))
+        except ValueError:
+            return None
+    return ((moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - _EPOCH) / timedelta(seconds=1)
 
 
 def column_of_cells(cells: list[str]) -> LogColumn | None:

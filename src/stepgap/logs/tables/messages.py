@@ -21,8 +21,11 @@ Decoder = Callable[[bytes], Any]
 """Gives the content of a message as a tree; it raises an error if the message is not one of its type."""
 
 
-def flattened(value: Any, name: str = "") -> Iterator[tuple[str, Cell]]:
-    """Yields the numbers and labels in a message with their names, as in pose.position[0]; a time in seconds."""
+def flattened(value: Any, name: str = "") -> Iterator[tuple[str, Cell | Sequence[Any]]]:
+    """Yields the numbers and labels in a message with their names, as in pose.position[0]; a time in seconds.
+
+    Sequences that are too long to become columns are yielded as they are.
+    """
     if isinstance(value, Mapping):
         if set(value) in _STAMPS and all(isinstance(part, int) for part in value.values()):
             seconds, nanoseconds = (value[key] for key in sorted(value, reverse=True))
@@ -34,15 +37,23 @@ def flattened(value: Any, name: str = "") -> Iterator[tuple[str, Cell]]:
         yield name, value
     elif isinstance(value, bool | int | float | np.number | np.bool_):
         yield name, _as_float(value)
-    elif isinstance(value, Sequence) and not isinstance(value, bytes | bytearray) and len(value) <= MOST_ELEMENTS:
+    elif isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):
+        if len(value) > MOST_ELEMENTS:
+            yield name, value
+            return
         for index, part in enumerate(value):
             yield from flattened(part, f"{name}[{index}]")
 
 
-def row_of_message(time: int, tree: Any) -> Iterator[tuple[str, Cell]]:
+def row_of_message(time: int, tree: Any) -> Iterator[tuple[str, Cell | Sequence[Any]]]:
     """Yields the time at which a message was logged [ns] as `log_time` [s], and the values in the message."""
     yield "log_time", time * 1e-9
     yield from ((name, value) for name, value in flattened(tree) if name != "log_time")
+
+
+def too_long(length: int) -> str:
+    """Why an array in a row is no column."""
+    return f"{length} elements; at most {MOST_ELEMENTS} become columns"
 
 
 def unreadable(reason: str) -> Decoder:
@@ -62,8 +73,9 @@ class MessageRows:
         self._source = source
         self._columns: dict[str, list[Cell | None]] = {}
         self._lines: list[int] = []
+        self._unread: dict[str, str] = {}
 
-    def append(self, cells: Iterator[tuple[str, Cell]], line: int = 0) -> None:
+    def append(self, cells: Iterator[tuple[str, Cell | Sequence[Any]]], line: int = 0) -> None:
         """Adds a row.
 
         Raises:
@@ -71,6 +83,9 @@ class MessageRows:
         """
         row = len(self._lines)
         for name, value in cells:
+            if not isinstance(value, float | int | str):
+                self._unread[name] = too_long(len(value))
+                continue
             column = self._columns.setdefault(name, [])
             column.extend([None] * (row - len(column)))
             column.append(value)
@@ -83,7 +98,8 @@ class MessageRows:
             name: _values(cells + [None] * (len(self._lines) - len(cells))) for name, cells in self._columns.items()
         }
         kept = {name: values for name, values in columns.items() if values is not None}
-        return LogTable(self._source, kept, np.array(self._lines, np.intp) if has_lines else None)
+        lines = np.array(self._lines, np.intp) if has_lines else None
+        return LogTable(self._source, kept, lines, unread=self._unread)
 
 
 @final

@@ -1,16 +1,19 @@
 """Parquet files."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from stepgap.logs.tables.arrays import numbers_or_labels
 from stepgap.logs.tables.files import check_file_size
 from stepgap.logs.tables.libraries import leaving_out, library, reading
-from stepgap.logs.tables.log_table import LogColumn, LogTable, check_size
-from stepgap.logs.tables.messages import MOST_ELEMENTS
+from stepgap.logs.tables.log_table import MOST_NUMBERS, LogColumn, LogTable, check_size
+from stepgap.logs.tables.messages import MOST_ELEMENTS, too_long
 
 PARQUET_MAGIC = b"PAR1"
+
+_LARGEST_COLUMN = 16 * MOST_NUMBERS
+"""Largest column that is read, decompressed [bytes]."""
 
 
 def read_parquet(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
@@ -22,18 +25,31 @@ def read_parquet(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
     library("pyarrow.compute", path, "parquet")
     check_file_size(path)
     found: dict[str, LogColumn] = {}
-    with reading(path, "Parquet"), parquet.ParquetFile(path) as file:
+    with reading(path, "Parquet"), _open(parquet, path) as file:
         groups = [file.metadata.row_group(number) for number in range(file.metadata.num_row_groups)]
-        sizes = [group.column(number).num_values for group in groups for number in range(group.num_columns)]
-        check_size(str(path), float(sum(sizes)))
+        chunks = [group.column(number) for group in groups for number in range(group.num_columns)]
+        check_size(str(path), float(sum(chunk.num_values for chunk in chunks)))
         names = list(file.schema_arrow.names)
         repeated = frozenset(name for name in names if names.count(name) > 1)
         for name in dict.fromkeys(names):
             with leaving_out(name, unread):
+                _check_bytes(name, chunks)
                 table = file.read(columns=[name])  # a name with dots selects the fields of structs, too
                 if name not in repeated and name in table.column_names:
                     _add_columns(name, table.column(name), arrow, found, unread, str(path))
         return {"": LogTable(str(path), found, repeated=repeated)} if found or not unread else {}
+
+
+def _open(parquet: Any, path: Path) -> Any:
+    """Opens a file; checksums are compared, and times in the 96 bits of Spark may be later than 2262."""
+    return parquet.ParquetFile(path, page_checksum_verification=True, coerce_int96_timestamp_unit="us")
+
+
+def _check_bytes(name: str, chunks: Sequence[Any]) -> None:
+    """Raises ValueError if a column, which may be one of several with the same begin of their names, is too large."""
+    of_name = [chunk for chunk in chunks if f"{chunk.path_in_schema}.".startswith(f"{name}.")]
+    if sum(chunk.total_uncompressed_size for chunk in of_name) > _LARGEST_COLUMN:
+        raise ValueError(f"larger than {_LARGEST_COLUMN} bytes when decompressed")
 
 
 def _add_columns(
@@ -41,6 +57,9 @@ def _add_columns(
 ) -> None:
     """Adds a column, the fields of a struct, or the elements of a list."""
     for part, values in _parts(name, column, arrow):
+        if isinstance(values, str):
+            unread[part] = values
+            continue
         with leaving_out(part, unread):
             numbers = _values(values, arrow)
             if numbers is None:
@@ -50,7 +69,7 @@ def _add_columns(
 
 
 def _parts(name: str, column: Any, arrow: Any) -> Iterator[tuple[str, Any]]:
-    """Yields the parts of a column that are no structs and lists; lists that are longer than others are left out."""
+    """Yields the parts of a column that are no structs and lists; instead of lists that are too long, it yields why."""
     kind = arrow.types
     if isinstance(column.type, arrow.BaseExtensionType):
         column = column.cast(column.type.storage_type)
@@ -60,7 +79,10 @@ def _parts(name: str, column: Any, arrow: Any) -> Iterator[tuple[str, Any]]:
     elif kind.is_list(column.type) or kind.is_large_list(column.type) or kind.is_fixed_size_list(column.type):
         compute = arrow.compute
         longest = compute.max(compute.list_value_length(column)).as_py() or 0
-        for index in range(longest if longest <= MOST_ELEMENTS else 0):
+        if longest > MOST_ELEMENTS:
+            yield name, too_long(longest)
+            return
+        for index in range(longest):
             one = compute.list_slice(column, index, index + 1, return_fixed_size_list=True)
             yield from _parts(f"{name}[{index}]", compute.list_element(one, 0), arrow)
     else:
@@ -76,6 +98,9 @@ def _values(column: Any, arrow: Any) -> LogColumn | None:
         column = column.cast(arrow.float64())
     if kind.is_string(column.type) or kind.is_large_string(column.type):
         return numbers_or_labels(column.fill_null("").to_numpy().astype(str))
+    if kind.is_time(column.type):
+        whole = arrow.int32() if kind.is_time32(column.type) else arrow.int64()
+        column = column.cast(whole).cast(arrow.int64()).cast(arrow.duration(column.type.unit))
     if kind.is_boolean(column.type):
         column = column.cast(arrow.uint8())
     known = kind.is_integer(column.type) or kind.is_floating(column.type) or kind.is_temporal(column.type)

@@ -11,7 +11,7 @@ from stepgap.logs.tables.files import LARGEST_LOG, begin_of, content_of
 from stepgap.logs.tables.hdf5 import HDF5_MAGIC, read_hdf5
 from stepgap.logs.tables.json_lines import read_json_lines
 from stepgap.logs.tables.log_table import LogTable
-from stepgap.logs.tables.matlab import read_mat
+from stepgap.logs.tables.matlab import is_mat4, read_mat
 from stepgap.logs.tables.mcap_logs import MCAP_MAGIC, read_mcap
 from stepgap.logs.tables.numpy_files import NPY_MAGIC, read_npy, read_npz
 from stepgap.logs.tables.parquet_logs import PARQUET_MAGIC, read_parquet
@@ -26,6 +26,8 @@ from stepgap.logs.tables.ros_bags import (
 from stepgap.logs.tables.text import read_delimited_text
 from stepgap.logs.tables.text_format import AS_FOUND, TextFormat, decoded
 from stepgap.records.steps_csv import RecordError
+
+_GIT_LFS = b"version https://git-lfs"
 
 NO_ROLES: Mapping[str, str] = MappingProxyType({})
 """Columns whose meaning is not known."""
@@ -56,7 +58,10 @@ def read_log_tables(
     else:
         tables = _binary_tables(path, begin_of(path), unread)
     if tables is None:
-        text = decoded(content_of(path, largest), written.encoding, str(path))
+        content = content_of(path, largest)
+        if content.startswith(_GIT_LFS):
+            raise RecordError(f"{path}: not the file, but what Git LFS has in its place; get it by `git lfs pull`")
+        text = decoded(content, written.encoding, str(path))
         if text.lstrip().startswith("{"):
             return {"": read_json_lines(text, str(path))}
         return {"": read_delimited_text(text, written, str(path))}
@@ -66,7 +71,7 @@ def read_log_tables(
     if not tables:
         raise RecordError(f"{path}: nothing in it can be read: {', '.join(left_out):.300}")
     warnings.warn(f"{path}: left out {', '.join(left_out):.500}", StepGapWarning, stacklevel=2)
-    return {name: replace(table, unread=unread) for name, table in tables.items()}
+    return {name: replace(table, unread={**table.unread, **unread}) for name, table in tables.items()}
 
 
 def _binary_tables(path: Path, begin: bytes, unread: dict[str, str]) -> Mapping[str, LogTable] | None:
@@ -86,7 +91,8 @@ def _binary_tables(path: Path, begin: bytes, unread: dict[str, str]) -> Mapping[
     matlab = begin.startswith(b"MATLAB 7.3 MAT-file")
     if matlab or HDF5_MAGIC in (begin[:8], begin[512:520]):
         return read_hdf5(path, matlab, unread)
-    return read_mat(path, unread) if begin[126:128] in (b"MI", b"IM") and b"\0" in begin else None
+    is_mat = begin[126:128] in (b"MI", b"IM") and b"\0" in begin
+    return read_mat(path, unread) if is_mat or is_mat4(begin) else None
 
 
 def read_log_table(path: str | Path, wanted: Sequence[str], written: TextFormat = AS_FOUND) -> LogTable:

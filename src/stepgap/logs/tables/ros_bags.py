@@ -4,6 +4,7 @@ import re
 import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -131,4 +132,4 @@ def _read_database(database: sqlite3.Connection, path: Path, topics: TopicRows, 
 def _by_time(table: LogTable) -> LogTable:
     """The table of several parts, ordered by time."""
     order = np.argsort(table.columns["log_time"], kind="stable")
-    return LogTable(table.source, {name: values[order] for name, values in table.columns.items()})
+    return replace(table, columns={name: values[order] for name, values in table.columns.items()})

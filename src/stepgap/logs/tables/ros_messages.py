@@ -6,7 +6,7 @@ runs.
 
 import re
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -149,7 +149,7 @@ class _Message:
             self._numbers("B", 1)  # a type without fields has a byte
         return {field: self._read(kind, depth + 1) for field, kind in fields}
 
-    def _numbers(self, code: str, count: int) -> tuple[Any, ...]:
+    def _numbers(self, code: str, count: int) -> Sequence[Any]:
         width = struct.calcsize("<" + code)
         if self._cdr and count:
             self._offset += -self._offset % width
@@ -157,7 +157,9 @@ class _Message:
         self._offset += width * count
         if self._offset > len(self._data):
             raise ValueError("a message that is shorter than its definition")
-        return struct.unpack_from(f"{self._order}{count}{code}", self._data, start) if count <= MOST_ELEMENTS else ()
+        if count > MOST_ELEMENTS:
+            return range(count)  # only its length matters: it does not become columns
+        return struct.unpack_from(f"{self._order}{count}{code}", self._data, start)
 
     def _text(self) -> str:
         (length,) = self._numbers("I", 1)

@@ -2,19 +2,28 @@
 
 import csv
 import re
+import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from io import StringIO
 from itertools import chain, islice
 
 import numpy as np
 
+from stepgap.base.errors import StepGapWarning
 from stepgap.logs.tables.log_table import LogTable, check_size, column_of_cells, number_in
 from stepgap.logs.tables.text_format import TextFormat, decimal_of, delimiter_of
 from stepgap.records.steps_csv import RecordError
 
 SAMPLED_ROWS = 50
 """Rows from which the separator is found."""
+
+NAMES_BELOW = "if its names are in another line, give its beginning as `header` in the table [format] of --columns"
+"""What to do where the first line is not that of the names of columns."""
+
+_STATED = re.compile('"?sep=([,;\t])"?')
+"""First line of some files: the separator, for spreadsheets."""
 
 _Row = tuple[int, list[str]]
 """Number of a line, and its cells."""
@@ -34,9 +43,11 @@ def read_delimited_text(text: str, written: TextFormat, source: str) -> LogTable
         if len(cells) != len(header):
             hint = "; a decimal comma needs another separator" if len(cells) > len(header) else ""
             raise RecordError(
-                f"{source}, line {number}: {len(cells)} values; it must have {len(header)}, as the header{hint}"
+                f"{source}, line {number}: {len(cells)} values; it must have {len(header)}, as the header{hint}; "
+                f"{NAMES_BELOW}"
             )
     check_size(source, len(rows) * len(header))
+    rows = _without_units(rows, source)
     lines = np.array([number for number, _ in rows], np.intp)
     columns = {name: column_of_cells([cells[at] for _, cells in rows]) for at, name in enumerate(header)}
     repeated = frozenset(name for name, count in Counter(header).items() if count > 1)
@@ -48,17 +59,25 @@ def _names_and_rows(text: str, written: TextFormat, source: str) -> tuple[_Row |
     """The header and the rows below it, with decimal points."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     begin, comment = _beginning(lines, written)
+    if stated := _STATED.fullmatch(lines[begin].strip(" ")) if begin < len(lines) else None:
+        written, lines[begin] = replace(written, delimiter=written.delimiter or stated[1]), ""
+        begin, comment = _beginning(lines, written)
     if begin == len(lines):
+        if written.header:
+            raise RecordError(f"{source}: no line begins with {written.header!r:.40}; it is `header` in [format]")
         return None, []
     header_at, header = begin, lines[begin]
     if _looks_like_data(header):
         if comment is None:
-            raise RecordError(f"{source}, line {begin + 1}: {header.strip()!r:.40}; it must be a line of column names")
+            raise RecordError(
+                f"{source}, line {begin + 1}: {header.strip()!r:.40}; it must be a line of column names; {NAMES_BELOW}"
+            )
         header_at, header = comment, lines[comment].lstrip().removeprefix(written.comment or lines[comment].lstrip()[0])
     body = header_at + 1 if header_at == begin else begin
     samples = [line for line in islice(lines, body, body + SAMPLED_ROWS) if line.strip()]
     delimiter = written.delimiter or delimiter_of(header, samples, f"{source}, line {header_at + 1}")
     names = next(_cells(header, delimiter, header_at, source), (header_at + 1, []))
+    _check_names(names, samples, source)
     rows = list(_cells("\n".join(lines[body:]), delimiter, body, source))
     cells = chain.from_iterable(cells for _, cells in rows)
     if (written.decimal or decimal_of(cells, delimiter, source)) == ",":
@@ -70,6 +89,10 @@ def _beginning(lines: Sequence[str], written: TextFormat) -> tuple[int, int | No
     """Index of the first line that is neither empty nor a comment, and of the last comment before it."""
     marks, comment = (written.comment or "#", written.comment or "%"), None
     for index, line in enumerate(lines):
+        if written.header:
+            if line.lstrip().startswith(written.header):
+                return index, None
+            continue
         if line.lstrip().startswith(marks):
             comment = index
         elif line.strip():
@@ -77,11 +100,35 @@ def _beginning(lines: Sequence[str], written: TextFormat) -> tuple[int, int | No
     return len(lines), comment
 
 
+def _check_names(names: _Row, samples: Sequence[str], source: str) -> None:
+    """Raises RecordError if a single name stands above several columns, because it is a title or a statement."""
+    for one in ",;\t" if not any(names[1][1:]) else "":
+        counts = {line.count(one) for line in samples[len(samples) // 2 :]}
+        if len(counts) == 1 and max(counts) > 1:
+            raise RecordError(f"{source}, line {names[0]}: one name, and more columns below it; {NAMES_BELOW}")
+
+
+def _without_units(rows: list[_Row], source: str) -> list[_Row]:
+    """The rows without those under the header that hold no number, such as units, if all others do in some column."""
+    begin = next((at for at, (_, cells) in enumerate(rows) if any(map(_is_measured, cells))), 0)
+    above, below = [cells for _, cells in rows[:begin]], [cells for _, cells in rows[begin:]]
+    for at in range(len(rows[0][1]) if begin else 0):
+        if all(number_in(row[at]) is None for row in above) and all(number_in(row[at]) is not None for row in below):
+            shown = ", ".join(rows[0][1])
+            warnings.warn(f"{source}, line {rows[0][0]}: left out, as units: {shown:.60}", StepGapWarning, stacklevel=2)
+            return rows[begin:]
+    return rows
+
+
+def _is_measured(cell: str) -> bool:
+    number = number_in(cell)
+    return number is not None and number == number
+
+
 def _looks_like_data(line: str) -> bool:
     """Whether a cell of a line is a number, whatever the separator is."""
     cells = re.split(r"[,;\t]", line)
-    numbers = (number_in(cell.strip().strip('"')) for cell in (cells if len(cells) > 1 else line.split()))
-    return any(number is not None and number == number for number in numbers)
+    return any(_is_measured(cell.strip().strip('"')) for cell in (cells if len(cells) > 1 else line.split()))
 
 
 def _cells(text: str, delimiter: str, first: int, source: str) -> Iterator[_Row]:

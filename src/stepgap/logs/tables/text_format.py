@@ -34,12 +34,14 @@ class TextFormat:
         delimiter: Separator of the columns: ",", ";", a tab, or " " for any run of spaces; or a name in `DELIMITERS`.
         encoding: Name of the encoding, such as "latin-1".
         comment: Beginning of the lines before the header that are comments, instead of "#" and "%".
+        header: Beginning of the line of column names; all lines before it are left out.
     """
 
     decimal: str = ""
     delimiter: str = ""
     encoding: str = ""
     comment: str = ""
+    header: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "delimiter", DELIMITERS.get(self.delimiter, self.delimiter))
