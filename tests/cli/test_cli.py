@@ -62,12 +62,14 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def record(folder: Path) -> dict[str, bytes]:
-    """Without figures and report."""
-    return {name: data for name, data in contents(folder).items() if name.endswith((".csv", ".json", ".toml"))}
+    """Without figures and report, and without times, which differ from run to run."""
+    kept = {name: data for name, data in contents(folder).items() if name.endswith((".csv", ".json", ".toml"))}
+    return {name: data for name, data in kept.items() if name != "times.json"}
 
 
 def copied(folder: Path, target: Path) -> Path:
-    for name, data in record(folder).items():
+    times = {"times.json": (folder / "times.json").read_bytes()}
+    for name, data in (record(folder) | times).items():
         (target / name).parent.mkdir(parents=True, exist_ok=True)
         (target / name).write_bytes(data)
     return target
@@ -82,7 +84,7 @@ def test_a_run_folder_is_complete(finished: Path) -> None:
     assert {"figures/tracking.png", "figures/gait.pdf"} < figures
     assert names - figures == {
         "experiment.toml", "reference.csv", "steps.csv", "models/iteration_1.json", "summary.json", "report.html",
-        "replay/deployment_0.npz", "replay/deployment_1.npz",
+        "times.json", "replay/deployment_0.npz", "replay/deployment_1.npz",
     }  # fmt: skip
     summary = json.loads((finished / "run" / "summary.json").read_text())
     assert [entry["steps"] for entry in summary["iterations"]] == [3, 3]

@@ -81,7 +81,7 @@ def test_what_a_run_learned_in_its_only_deployment_is_described(finished: Path, 
     assert not Path("run/models").exists()
     text = Path("run/report.html").read_text(encoding="utf-8")
     assert "A further deployment would begin with the residual" in text
-    assert "of the recorded 8 steps" in text
+    assert "of 8 earlier steps" in text
     assert "Corrected map: " in text
 
 

@@ -258,11 +258,13 @@ def _execute(
     from stepgap.base.garbage_collection import settled_heap
     from stepgap.cli.progress import RunProgress, printing_events
     from stepgap.experiment.loop import run_experiment
+    from stepgap.experiment.run_times import TimeRecorder
 
     space, iterations = setup.nominal.space, setup.learning.iterations
     with RunProgress(space, len(setup.reference), iterations, display.quiet) as progress, settled_heap():
         observer = printing_events(progress.observer, space) if display.json else progress.observer
         observer = replace(recorder.observing(observer), on_execution=on_execution)
+        observer = TimeRecorder(folder).observing(observer)
         run_experiment(setup, folder, live.observing(observer) if live else observer)
 
 

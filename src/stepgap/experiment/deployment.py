@@ -1,7 +1,8 @@
 """One deployment: tracking a reference step by step with the map as known so far."""
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
+from time import perf_counter
 from typing import Protocol, Self, final
 
 import numpy as np
@@ -115,6 +116,7 @@ def deploy(
     iteration: int,
     exploration: int = 0,
     control: ControlSettings = ALL_RULES,
+    on_time: Callable[[str, float], None] = lambda part, seconds: None,
 ) -> ExecutedSteps:
     """Tracks the reference until its end or a failed step, at each step with the map as known then.
 
@@ -125,6 +127,7 @@ def deploy(
         iteration: Number of the deployment.
         exploration: Number of exploratory steps before step 1, which are numbered up to 0.
         control: Settings of step control.
+        on_time: Called with "planning" or "learning", and how long that took for one step [s].
 
     Raises:
         StepGapError: The first state of the plant is not finite, or has another shape.
@@ -134,13 +137,12 @@ def deploy(
     with BackgroundThread() as background, plant:
         state = _checked_start(plant.start(), plant.space)
         for number in range(1 - exploration, len(reference) + 1):
+            begin = perf_counter()
             if number < 1:
-                step_controller = controller.step_controller
-                goals = goals_of(reference, step_controller.step_map)
-                plan = exploration_plan(step_controller, controller.learner.conditioned_residual, state, goals)
-                plan = _checked(step_controller.step_map, state, plan)
+                plan = _explored(controller, reference, state)
             else:
                 plan = controller.plan(state, reference.targets[number - 1])
+            on_time("planning", perf_counter() - begin)
             background.compute(controller.learner.pending)  # after the command, so that it causes no delay
             record = plant.take_step(plan.command)
             target = reference.targets[number - 1] if number > 0 else plan.predicted
@@ -148,7 +150,17 @@ def deploy(
             yield logged
             if record.status != StepStatus.OK:
                 return
+            begin = perf_counter()
             controller, state = controller.after(logged), record.next_state
+            on_time("learning", perf_counter() - begin)
+
+
+def _explored(controller: DeploymentController, reference: Reference, state: Array) -> CautiousPlan:
+    """Plan of an exploratory step."""
+    step_controller = controller.step_controller
+    goals = goals_of(reference, step_controller.step_map)
+    plan = exploration_plan(step_controller, controller.learner.conditioned_residual, state, goals)
+    return _checked(step_controller.step_map, state, plan)
 
 
 def _checked_start(state: Array, space: StepSpace) -> Array:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial, reduce
 from math import inf
 from pathlib import Path
+from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,10 @@ MeasureNoiseFloor = Callable[[StepMap, np.random.Generator, Callable[[int, int],
 """Measures the noise floor of a plant under the step controller of a map, and reports its progress (done, total)."""
 
 
+OnTime = Callable[[int, str, float], None]
+"""Is told for which deployment something was computed, what it was, and how long that took [s]."""
+
+
 def deployment_generator(seed: int, iteration: int) -> np.random.Generator:
     """Random generator of the plant of a deployment."""
     return random_stream(seed, iteration)
@@ -51,6 +56,8 @@ class Observer:
         on_outliers: Called before a deployment with the number of recorded steps that are not learned from.
         on_execution: Called before a deployment is executed, which is not done where its steps are taken from the
             record; then the record is locked, and agrees with the settings up to this deployment.
+        on_time: Called with the number of a deployment, what was computed for it, and how long that took [s]: the `fit`
+            before it, the `planning` of each command, and `learning` from each step.
     """
 
     on_step: Callable[[LoggedStep], None] = lambda logged: None
@@ -59,6 +66,7 @@ class Observer:
     on_phase: Callable[[str, int, int], None] = lambda name, done, total: None
     on_outliers: Callable[[int], None] = lambda count: None
     on_execution: Callable[[], None] = lambda: None
+    on_time: OnTime = lambda iteration, part, seconds: None
 
 
 class Plants(NamedTuple):
@@ -128,7 +136,9 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
         while True:
             iteration = len(deployments)
             observer.on_phase("learning", 0, 0)
+            begin = perf_counter()
             learner = Learner.start(nominal, Steps(recording.space) + past + log, setup.learning, iteration)
+            observer.on_time(iteration, "fit", perf_counter() - begin)
             observer.on_outliers(len(learner.residual.outliers))
             if iteration > 0 or len(past):
                 recording.write_model(learner)
@@ -163,7 +173,8 @@ def _execute(learner: Learner, setup: Setup, observer: Observer) -> ExecutedStep
     observer.on_execution()
     plant = setup.plants.make(deployment_generator(setup.seed, iteration))
     exploration = 0 if iteration else setup.learning.exploration
-    yield from deploy(learner, plant, setup.reference, iteration, exploration, setup.control)
+    on_time = partial(observer.on_time, iteration)
+    yield from deploy(learner, plant, setup.reference, iteration, exploration, setup.control, on_time)
     if plant.fault:
         observer.on_fault(plant.fault)
 

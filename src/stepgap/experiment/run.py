@@ -33,6 +33,7 @@ from stepgap.records.model_files import model_path, read_model
 from stepgap.records.motion_file import Replay
 from stepgap.records.steps_csv import digest, ends_with_whole_row, read_step_log, space_of_header
 from stepgap.records.summary import Deployment, NoiseFloor, Summary, read_summary
+from stepgap.records.times_file import Times, read_times
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.published_result import PublishedResult
 from stepgap.robots.robot import Robot
@@ -201,6 +202,11 @@ class Run:
     def versions(self) -> tuple[tuple[str, str], ...]:
         """Versions with which the run was made, even if `summary.json` is not of these steps; none if not known."""
         return () if isinstance(self._summary_file, InputError) else self._summary_file.versions
+
+    @cached_property
+    def times(self) -> Times | Missing:
+        """How long fits and the choice of commands took, by deployment and part."""
+        return read_times(self.folder)
 
     @cached_property
     def known(self) -> Steps:

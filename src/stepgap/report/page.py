@@ -28,6 +28,7 @@ from stepgap.report.sentences import floor_sentences, headline, published_senten
 from stepgap.report.settings_table import changed_settings
 from stepgap.report.summary_table import summary_table
 from stepgap.report.text import capitalised
+from stepgap.report.times_table import times_in_words, times_table
 
 CONTENTS: Final = {
     "figures": "Figures",
@@ -44,6 +45,7 @@ CONTENTS: Final = {
 FILES: Final = {
     "steps.csv": "one row for each step: state, command, next state, prediction",
     "summary.json": "errors of each deployment, noise floor, versions",
+    "times.json": "how long fits and the choice of commands took",
     "experiment.toml": "all settings, to repeat the experiment",
     "models/*.json": "residual at the start of a deployment",
     "figures/*.pdf": "figure of this page",
@@ -77,6 +79,7 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
             *map(paragraph, floor_sentences(run)),
             *(error_table(run, row) for row in range(len(run.space.state))),
             band_table(run),
+            times_table(run),
         ],
         "diagnosis": [
             bullets([*diagnosis_sentences(run), *([] if isinstance(gait, Missing) else reach_sentences(gait))])
@@ -101,10 +104,11 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
         "settings": [_settings(run)],
         "files": [_file_list(run)],
     }  # fmt: skip
+    note = " ".join([recorded(run), *times_in_words(run)])
     top = (
         f'<h1>{safe(title)}</h1>\n<nav>{links}</nav>\n<p class="headline">{safe(headline(run))}</p>\n'
         f"{summary_table(run)}{bullets([*sentences(run), *offset_sentences(run), *growth_sentences(analysis.loops)])}"
-        f'<p class="note">{safe(recorded(run))}</p>'
+        f'<p class="note">{safe(note)}</p>'
     )
     parts = [
         section(name, heading, *parts_by_name.get(name, []), *pictures.get(name, []))
