@@ -174,6 +174,26 @@ def test_lines_of_units_below_the_names_are_left_out_and_named(units: str) -> No
     assert table.row(0).endswith(f"line {2 + units.count(chr(10))}")
 
 
+def test_columns_of_one_name_are_numbered() -> None:
+    table = read(b"t,X,Y,X\n0,1,2,3\n1,4,5,6\n")
+    assert [table.numbers(name).tolist() for name in ("X[0]", "Y", "X[1]")] == [[1, 4], [2, 5], [3, 6]]
+    with pytest.raises(RecordError, match=r"more than one such column; the first is 'X\[0\]'"):
+        table.numbers("X")
+    unclear = read(b"X,X,X[0]\n1,2,3\n")
+    assert unclear.numbers("X[1]").tolist() == [2]
+    with pytest.raises(RecordError, match=r"line 1: more than one such column$"):
+        unclear.numbers("X[0]")
+
+
+def test_a_file_of_a_data_logger() -> None:
+    """Statements, names in quotes, units, and how each value was made."""
+    text = b'"TOA5","68","CR3"\n"TIMESTAMP","v","n"\n"TS","m/s","RN"\n"","Smp","Smp"\n"2012-06-07 13:00:00.05",0.5,1\n'
+    with pytest.warns(StepGapWarning, match="line 3: left out, as units: TS, m/s, RN"):
+        table = read(text, TextFormat(header="TIMESTAMP"))
+    assert table.times("TIMESTAMP").tolist() == [1339074000.05]
+    assert table.numbers("v").tolist() == [0.5]
+
+
 def test_a_row_without_numbers_is_kept_where_it_may_be_data() -> None:
     for text in ("t,phase\n,stand\n1,hop\n", "a,b\nx,y\nz,w\n", "t,v\nfast,slow\n1,faster\nnow,2\n"):
         assert len(read(text.encode())) == text.count("\n") - 1

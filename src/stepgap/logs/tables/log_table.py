@@ -31,7 +31,7 @@ class LogTable:
         columns: Columns by name, all of one length R: numbers, NaN where one is missing, or labels (text).
         lines: Line numbers of the rows, for messages; None for binary formats.
         heading: Text for messages about the names of columns; empty where it is the same as `source`.
-        repeated: Names that more than one column has; these are not in `columns`.
+        repeated: Names that more than one column has, which are not in `columns`; those of text are NAME[0], NAME[1], …
         unread: Parts of the file that were left out, each with the reason: a topic, a column, or GROUP:COLUMN.
     """
 
@@ -59,7 +59,8 @@ class LogTable:
     def known_fault_of(self, column: str) -> str:
         """Why a column of the file is not in the table; empty if the file has no such column."""
         if column in self.repeated:
-            return "more than one such column"
+            first = f"{column}[0]"
+            return "more than one such column" + (f"; the first is {first!r}" if first in self.columns else "")
         for part, reason in self.unread.items():
             names = {part, part.rpartition(":")[2]}
             if column in names or any(column.startswith((f"{name}:", f"{name}[", f"{name}.")) for name in names):

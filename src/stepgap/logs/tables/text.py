@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from io import StringIO
-from itertools import chain, islice
+from itertools import chain, count, islice
 
 import numpy as np
 
@@ -49,10 +49,17 @@ def read_delimited_text(text: str, written: TextFormat, source: str) -> LogTable
     check_size(source, len(rows) * len(header))
     rows = _without_units(rows, source)
     lines = np.array([number for number, _ in rows], np.intp)
-    columns = {name: column_of_cells([cells[at] for _, cells in rows]) for at, name in enumerate(header)}
-    repeated = frozenset(name for name, count in Counter(header).items() if count > 1)
+    repeated = _repeated(header)
+    numbers = {name: count() for name in repeated}
+    numbered = [f"{name}[{next(numbers[name])}]" if name in repeated else name for name in header]
+    columns = {name: column_of_cells([cells[at] for _, cells in rows]) for at, name in enumerate(numbered)}
+    repeated |= _repeated(numbered)
     kept = {name: values for name, values in columns.items() if values is not None and name not in repeated}
     return LogTable(source, kept, lines, f"{source}, line {line}", repeated)
+
+
+def _repeated(names: Sequence[str]) -> frozenset[str]:
+    return frozenset(name for name, times in Counter(names).items() if times > 1)
 
 
 def _names_and_rows(text: str, written: TextFormat, source: str) -> tuple[_Row | None, list[_Row]]:
@@ -90,7 +97,7 @@ def _beginning(lines: Sequence[str], written: TextFormat) -> tuple[int, int | No
     marks, comment = (written.comment or "#", written.comment or "%"), None
     for index, line in enumerate(lines):
         if written.header:
-            if line.lstrip().startswith(written.header):
+            if line.lstrip().removeprefix('"').startswith(written.header.removeprefix('"')):
                 return index, None
             continue
         if line.lstrip().startswith(marks):
