@@ -145,7 +145,7 @@ def test_a_run_uses_it_and_the_report_includes_it(tmp_path: Path) -> None:
     page = Page(report_of(folder))
     check_alone(page)
     assert f"Deployment 1 began with the residual '{NAME} with previous error'" in page.text
-    assert "a linear function, fitted to actual − nominal of the previous 40 steps" in page.text
+    assert "a linear function, fitted to actual − nominal of 40 earlier steps" in page.text
     assert "leave-one-out RMSE" in page.text
     assert (folder / "figures" / "left_out.pdf").is_file()
 

@@ -95,15 +95,15 @@ def picture(drawn: Drawing | Missing, prefix: str, caption: str, on_first_screen
         return paragraph(f"{drawn.reason[:1].upper()}{drawn.reason[1:]}.")
     values = safe(drawn.hover)
     svg = inline_svg(drawn, prefix)
-    ratio = _ratio(svg) if on_first_screen else 0
-    small = f' class="first" style="--ratio: {ratio:.3f}"' if ratio > 1 else ""
-    return f'<figure{small} data-hover="{values}">{svg}<figcaption>{safe(caption)}</figcaption></figure>'
+    ratio = _ratio(svg)
+    size = ' class="tall"' if ratio <= 1 else f' class="first" style="--ratio: {ratio:.3f}"' * on_first_screen
+    return f'<figure{size} data-hover="{values}">{svg}<figcaption>{safe(caption)}</figcaption></figure>'
 
 
 def _ratio(svg: str) -> float:
-    """Width of a figure divided by its height."""
+    """Width of a figure divided by its height; that of a wide one if it is not known."""
     found = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg)
-    return float(found[1]) / float(found[2]) if found else 0.0
+    return float(found[1]) / float(found[2]) if found else 2.0
 
 
 def paragraph(text: str) -> str:

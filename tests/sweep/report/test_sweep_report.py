@@ -37,7 +37,7 @@ AXES = {
     "learning.residual": ["gp_on_linear", "linear"],
     "seed": [1, 2],
 }
-CONTEXT = SweepContext(504, {}, (Quantity("speed", "m/s", -1, 1), Quantity("height", "m", -1, 1)))
+CONTEXT = SweepContext(504, {}, (Quantity("speed", "m/s", -1, 1), Quantity("height", "m", -1, 1)), "the paper")
 FAILED = {7: "no command leads to the target at step 3", 400: "case 400: a <b>"}
 ABORTED = {10: 2, 11: 2, 12: 1}
 HOSTILE = "<img src=http://evil/?x='1' onerror=alert(1)>&\"--></svg></pre><script>alert(2)</script>$\\frac{"
@@ -208,7 +208,9 @@ def test_an_unfinished_sweep_says_so(tmp_path: Path) -> None:
     assert "No deployment of any case was aborted." in page.text
     assert "No case is known to have reached the paper's band." in page.text
     written = write_sweep_report(folder)
-    assert "the number of planned cases is not known" in Page(written.path).text
+    text = Page(written.path).text
+    assert "the number of planned cases is not known" in text
+    assert "paper" not in text, "a robot without a published result has no band"
     assert written.missing == ("settings (the folder contains no experiment.toml)",)
 
 

@@ -6,7 +6,7 @@ from stepgap.base.errors import InputError, message_of
 from stepgap.experiment.settings import Experiment, experiment_table, read_experiment
 from stepgap.records.missing import Missing
 from stepgap.report import FolderReport, WrittenReport
-from stepgap.step import Quantity
+from stepgap.robots.entry_points import load_robot
 from stepgap.sweep.report.page import SweepContext, write_sweep_report
 from stepgap.sweep.results_table import RESULTS
 from stepgap.sweep.sweep import SWEEP_FILE
@@ -30,9 +30,7 @@ def report_sweep(folder: Path) -> WrittenReport:
     if not (folder / RESULTS).is_file():
         raise InputError(f"{folder / RESULTS}: no such file; this makes it: stepgap sweep --out {folder} --resume")
     try:
-        return write_sweep_report(
-            folder, SweepContext(_planned(folder), experiment_table(Experiment()), _state(folder))
-        )
+        return write_sweep_report(folder, _context(folder))
     except (ValueError, OSError) as error:
         raise InputError(message_of(error)) from None
 
@@ -45,13 +43,16 @@ def _planned(folder: Path) -> int | Missing:
         return Missing(f"without a valid {SWEEP_FILE} the number of planned cases is not known")
 
 
-def _state(folder: Path) -> tuple[Quantity, ...]:
-    """State coordinates of the base experiment; none if its settings are not valid in this version."""
-    path = folder / "experiment.toml"
+def _context(folder: Path) -> SweepContext:
+    """What is known of the base experiment; its robot only if its settings are valid in this version."""
+    path, planned = folder / "experiment.toml", _planned(folder)
     try:
-        return (read_experiment(path) if path.is_file() else Experiment()).robot.space.state
+        robot = (read_experiment(path) if path.is_file() else Experiment()).robot
     except InputError:
-        return ()
+        return SweepContext(planned, experiment_table(Experiment()))
+    published = robot.published()
+    defaults = experiment_table(Experiment(load_robot(robot.name)))
+    return SweepContext(planned, defaults, robot.space.state, published.source if published else "")
 
 
 SWEEP_REPORT = FolderReport(is_sweep, report_sweep)

@@ -59,7 +59,7 @@ ABORTED_CAPTION: Final = (
     "Share of the cases in which any deployment was aborted by a failed step, with 95 % interval (Wilson)."
 )
 HOPS_CAPTION: Final = (
-    "Number of steps, over all deployments, until the error stays in the paper's band: median, with a bar between the "
+    "Number of steps, over all deployments, until the error stays in {}'s band: median, with a bar between the "
     "quartiles. A case that did not reach the band, or whose last deployment was aborted, counts as never."
 )
 SENSITIVITY_CAPTION: Final = (
@@ -75,11 +75,13 @@ class SweepContext:
         planned: Number of cases of the whole sweep.
         defaults: Default value of every setting, in nested tables like those of `experiment.toml`.
         state: Names and units of the state coordinates; empty if the units are not known.
+        published: Source of the published result whose band is meant; empty if there is none.
     """
 
     planned: int | Missing = Missing("the number of planned cases is not known")
     defaults: Mapping[str, Any] | Missing = Missing("the default settings were not given")
     state: tuple[Quantity, ...] = ()
+    published: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +177,7 @@ def _html(
     title = f"StepGap report of a sweep: {sweep.folder.resolve().name}"
     parts = {
         "effects": _effects(sweep, drawings) if len(cases) else [],
-        "aborted": _aborted(cases, drawings) if len(cases) else [],
+        "aborted": _aborted(cases, drawings, context.published) if len(cases) else [],
         "sensitivity": _sensitivity(sweep, drawings) if len(cases) else [],
         "levels": _levels(sweep),
         "worst": [worst_cases(cases, sweep.folder, sweep.state)] if len(cases) else [],
@@ -205,15 +207,17 @@ def _effects(sweep: _Sweep, drawings: Mapping[str, Drawing | Missing]) -> list[s
     return [*pictures, paragraph(more * bool(hidden) + INTERVALS)]
 
 
-def _aborted(cases: SweepCases, drawings: Mapping[str, Drawing | Missing]) -> list[str]:
+def _aborted(cases: SweepCases, drawings: Mapping[str, Drawing | Missing], published: str) -> list[str]:
     if not cases.axes:
         return []
+    parts = [("aborted", ABORTED_CAPTION, "No deployment of any case was aborted.")]
+    if published or "hops" in drawings:
+        source = published or "the published result"
+        otherwise = f"No case is known to have reached {source}'s band."
+        parts.append(("hops", HOPS_CAPTION.format(source), otherwise))
     return [
         picture(drawings[name], f"{name}-", caption) if name in drawings else paragraph(otherwise)
-        for name, caption, otherwise in (
-            ("aborted", ABORTED_CAPTION, "No deployment of any case was aborted."),
-            ("hops", HOPS_CAPTION, "No case is known to have reached the paper's band."),
-        )
+        for name, caption, otherwise in parts
     ]
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from stepgap.records.missing import Missing
 from stepgap.report.text import decimal, unit_suffix
+from stepgap.report.verdict import ABOUT
 from stepgap.step import Array, Quantity
 from stepgap.sweep.report.cases import SweepCases
 from stepgap.sweep.report.levels import overall_mean
@@ -129,10 +130,11 @@ def _worse(cases: SweepCases, state: Sequence[Quantity]) -> list[str]:
     for index, quantity in enumerate(state):
         ratio = overall_mean(before[:, index]) / overall_mean(after[:, index])
         change = f"{decimal(ratio, 2)} times smaller" if ratio >= 1 else f"{decimal(1 / ratio, 2)} times larger"
+        than = "about as large as" if 1 / ABOUT <= ratio <= ABOUT else f"{change} than"
         worse = int(np.count_nonzero(after[:, index] > before[:, index]))
         title = quantity.name.replace("_", " ")
         lines.append(
-            f"{title[:1].upper()}{title[1:]}: the RMSE of the last deployment is {change} than that of deployment 0 "
+            f"{title[:1].upper()}{title[1:]}: the RMSE of the last deployment is {than} that of deployment 0 "
             f"(geometric mean of {_cases(len(before))}); it is larger in {worse or 'none'} of them."
         )
     return lines
