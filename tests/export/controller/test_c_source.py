@@ -251,6 +251,19 @@ def test_a_note_ends_neither_its_comment_nor_its_line(text: str) -> None:
     assert not any(part in line for part in ("??", "\\", "@", "double"))
 
 
+@pytest.mark.parametrize("compiler", [name for name in ("gcc", "clang") if shutil.which(name)])
+@pytest.mark.parametrize(("real", "is_refused"), [("double", True), ("float", False)])
+def test_a_double_of_32_bits_is_refused(compiler: str, real: Real, is_refused: bool, tmp_path: Path) -> None:
+    source = c_source(learned("none", linear=True), "controller", real)
+    (tmp_path / "controller.c").write_text(source.code)
+    (tmp_path / "controller.h").write_text(source.header)
+    for flag in ("-Ddouble=float", "-fsingle-precision-constant")[: 1 if compiler == "clang" else 2]:
+        command = [compiler, "-std=c99", flag, "-c", "controller.c"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert (done.returncode != 0) == is_refused
+        assert ("real_has_the_bits_it_needs" in done.stderr) == is_refused
+
+
 FAST = ("-ffast-math", "-Ofast", "-ffinite-math-only", "-fno-honor-nans", "-fno-honor-infinities", "-fassociative-math")
 """Options with which NaN, infinity or the order of roundings do not count; some compilers do not know all of them."""
 
