@@ -138,9 +138,10 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
             observer.on_phase("learning", 0, 0)
             begin = perf_counter()
             learner = Learner.start(nominal, Steps(recording.space) + past + log, setup.learning, iteration)
-            observer.on_time(iteration, "fit", perf_counter() - begin)
+            seconds = perf_counter() - begin
             observer.on_outliers(len(learner.residual.outliers))
             if iteration > 0 or len(past):
+                observer.on_time(iteration, "fit", seconds)
                 recording.write_model(learner)
             execute = partial(_execute, learner, setup, observer)
             steps = _observed(recording.steps(iteration, execute), recording.space, observer)

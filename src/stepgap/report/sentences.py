@@ -86,10 +86,9 @@ def _changes(found: Achievement) -> str:
         at_floor = (found.before <= NEAR_FLOOR * found.floor).all()
         reason = ": all were near the noise floor from the beginning" if at_floor else ""
         return f", and no tracking error is clearly smaller or larger than {than}{reason}"
-    words = {"smaller": -1, "larger": 1, "about the same": 0}
+    words = {"smaller": -1, "larger": 1, "not clearly changed": 0}
     groups = {
-        word: [name for name, change in zip(names, changes, strict=True) if change == sign]
-        for word, sign in words.items()
+        word: [name for name, each in zip(names, changes, strict=True) if each == sign] for word, sign in words.items()
     }
     parts = [f"{word} for {listed(group)}" for word, group in groups.items() if group]
     return f". Compared with {than.removeprefix('in ')}, the error is {listed(parts)}"

@@ -38,6 +38,6 @@ def times_in_words(run: Run) -> list[str]:
         planning = parts["planning"]
         middle, most = (decimal(1e3 * planning[name], 2) for name in ("median", "largest"))
         found.append(f"planning a step took {middle} ms in the median, {most} ms at most")
-    if "fit" in parts and last > 0:
+    if "fit" in parts:
         found.append(f"the fit before it {decimal(parts['fit']['total'], 2)} s")
     return [f"In deployment {last}, {', and '.join(found)}."] if found else []

@@ -1,7 +1,8 @@
 """What a run achieved, by state coordinate: its errors before and after learning, beside the noise floor.
 
 The *verdict* on a coordinate compares its errors with the noise floor only, the *change* its errors before and after.
-An error counts as changed if the two 95 % intervals have nothing in common, so nothing is claimed that noise explains.
+An error counts as changed if its ratio differs from one by more than both 95 % intervals explain, and not if both are
+near the noise floor. So nothing is claimed that noise explains.
 """
 
 from dataclasses import dataclass
@@ -145,10 +146,9 @@ class Achievement:
         before, after = self.before[row], self.after[row]
         if (self.first is self.last and not self.predicted) or not before > 0 or not after > 0:
             return np.nan
-        ends = self.before_ends[:, row], self.after_ends[:, row]
-        if np.isfinite(ends).all():
-            return float(ends[1][0] > ends[0][1]) - float(ends[1][1] < ends[0][0])
-        return float(after > ABOUT * before) - float(before > ABOUT * after)
+        if max(before, after) <= NEAR_FLOOR * self.floor[row]:
+            return 0.0
+        return clear_change(before, after, np.array([self.before_ends[:, row], self.after_ends[:, row]]))
 
     @cached_property
     def _nominal_errors(self) -> Array:
@@ -157,3 +157,19 @@ class Achievement:
         if isinstance(nominal, Missing):
             return np.empty((0, len(self.first.rmse)))
         return observe(self.run.steps.of_iteration(self.first.iteration).tracking(), nominal).error
+
+
+def clear_change(before: float, after: float, ends: Array) -> float:
+    """Whether an error became larger (1) or smaller (−1), or neither by more than its intervals explain (0).
+
+    Args:
+        before: Error before.
+        after: Error after.
+        ends: 95 % intervals of both; shape (2, 2), NaN where they are not known.
+    """
+    explained, ratio = np.log(ABOUT), np.log(after / before)
+    if (ends > 0).all():
+        explained = np.linalg.norm(
+            np.log(ends[:, 1] / ends[:, 0]) / 2
+        )  # half widths on the logarithm, added in squares
+    return float(np.sign(ratio)) if abs(ratio) > explained else 0.0
