@@ -6,12 +6,13 @@ late tick begins a millisecond late. Sensors are read in step with the frames (`
 the full ones from the first hop on.
 
 Of each twin: hops, deployments, ticks, lost frames, late ticks, largest joint speed, largest jump of a motor as a
-multiple of its threshold, and the reasons of all stops, with the largest joint speed of the deployments that ended so.
+multiple of its threshold, largest evidence against the yaw as a part of that for which it is doubted, and the reasons
+of all stops, with the largest joint speed of the deployments that ended so.
 The last line counts the stops by doubtful sensors. Lengths of a physics step other than the twin's 0.25 ms show what
 is an error of the simulation.
 
     ./go python benchmarks/false_alarms.py [--seeds 100-109] [--hops 227] [--lost 0.05] [--late 0.005]
-        [--joint-speed 80] [--no-other-limits] [--physics-step 0.00025]
+        [--joint-speed 80] [--no-other-limits] [--physics-step 0.00025] [--roughness 0.003] [--slope 0.003]
 """
 
 import argparse
@@ -32,6 +33,7 @@ from stepgap.hardware.hopper.ethercat import read_rig_settings
 from stepgap.plants.tick_control import Mode, Order, TickFlag
 from stepgap.rigs.rig import HEALTHY, LOST, Health, RigFault, Torques
 from stepgap.robots.hopper import Gains, RobotParameters
+from stepgap.robots.hopper.tick.closures import MOST_EVIDENCE
 from stepgap.robots.hopper.tick.encoder_track import EncoderTrack, with_angle
 from stepgap.robots.hopper.tick.hop_control import HopControl
 from stepgap.robots.hopper.tick.limits import SafetyLimits
@@ -50,6 +52,8 @@ OTHER_LIMITS = ["lean_angle", "fold_angle", "longest_leg", "highest_hip", "conti
 """Largest values that are not limited if only torques, joint speed and sensors are judged."""
 DEPLOYMENTS = 12
 """Most deployments of a twin."""
+DIRECTIONS = ("forward", "backward", "few", "many")
+"""Kinds of evidence."""
 ALPHA_1, ALPHA_2, JOINT_SPEED = map(tuple(TICK_UNITS).index, ("alpha_1", "alpha_2", "joint_speed"))
 """Columns of a row of the tick log."""
 EXAMPLE = Path(__file__).parents[1] / "examples" / "rig.toml"
@@ -123,6 +127,7 @@ class Row:
     late: int = 0
     joint_speed: float = 0.0
     jump: float = 0.0
+    evidence: float = 0.0
     alarms: int = 0
     stops: Counter[str] = field(default_factory=Counter)
     speeds: dict[str, float] = field(default_factory=dict)
@@ -132,7 +137,7 @@ class Row:
         stops = ", ".join(f"{n} × {why} (≤ {self.speeds[why]:.0f} rad/s)" for why, n in self.stops.items())
         return (
             f"{self.hops:5d} {self.deployments:4d} {self.ticks:8d} {self.lost:6d} {self.late:5d} "
-            f"{self.joint_speed:6.0f} {self.jump:6.2f}   {stops or '–'}"
+            f"{self.joint_speed:6.0f} {self.jump:6.2f} {self.evidence:8.2f}   {stops or '–'}"
         )
 
 
@@ -165,6 +170,8 @@ def deploy(row: Row, twin: Twin, limits: SafetyLimits, rng: np.random.Generator,
         ticks.append((memory["sampled"][0], alpha_1 + alpha_2, alpha_1 - alpha_2, *applied))
         row.lost, row.late = row.lost + health.frame_lost, row.late + health.late
         fastest = max(fastest, float(tick[JOINT_SPEED]))
+        found = memory["sensors"]["closures"]["evidence"][0]
+        row.evidence = max(row.evidence, *(float(found[name]) / MOST_EVIDENCE for name in DIRECTIONS))
         row.hops += int(flags & TickFlag.STEP_ENDED != 0)
         ended = flags & (TickFlag.STOPPED | TickFlag.FAILED) != 0
         if ended:
@@ -179,11 +186,13 @@ def deploy(row: Row, twin: Twin, limits: SafetyLimits, rng: np.random.Generator,
     row.joint_speed = max(row.joint_speed, fastest)
 
 
-def measure(trouble: Trouble, limits: SafetyLimits, hops: int, physics_step: float, seed: int) -> Row:
-    """The row of a twin."""
+def measure(
+    trouble: Trouble, limits: SafetyLimits, hops: int, physics_step: float, floor: dict[str, float], seed: int
+) -> Row:
+    """The row of a twin, on a floor that may be more uneven than it draws."""
     twin_module.LONGEST_STEP = physics_step
     rng = np.random.default_rng(seed)
-    twin, row = Twin(ROBOT, RealityGap.random(rng), rng), Row()
+    twin, row = Twin(ROBOT, replace(RealityGap.random(rng), **floor), rng), Row()
     while row.hops < hops and row.deployments < DEPLOYMENTS:
         try:
             deploy(row, twin, limits, rng, trouble, hops)
@@ -203,14 +212,18 @@ def main() -> None:
     parser.add_argument("--joint-speed", type=float, default=80.0)
     parser.add_argument("--no-other-limits", action="store_true", help="judge torques, joint speed and sensors alone")
     parser.add_argument("--physics-step", type=float, default=2.5e-4)
+    parser.add_argument("--roughness", type=float, help="standard deviation of the height of the floor [m]")
+    parser.add_argument("--slope", type=float, help="tilt of the floor [rad]")
     parser.add_argument("--processes", type=int, default=1)
     options = parser.parse_args()
     first, last = map(int, options.seeds.split("-"))
     limits, alarms, total = replace(example_limits(), joint_speed=options.joint_speed), 0, Counter()
     if options.no_other_limits:
         limits = replace(limits, **dict.fromkeys(OTHER_LIMITS, inf), shortest_leg=0.0, lowest_hip=-inf)
-    task = partial(measure, Trouble(options.lost, options.late), limits, options.hops, options.physics_step)
-    print("twin   hops runs    ticks   lost  late  rad/s   jump   stops", flush=True)
+    given = {"ground_roughness": options.roughness, "ground_slope": options.slope}
+    floor = {name: value for name, value in given.items() if value is not None}
+    task = partial(measure, Trouble(options.lost, options.late), limits, options.hops, options.physics_step, floor)
+    print("twin   hops runs    ticks   lost  late  rad/s   jump evidence   stops", flush=True)
     with ProcessPoolExecutor(options.processes) as pool:
         for seed, row in zip(range(first, last + 1), pool.map(task, range(first, last + 1)), strict=True):
             print(f"{seed:4d}  {row}", flush=True)

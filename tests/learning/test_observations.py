@@ -6,7 +6,7 @@ import pytest
 from stepgap.learning.learner import Learner
 from stepgap.learning.observations import Observations, next_history, observe
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.steps import LoggedStep, Steps
+from stepgap.learning.steps import TAINTED, LoggedStep, Steps
 from stepgap.step import Array, StepRecord, StepStatus
 from tests.learning.test_corrected_map import NOMINAL, SPACE, actual, apexes
 
@@ -33,8 +33,8 @@ def history_of(observations: Observations) -> Array:
 def test_errors_are_those_of_the_nominal_map_at_commands_requested() -> None:
     log = log_of(5, 4, fallen=True)
     observations = observe(log, NOMINAL)
-    done = [logged.record for logged in log.completed()]
-    assert len(observations) == 8
+    done = [logged.record for logged in log.completed()][:-1]  # the fall makes the state before it doubtful
+    assert len(observations) == 7
     assert observations.space is SPACE
     np.testing.assert_array_equal(observations.state, [record.state for record in done])
     np.testing.assert_array_equal(observations.command, [record.requested for record in done])
@@ -87,22 +87,35 @@ def test_a_step_that_fails_on_the_nominal_map_has_no_error() -> None:
     np.testing.assert_allclose(next_history(Steps(SPACE, steps[:2]), NOMINAL, 0), history_of(observations)[1])
 
 
-def test_a_step_with_a_doubtful_sensor_and_the_one_before_it_are_not_learned_from() -> None:
-    """The one before only in the same deployment; the step is no failure that a controller avoids, either."""
-    log = log_of(3, 4, 2, fallen=True)
+def with_status(log: Steps, *statuses: tuple[int, StepStatus]) -> Steps:
+    """The log with other statuses in some rows, whose steps then have no next state."""
     steps = list(log)
-    doubtful = replace(steps[-1].record, status=StepStatus.DOUBTFUL)
-    first = replace(steps[3].record, next_state=np.full(2, np.nan), status=StepStatus.DOUBTFUL)
-    steps[-1], steps[3] = replace(steps[-1], record=doubtful), replace(steps[3], record=first)
-    marked = Steps(SPACE, steps)
-    assert marked.doubtful.tolist() == [False] * 3 + [True] + [False] * 3 + [True, True]
-    observations = observe(marked, NOMINAL)
-    np.testing.assert_array_equal(observations.state, marked.state[[0, 1, 2, 4, 5, 6]])
-    learner = Learner.start(NOMINAL, marked, LearningSettings(), 3)
+    for row, status in statuses:
+        record = replace(steps[row].record, next_state=np.full(2, np.nan), status=status)
+        steps[row] = replace(steps[row], record=record)
+    return Steps(SPACE, steps)
+
+
+def test_a_step_with_a_doubtful_sensor_and_those_before_it_are_not_learned_from() -> None:
+    """Those before only in the same deployment; the step is no failure that a controller avoids, either."""
+    marked = with_status(log_of(3, 19, 2), (3, StepStatus.DOUBTFUL), (21, StepStatus.DOUBTFUL))
+    assert np.flatnonzero(marked.doubtful).tolist() == [3, *range(21 - TAINTED[StepStatus.DOUBTFUL], 22)]
+    np.testing.assert_array_equal(observe(marked, NOMINAL).state, marked.state[[0, 1, 2, 4, 5, 22, 23]])
+    learner, last = Learner.start(NOMINAL, marked, LearningSettings(), 3), list(marked)[3]
     assert len(learner.failures) == 0
-    assert len(learner.after(replace(steps[-1], iteration=3, step=1)).failures) == 0
-    fell = replace(steps[-1], iteration=3, step=1, record=replace(doubtful, status=StepStatus.FELL))
-    assert len(learner.after(fell).failures) == 1
+    assert len(learner.after(replace(last, iteration=3, step=1)).failures) == 0
+
+
+def test_a_fall_makes_the_step_before_it_doubtful_and_is_avoided() -> None:
+    marked = with_status(log_of(3, 4), (3, StepStatus.FELL), (6, StepStatus.FELL))
+    assert np.flatnonzero(marked.doubtful).tolist() == [5]
+    np.testing.assert_array_equal(observe(marked, NOMINAL).state, marked.state[[0, 1, 2, 4]])
+    assert len(Learner.start(NOMINAL, marked, LearningSettings(), 3).failures) == 2
+
+
+def test_a_stop_for_another_reason_makes_no_step_doubtful() -> None:
+    assert not with_status(log_of(4), (3, StepStatus.STOPPED)).doubtful.any()
+    assert not with_status(log_of(4), (3, StepStatus.NO_APEX)).doubtful.any()
 
 
 def test_an_empty_log_has_no_observations() -> None:

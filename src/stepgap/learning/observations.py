@@ -92,7 +92,7 @@ def observe(log: Steps, nominal: StepMap) -> Observations:
     """Computes the nominal map's error at the steps of a log that ended at their section, at the commands requested.
 
     What limits remove from a command is thus a part of the error. A step that fails on the nominal map has no error and
-    is omitted, and so are steps with a doubtful sensor.
+    is omitted, and so are steps whose states are doubtful.
     """
     error = log.next_state - nominal.evaluate(log.state, log.requested).next_state
     lagged = _lagged_quantities(nominal.space, error, log.requested, log.state)

@@ -16,6 +16,8 @@ _OF_STATE = ("state", "target", "next_state", "true_next_state", "predicted", "s
 _OF_COMMAND = ("command", "requested", "applied")
 _LEAST_ROOM = 64
 """Least number of steps for which memory is reserved."""
+TAINTED = {StepStatus.DOUBTFUL: 15, StepStatus.FELL: 1}
+"""Number of steps before one with such a status whose states are doubtful, too: small faults are found late."""
 _Values = TypeVar("_Values", Array, Labels, Codes)
 
 
@@ -193,12 +195,18 @@ class Steps:
 
     @property
     def doubtful(self) -> NDArray[np.bool_]:
-        """Whether a sensor was doubtful in a step, or in the one that directly followed; shape (N,).
+        """Whether a sensor was doubtful in a step, or in one that soon followed it, by `TAINTED`; shape (N,).
 
-        The fault may have begun before it was found, so that the state at the end of the step before is doubtful, too.
+        The fault may have begun before it was found, so that the states at the ends of the steps before are doubtful,
+        too. The same holds for a fall, which may be due to a wrong state.
         """
-        own = self.status == StepStatus.DOUBTFUL
-        return own | np.roll(own & self.follows, -1)
+        follows, doubtful = self.follows, self.status == StepStatus.DOUBTFUL
+        for status, count in TAINTED.items():
+            reached = self.status == status
+            for _ in range(count):
+                reached = np.roll(reached & follows, -1)
+                doubtful |= reached
+        return doubtful
 
     @property
     def phase(self) -> Array:

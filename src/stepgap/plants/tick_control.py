@@ -198,3 +198,11 @@ class RobotControl(ABC):
     @abstractmethod
     def describe(self, rig: Rig, tick: Mapping[str, float]) -> dict[str, str]:
         """Describes the robot in a logged tick, as texts by name; fields as in `units`."""
+
+    def travels(self, rig: Rig, tick: Mapping[str, float]) -> dict[str, float]:  # noqa: ARG002
+        """Distances by name that different sensors measured in a logged tick, in pairs [m].
+
+        The two of a pair change equally as long as a person moves the body over a foot at rest. It is empty while no
+        foot is on the ground, and for a robot that has no such sensors.
+        """
+        return {}

@@ -67,6 +67,18 @@ class WatchedLog:
         self._log.close()
 
 
+class Travelled:
+    """Distances that different sensors measured since a foot was put on the ground."""
+
+    def __init__(self) -> None:
+        self._start: dict[str, float] = {}
+
+    def describe(self, travels: dict[str, float]) -> DisplayedTick:
+        """Describes the change of each distance [m]; empty while there are none, after which they begin again."""
+        self._start = (self._start or travels) if travels else {}
+        return {name: f"{1e3 * (value - self._start[name]):+.1f} mm" for name, value in travels.items()}
+
+
 def dry_run(make_rig: Callable[[], Rig], robot_control: RobotControl, seconds: float | None) -> Path:
     """Displays the ticks of a limp robot for a time, or until Ctrl-C; returns the path of their log.
 
@@ -112,6 +124,7 @@ def _describer(
     rig: Rig, robot_control: RobotControl, frames: FrameCount
 ) -> Callable[[WatchedLog, Session], DisplayedTick]:
     """Creates the function that describes the last tick."""
+    travelled = Travelled()
 
     def describe(log: WatchedLog, session: Session) -> DisplayedTick:
         tick = log.last
@@ -120,6 +133,7 @@ def _describer(
         return {
             "state": RigState(int(tick["state"])).name,
             **robot_control.describe(rig, tick),
+            **travelled.describe(robot_control.travels(rig, tick)),
             **describe_devices(rig, tick),
             "late": f"{1e6 * tick['late']:.0f} µs, at most {1e6 * log.worst:.0f} µs",
             "lost": f"{frames.lost} frames",

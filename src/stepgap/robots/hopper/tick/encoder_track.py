@@ -8,6 +8,8 @@ change of speed, as by an impact, enters it with at most half its size.
 from math import copysign
 from typing import NamedTuple
 
+import numpy as np
+
 from stepgap.base.compiled import as_written
 
 RESTLESS_KEPT = 0.8
@@ -15,6 +17,24 @@ RESTLESS_KEPT = 0.8
 
 STILL_COUNTS = 1.5
 """Distance from the anchor up to which an encoder stands still: one count, since a still link may be on an edge."""
+
+
+JITTER_SHARE = 1.5
+"""Largest jump that is seen where a reading is taken a tick too late, in movements per tick.
+
+A link that moves by v in each tick then seems to move by v, 0, 2 v.
+"""
+
+NOISE_GAIN, PACE_GAIN = 0.02, 0.1
+"""Weights of the latest reading in the means of `Counts`."""
+
+NOISE_COUNTS, MOST_NOISE = 3.0, 1.5
+"""Largest jump that counts, since one alone, as at an impact, is no noise [counts]; and largest mean square of the
+jumps of an encoder that is not noisy [counts²] (1.0)."""
+
+RESIDUES, SWEPT, SLOW_PACE = 16, 64.0, 1.0
+"""The last four bits are watched, over this distance [counts], in which a healthy encoder shows all their values while
+it moves slowly [counts per tick]; at two counts per tick, all readings may be even."""
 
 
 class EncoderTrack(NamedTuple):
@@ -121,6 +141,68 @@ def with_angle(track, tick, count, time, angle, torque, should_move):
         restless_before=track.restless, anchor=anchor, still=still,
     )  # fmt: skip
     return after, Jump(size=size, change=change, speed=speed, pace=pace, restless=track.restless_before)
+
+
+class Counts(NamedTuple):
+    """Slow means and last digits of an encoder's counts, by which noise and stuck bits show, however small they are.
+
+    Attributes:
+        square: Mean square of its jumps [counts²]; rounding alone gives 0.13, and 1 at a half count per tick.
+        pace: Mean movement per tick [counts].
+        begin: Count from which its slow movement is measured.
+        seen: Remainders of the counts modulo `RESIDUES` since then, a bit each.
+        stuck: Whether half of them or more were missing when it had last moved by `SWEPT`.
+    """
+
+    square: float = 0.0
+    pace: float = 0.0
+    begin: float = np.nan
+    seen: int = 0
+    stuck: int = 0
+
+
+@as_written
+def with_count(counts, tick, unit, value, track, jump):
+    """`Counts` with a new reading, which made this `EncoderTrack` and this `Jump`.
+
+    Args:
+        counts: `Counts` before.
+        tick: Time of a tick [s].
+        unit: Angle of a count [rad].
+        value: The reading [counts].
+        track: `EncoderTrack` with it.
+        jump: `Jump` of it.
+    """
+    size = min(abs(jump.size) / unit, NOISE_COUNTS)
+    latest = tick * track.movement / (track.took * unit) if track.took > 0.0 else 0.0
+    pace = counts.pace + PACE_GAIN * (latest - counts.pace)
+    begin, seen, stuck = counts.begin, counts.seen | 1 << int(value % RESIDUES), counts.stuck
+    if np.isnan(begin) or abs(pace) > SLOW_PACE:
+        begin, seen = value, 0
+    elif abs(value - begin) > SWEPT:
+        begin, seen, stuck = value, 0, int(2 * _number_of_bits(seen) <= RESIDUES)
+    return Counts(
+        square=counts.square + NOISE_GAIN * (size * size - counts.square),
+        pace=pace,
+        begin=begin,
+        seen=seen,
+        stuck=stuck,
+    )
+
+
+@as_written
+def _number_of_bits(mask):
+    number = 0
+    for bit in range(RESIDUES):
+        number += mask >> bit & 1
+    return number
+
+
+@as_written
+def is_noisy(counts, jitter):
+    """Whether an encoder is noisy or has a stuck bit, if its readings may be wrong in time by `jitter` ticks."""
+    moved = JITTER_SHARE * jitter * counts.pace
+    return counts.stuck == 1 or counts.square > MOST_NOISE + moved * moved
 
 
 @as_written

@@ -176,6 +176,23 @@ def vertical_acceleration(fit):
 
 
 @as_written
+def after_vertex(fit):
+    """Time of the latest sample after the vertex of the parabola fitted to y [s], before it negative.
+
+    NaN where `mean_speed` is, and where the parabola has no maximum.
+    """
+    if np.isnan(mean_speed(fit)):
+        return np.nan
+    m, w2, skew, level, q2 = _polynomials(fit)
+    wv, qv = _projections(m, skew, level, fit.v, fit.uv, fit.u2v)
+    curvature = qv / q2
+    if not curvature < 0.0:
+        return np.nan
+    slope = wv / w2 - curvature * skew  # of y at w = 0
+    return fit.latest - CENTRE - m + slope / (2.0 * curvature)
+
+
+@as_written
 def _polynomials(fit):
     """mean(u), Σ w², skew, level and Σ q², as in `fitted_apex`."""
     m = fit.u / fit.samples

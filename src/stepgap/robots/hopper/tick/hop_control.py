@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import degrees, inf, nan
+from math import degrees, inf, nan, tau
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigFault, Torques
 from stepgap.robots.hopper.model.dynamics import masses_of
 from stepgap.robots.hopper.model.joint_control import joint_law
+from stepgap.robots.hopper.model.leg import foot, four_bar, leg_of
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.tick.hop_state import Apex, HopState, TickSettings
 from stepgap.robots.hopper.tick.hop_tick import interrupted_hop, tick
@@ -214,6 +215,19 @@ class HopperControl(RobotControl):
             "contact": f"{reading.contact_force:+.1f} N",
             "wanted": f"{tick['asked_1']:+.2f}, {tick['asked_2']:+.2f} N·m",
             "beyond": (beyond.name or "nothing").lower().replace("_", " ").replace("|", ", ") if beyond else "nothing",
+        }
+
+    def travels(self, rig: Rig, tick: Mapping[str, float]) -> dict[str, float]:
+        """Travel of the hip by the boom's encoders, and by the leg over its foot on the ground [m]."""
+        sensors, leg = hopper_sensors(rig.sensor_model), leg_of(self.robot)
+        if tick["contact_force"] <= sensors.touchdown_force:
+            return {}
+        toe = foot(leg, four_bar(leg, tick["alpha_2"]), tick["alpha_1"])
+        return {
+            "forward by yaw": sensors.boom_length * tau * tick["boom_horizontal"] / sensors.boom_counts_horizontal,
+            "forward by leg": -toe.x,
+            "upward by pitch": tick["measured_height"],
+            "upward by leg": -toe.y,
         }
 
     def _new_control(self, rig: Rig) -> HopControl:

@@ -54,7 +54,7 @@ def hop_tick(settings, state, inputs):
     hop, phase = _update_hop(hop, state.phase, phase, state.mode, inputs)
     asked = wanted_torque(settings.law, phase, motion, flight, hop, inputs)
     requested = (0.0, 0.0) if inputs.mode == Mode.LIMP else asked  # a limp robot only logs what the law asks for
-    sensors, doubts = judge_sensors(settings, state, sampled, phase, motion, body, inputs)
+    sensors, doubts = judge_sensors(settings, state, sampled, phase, motion, body, flight, inputs)
     load, overload = add_load(
         settings.limits, settings.sensor_model.tick, state.load, motion, inputs.applied_1, inputs.applied_2
     )

@@ -12,7 +12,18 @@ import numpy as np
 
 from stepgap.base.compiled import as_written
 from stepgap.plants.tick_control import Mode
-from stepgap.robots.hopper.tick.encoder_track import NO_JUMP, STILL_COUNTS, EncoderTrack, may_rest, with_angle
+from stepgap.robots.hopper.tick.closures import FOOT_SHARE, Closures, judge_closures
+from stepgap.robots.hopper.tick.encoder_track import (
+    JITTER_SHARE,
+    NO_JUMP,
+    STILL_COUNTS,
+    Counts,
+    EncoderTrack,
+    is_noisy,
+    may_rest,
+    with_angle,
+    with_count,
+)
 from stepgap.robots.hopper.tick.estimator import vertical_acceleration
 from stepgap.robots.hopper.tick.phases import Phase
 from stepgap.robots.hopper.tick.safety import Limited
@@ -33,11 +44,8 @@ The largest change, also of links that stop, was 0.025 rad. So a jump of 2.3° a
 the reading that contains it.
 """
 
-JITTER_SHARE, JITTER_CHANGE = 1.5, 2.0
-"""Largest jump and change that are seen where a reading is taken a tick too late, in movements per tick.
-
-A link that moves by v in each tick then seems to move by v, 0, 2 v.
-"""
+JITTER_CHANGE = 2.0
+"""Largest change that is seen where a reading is taken a tick too late, in movements per tick; see `JITTER_SHARE`."""
 
 LIGHT_LINK = 8e-4
 """Smallest inertia of a top link with its part of the bottom link [kg·m²]: how far a change of torque moves it.
@@ -65,6 +73,7 @@ SWEEP = 0.012
 
 _FROZEN, _JUMPED = int(Limited.MOTOR_1_FROZEN), int(Limited.MOTOR_1_JUMPED)
 _YAW_AGAINST_LEG = int(Limited.YAW_AGAINST_LEG)
+_YAW_NOISY, _PITCH_NOISY = int(Limited.YAW_NOISY), int(Limited.PITCH_NOISY)
 _CONTACT_IN_AIR, _GROUND_WITHOUT_CONTACT, _FOOT_BELOW_GROUND = (
     int(reason) for reason in (Limited.CONTACT_IN_AIR, Limited.GROUND_WITHOUT_CONTACT, Limited.FOOT_BELOW_GROUND)
 )
@@ -79,6 +88,8 @@ class SensorWatch(NamedTuple):
         yaw_there: Yaw at touchdown [rad]; NaN after it has moved in this stance, and in flight.
         foot_there: Forward distance of the foot from the hip at touchdown [m].
         low: Time for which the foot has been at the ground without contact force [s].
+        yaw_counts, pitch_counts: Counts of the boom's encoders.
+        closures: Yaw and pitch compared with the leg and the flight.
     """
 
     motor_1: EncoderTrack = EncoderTrack()
@@ -89,10 +100,13 @@ class SensorWatch(NamedTuple):
     yaw_there: float = np.nan
     foot_there: float = 0.0
     low: float = 0.0
+    yaw_counts: Counts = Counts()
+    pitch_counts: Counts = Counts()
+    closures: Closures = Closures()
 
 
 @as_written
-def judge_sensors(settings, state, sampled, phase, motion, body, inputs):
+def judge_sensors(settings, state, sampled, phase, motion, body, flight, inputs):
     """Returns `SensorWatch` after this tick, and the reasons to doubt a sensor, as the number of a `Limited`.
 
     Args:
@@ -102,23 +116,30 @@ def judge_sensors(settings, state, sampled, phase, motion, body, inputs):
         phase: Number of the phase of this tick.
         motion: `JointMotion` of this tick.
         body: `Body` of this tick.
+        flight: `FlightState` of this tick.
         inputs: `TickInputs`.
     """
     contact = int(inputs.contact_force > settings.sensor_model.touchdown_force)
-    motor_1, motor_2, yaw, pitch, doubts = _judge_encoders(settings, state, sampled, contact, phase, body, inputs)
+    motor_1, motor_2, yaw, pitch, yaw_counts, pitch_counts, doubts = _judge_encoders(
+        settings, state, sampled, contact, phase, body, inputs
+    )
     yaw_there, foot_there, slid = _judge_stance(settings, state, contact, phase, body)
     low, misplaced = _judge_foot(settings.limits, state, sampled, contact, phase, motion.hip_height + body.foot_y)
+    force = inputs.contact_force if contact and _is_stance(phase) else 0.0
+    closures, unclosed = judge_closures(settings.limits, state, flight, sampled, force, phase, motion, body)
     if inputs.mode == Mode.STEP:
         doubts |= slid | misplaced
+        if settings.limits.frozen_time < np.inf:
+            doubts |= unclosed
     return SensorWatch(
         motor_1=motor_1, motor_2=motor_2, yaw=yaw, pitch=pitch, contact=contact, yaw_there=yaw_there,
-        foot_there=foot_there, low=low,
+        foot_there=foot_there, low=low, yaw_counts=yaw_counts, pitch_counts=pitch_counts, closures=closures,
     ), doubts  # fmt: skip
 
 
 @as_written
 def _judge_encoders(settings, state, sampled, contact, phase, body, inputs):
-    """Tracks of the four encoders, and the reasons to doubt one of them."""
+    """Tracks of the four encoders, counts of yaw and pitch, and the reasons to doubt one of them."""
     watch, model, limits = state.sensors, settings.sensor_model, settings.limits
     tick, motor = model.tick, _TURN / model.motor_counts
     yaw_count, pitch_count = _TURN / model.boom_counts_horizontal, _TURN / model.boom_counts_vertical
@@ -136,7 +157,14 @@ def _judge_encoders(settings, state, sampled, contact, phase, body, inputs):
     doubts |= _doubts(limits, motor_2, jump_2, jump_1, tick, motor, limits.frozen_time) << 1
     doubts |= _doubts(limits, yaw, jump_3, NO_JUMP, tick, yaw_count, limits.frozen_time) << 2
     doubts |= _doubts(limits, pitch, jump_4, NO_JUMP, tick, pitch_count, PITCH_STILL * limits.frozen_time) << 3
-    return motor_1, motor_2, yaw, pitch, doubts
+    yaw_counts, pitch_counts = watch.yaw_counts, watch.pitch_counts
+    if sampled > state.sampled:
+        yaw_counts = with_count(yaw_counts, tick, yaw_count, inputs.boom_horizontal, yaw, jump_3)
+        pitch_counts = with_count(pitch_counts, tick, pitch_count, inputs.boom_vertical, pitch, jump_4)
+    if limits.jump_angle < np.inf:
+        doubts |= _YAW_NOISY if is_noisy(yaw_counts, limits.sample_jitter) else 0
+        doubts |= _PITCH_NOISY if is_noisy(pitch_counts, limits.sample_jitter) else 0
+    return motor_1, motor_2, yaw, pitch, yaw_counts, pitch_counts, doubts
 
 
 @as_written
@@ -195,7 +223,7 @@ def _judge_foot(limits, state, sampled, contact, phase, height):
 
     Takes the height of the foot [m], which follows from the leg and the pitch of the boom.
     """
-    without = not contact and _in_flight(state, phase) and height < limits.ground_height
+    without = not contact and _in_flight(state, phase) and height < FOOT_SHARE * limits.ground_height
     low, doubts = state.sensors.low + (sampled - state.sampled) if without else 0.0, 0
     if low > NO_CONTACT * limits.frozen_time and not _rises(state, phase):
         doubts |= _GROUND_WITHOUT_CONTACT

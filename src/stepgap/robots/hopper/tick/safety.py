@@ -41,6 +41,10 @@ class Limited(IntFlag):
     FOOT_BELOW_GROUND = 1 << 23
     OVERLOAD = 1 << 24
     POWER = 1 << 25
+    YAW_NOISY = 1 << 26
+    PITCH_NOISY = 1 << 27
+    PITCH_AGAINST_LEG = 1 << 28
+    PITCH_AGAINST_FLIGHT = 1 << 29
 
     @property
     def stops(self) -> bool:
@@ -59,7 +63,9 @@ Nor is a doubtful sensor. Where an angle or a height beyond its limit is itself 
 brake is harmless: its torque is limited, and it is released if the speed grows.
 """
 
-DOUBTS = Limited(sum(reason for reason in Limited if Limited.MOTOR_1_FROZEN <= reason <= Limited.FOOT_BELOW_GROUND))
+DOUBTS = Limited(sum(reason for reason in Limited if reason >= Limited.MOTOR_1_FROZEN)) & ~(
+    Limited.OVERLOAD | Limited.POWER
+)
 """Reasons to doubt a sensor, which `plausibility` finds."""
 
 BRAKE_GROWTH = 10.0
