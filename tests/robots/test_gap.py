@@ -16,7 +16,7 @@ from stepgap.robots.mjcf.mjcf_gap import MjcfGap
 class Windy(RealityGap):
     """A twin in the wind."""
 
-    wind: float = difference(0.0, none=0.0, drawn=SHARE, whole=2.0)
+    wind: float = difference(0.0, exact=0.0, drawn=SHARE, whole=2.0)
     """Speed of the wind against the robot [m/s]."""
 
 
@@ -24,7 +24,7 @@ class Windy(RealityGap):
 class Deflated(MjcfGap):
     """A robot with soft tyres."""
 
-    tyre_stiffness: float = difference(3e5, POSITIVE, none=inf, drawn=Drawn(2e5, 4e5))
+    tyre_stiffness: float = difference(3e5, POSITIVE, exact=inf, drawn=Drawn(2e5, 4e5))
     """Stiffness of a tyre
     [N/m]."""
 
@@ -55,7 +55,7 @@ def test_what_is_drawn_has_a_value_without_gap_and_every_difference_a_meaning(
     kind: type[RealityGap | MjcfGap],
 ) -> None:
     for name, known in differences(kind).items():
-        assert known.none is not None or not known.drawn, name
+        assert known.exact is not None or not known.drawn, name
         assert meanings(kind)[name], name
 
 

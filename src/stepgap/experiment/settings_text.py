@@ -35,8 +35,8 @@ def meanings(settings: type) -> Mapping[str, str]:
         text = parse_from_object(kind, style) if issubclass(kind, Gap) else parse(kind.__doc__ or "", style)
         found |= {entry.arg_name: " ".join((entry.description or "").split()) for entry in text.params}
     for name, known in differences(settings).items() if issubclass(settings, Gap) else ():
-        if name in found and known.none is not None:
-            found[name] += f" No gap: {format_value(known.none)}."
+        if name in found and known.exact is not None:
+            found[name] += f" No gap: {format_value(known.exact)}."
     return found
 
 

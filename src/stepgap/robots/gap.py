@@ -55,31 +55,31 @@ class Difference:
     """What is known of a difference beside its default.
 
     Attributes:
-        none: Value without gap; None if the value is no difference by itself.
+        exact: Value with which the simulated robot is exactly its model; None if the value is no difference by itself.
         rules: Conditions on the value.
         drawn: Range of the number that random robots draw; None if they have the default.
         whole: Value of which the number is a share, where it is a share.
     """
 
-    none: float | None
+    exact: float | None
     rules: tuple[Rule, ...]
     drawn: Drawn | None
     whole: float
 
 
 def difference(
-    default: float, *rules: Rule, none: float | None = None, drawn: Drawn | None = None, whole: float | None = None
+    default: float, *rules: Rule, exact: float | None = None, drawn: Drawn | None = None, whole: float | None = None
 ) -> Any:
     """Declares a difference as a field of a `Gap`; the docstring below the field is its meaning, with its unit.
 
     Args:
         default: Value of the default robot.
-        rules: As of `Difference`; without any, every finite number is valid, and infinity where it is `none`.
-        none: As of `Difference`.
+        rules: As of `Difference`; without any, every finite number is valid, and infinity where it is `exact`.
+        exact: As of `Difference`.
         drawn: As of `Difference`.
         whole: As of `Difference`; by default the default.
     """
-    known = Difference(none, rules, drawn, default if whole is None else whole)
+    known = Difference(exact, rules, drawn, default if whole is None else whole)
     return field(default=default, metadata={Difference: known})
 
 
@@ -100,14 +100,14 @@ class Gap:
         for name, known in differences(self).items():
             value = getattr(self, name)
             require(not isnan(value), name, value, "be a number")
-            require(isfinite(value) or known.none == value == inf, name, value, "be finite")
+            require(isfinite(value) or known.exact == value == inf, name, value, "be finite")
             for rule in known.rules:
                 require(rule.holds(value), name, value, rule.text)
 
     @classmethod
     def none(cls) -> Self:
-        """No difference: the simulated robot is its model."""
-        return cls(**{name: known.none for name, known in differences(cls).items() if known.none is not None})
+        """All differences at their exact values: the simulated robot is its model."""
+        return cls(**{name: known.exact for name, known in differences(cls).items() if known.exact is not None})
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> dict[str, float]:

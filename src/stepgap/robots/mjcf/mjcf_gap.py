@@ -18,41 +18,41 @@ from stepgap.robots.gap import NOT_NEGATIVE, POSITIVE, Drawn, Gap, difference, w
 class MjcfGap(Gap):
     """Differences of the simulated robot from its model; SI units."""
 
-    mass_scale: float = difference(1.06, POSITIVE, none=1.0, drawn=Drawn(0.9, 1.15))
+    mass_scale: float = difference(1.06, POSITIVE, exact=1.0, drawn=Drawn(0.9, 1.15))
     """Factor on all masses and inertias."""
 
-    payload: float = difference(0.0, NOT_NEGATIVE, none=0.0)
+    payload: float = difference(0.0, NOT_NEGATIVE, exact=0.0)
     """Mass added to the first body [kg]."""
 
-    friction_scale: float = difference(0.8, POSITIVE, none=1.0, drawn=Drawn(0.6, 1.2))
+    friction_scale: float = difference(0.8, POSITIVE, exact=1.0, drawn=Drawn(0.6, 1.2))
     """Factor on the sliding friction of all geoms."""
 
-    damping_scale: float = difference(1.5, POSITIVE, none=1.0, drawn=Drawn(0.7, 2.0))
+    damping_scale: float = difference(1.5, POSITIVE, exact=1.0, drawn=Drawn(0.7, 2.0))
     """Factor on the damping of all joints with actuators."""
 
-    joint_friction: float = difference(0.0, NOT_NEGATIVE, none=0.0)
+    joint_friction: float = difference(0.0, NOT_NEGATIVE, exact=0.0)
     """Dry friction added to all joints with actuators [N·m or N]."""
 
-    gear_scale: float = difference(0.93, POSITIVE, none=1.0, drawn=Drawn(0.85, 1.05))
+    gear_scale: float = difference(0.93, POSITIVE, exact=1.0, drawn=Drawn(0.85, 1.05))
     """Factor on the forces of all actuators."""
 
-    slope: float = difference(0.0, within(0.5, "lie between -0.5 and 0.5"), none=0.0, drawn=Drawn(-0.01, 0.01))
+    slope: float = difference(0.0, within(0.5, "lie between -0.5 and 0.5"), exact=0.0, drawn=Drawn(-0.01, 0.01))
     """Slope of the ground in the direction of x, uphill positive [rad]."""
 
-    delay: float = difference(0.002, NOT_NEGATIVE, none=0.0, drawn=Drawn(0.0, 0.004))
+    delay: float = difference(0.002, NOT_NEGATIVE, exact=0.0, drawn=Drawn(0.0, 0.004))
     """Time by which control signals come later [s]; rounded to ticks."""
 
-    ground_softness: float = difference(1.0, POSITIVE, none=1.0)
+    ground_softness: float = difference(1.0, POSITIVE, exact=1.0)
     """Factor on the static sinkage of all contacts, as far as their impedance (solimp) does not vary with it; their
     damping ratio stays."""
 
-    motor_lag: float = difference(0.0, NOT_NEGATIVE, none=0.0)
+    motor_lag: float = difference(0.0, NOT_NEGATIVE, exact=0.0)
     """Time constant of the first-order lag of all control signals [s]."""
 
-    state_noise: float = difference(0.005, NOT_NEGATIVE, none=0.0)
+    state_noise: float = difference(0.005, NOT_NEGATIVE, exact=0.0)
     """Standard deviation of the noise of measured states, in half ranges of use."""
 
-    force_noise: float = difference(0.01, NOT_NEGATIVE, none=0.0)
+    force_noise: float = difference(0.01, NOT_NEGATIVE, exact=0.0)
     """Standard deviation of the noise of each control signal, relative to the signal."""
 
     @classmethod

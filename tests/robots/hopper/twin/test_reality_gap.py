@@ -19,7 +19,7 @@ def test_every_field_is_a_difference():
 def test_no_gap_differs_from_a_real_machine_in_every_field_that_matters():
     none, real = RealityGap.none(), RealityGap()
     same = {name for name in differences(none) if getattr(none, name) == getattr(real, name)}
-    kept = {name for name, known in differences(none).items() if known.none is None}
+    kept = {name for name, known in differences(none).items() if known.exact is None}
     of_other_twins = {name for name, known in KNOWN.items() if known.whole != getattr(real, name)}
     assert same == kept | of_other_twins
 
@@ -34,7 +34,7 @@ def test_refuses_a_value_that_is_not_a_number_and_names_it(name: str, value: flo
 @pytest.mark.parametrize("name", NUMBERS)
 def test_accepts_infinity_only_where_it_means_rigid_exact_or_unlimited(name: str):
     plane = replace(RealityGap(), boom_arc=False)
-    if KNOWN[name].none == inf:
+    if KNOWN[name].exact == inf:
         replace(plane, **{name: inf})
     else:
         with pytest.raises(ValueError, match=name):

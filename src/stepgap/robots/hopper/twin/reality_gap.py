@@ -37,23 +37,23 @@ class RealityGap(Gap):
         ValueError: A value is out of its range, or the foot would have to scrub on the arc but cannot slip.
     """
 
-    body_mass_scale: float = difference(1.03, POSITIVE, none=1.0, drawn=EITHER_SIGN)
+    body_mass_scale: float = difference(1.03, POSITIVE, exact=1.0, drawn=EITHER_SIGN)
     """Factor on the body mass M."""
 
-    leg_mass_scale: float = difference(1.05, POSITIVE, none=1.0, drawn=EITHER_SIGN)
+    leg_mass_scale: float = difference(1.05, POSITIVE, exact=1.0, drawn=EITHER_SIGN)
     """Factor on the link masses m₁, m₂."""
 
-    leg_inertia_scale: float = difference(1.1, POSITIVE, none=1.0, drawn=EITHER_SIGN)
+    leg_inertia_scale: float = difference(1.1, POSITIVE, exact=1.0, drawn=EITHER_SIGN)
     """Factor on the link inertias I₁, I₂."""
 
-    body_com_offset: float = difference(0.01, none=0.0, drawn=EITHER_SIGN)
+    body_com_offset: float = difference(0.01, exact=0.0, drawn=EITHER_SIGN)
     """Body's centre of mass ahead of the hip [m]. The body cannot turn against the boom, so this acts only through the
     boom's rotation: not at all in the plane, slightly on the arc."""
 
-    boom_inertia_scale: float = difference(1.74, POSITIVE, none=1.0, drawn=SHARE)
+    boom_inertia_scale: float = difference(1.74, POSITIVE, exact=1.0, drawn=SHARE)
     """Factor on the boom inertias I_x, I_z."""
 
-    boom_arc: bool = difference(True, none=False)
+    boom_arc: bool = difference(True, exact=False)
     """The hip moves on a sphere about the boom's pivot and the leg tilts with the boom, so that the foot scrubs
     sideways, for which `ground_friction` must be finite; with false it moves in a plane."""
 
@@ -61,101 +61,101 @@ class RealityGap(Gap):
     """Height of the boom's pivot above the mean ground [m]. Known to the controller; in the plane it only converts
     between height and pitch counts."""
 
-    boom_stiffness: float = difference(2e4, POSITIVE, none=inf, drawn=SHARE)
+    boom_stiffness: float = difference(2e4, POSITIVE, exact=inf, drawn=SHARE)
     """Stiffness of the boom's tip against its root, vertically and horizontally [N/m]. The encoders sit at the root and
     do not see the deflection, at an apex some 0.5 mm."""
 
     boom_damping_ratio: float = difference(0.1, NOT_NEGATIVE)
     """Damping ratio of that deflection with the carried mass; no effect on a rigid boom."""
 
-    boom_friction: float = difference(0.209, NOT_NEGATIVE, none=0.0, drawn=SHARE)
+    boom_friction: float = difference(0.209, NOT_NEGATIVE, exact=0.0, drawn=SHARE)
     """Coulomb friction of the boom's horizontal bearing, at the tip [N]."""
 
-    boom_drag: float = difference(0.0, NOT_NEGATIVE, none=0.0, drawn=SHARE, whole=0.2)
+    boom_drag: float = difference(0.0, NOT_NEGATIVE, exact=0.0, drawn=SHARE, whole=0.2)
     """Viscous friction there, bearing and air, at the tip [N·s/m]."""
 
-    boom_tilt: float = difference(0.002, STEEP, none=0.0, drawn=EITHER_SIGN)
+    boom_tilt: float = difference(0.002, STEEP, exact=0.0, drawn=EITHER_SIGN)
     """Tilt of the boom's vertical axis from the vertical [rad]: on the arc, gravity accelerates the carried mass
     forward by g sin(tilt) sin ψ at yaw ψ; no effect in the plane."""
 
-    ground_stiffness: float = difference(5e4, POSITIVE, none=inf, drawn=SHARE)
+    ground_stiffness: float = difference(5e4, POSITIVE, exact=inf, drawn=SHARE)
     """Load per penetration [N/m]; with inf the impact is inelastic."""
 
     ground_damping_ratio: float = difference(0.1, NOT_NEGATIVE)
     """Damping ratio of the robot's whole mass on that ground; no effect on rigid ground."""
 
-    ground_friction: float = difference(0.363, POSITIVE, none=inf, drawn=Drawn(0.4, 1.2))
+    ground_friction: float = difference(0.363, POSITIVE, exact=inf, drawn=Drawn(0.4, 1.2))
     """Coulomb coefficient; with inf the foot never slips. With `boom_arc` inf is refused: it would lock the boom's
     pitch in stance, because the foot could not scrub."""
 
-    ground_roughness: float = difference(6e-4, NOT_NEGATIVE, none=0.0, drawn=SHARE)
+    ground_roughness: float = difference(6e-4, NOT_NEGATIVE, exact=0.0, drawn=SHARE)
     """Standard deviation of a smooth random height profile around the circle [m]."""
 
-    ground_slope: float = difference(0.0, STEEP, none=0.0, drawn=EITHER_SIGN, whole=3e-4)
+    ground_slope: float = difference(0.0, STEEP, exact=0.0, drawn=EITHER_SIGN, whole=3e-4)
     """Tilt of the floor under the boom [rad]: height R tan(slope) sin ψ at yaw ψ. Slope and roughness change the height
     alone; the contact's normal stays vertical."""
 
-    joint_friction: float = difference(0.03, NOT_NEGATIVE, none=0.0, drawn=SHARE)
+    joint_friction: float = difference(0.03, NOT_NEGATIVE, exact=0.0, drawn=SHARE)
     """Coulomb friction in each of the four leg joints [N·m]."""
 
-    joint_damping: float = difference(0.002, NOT_NEGATIVE, none=0.0, drawn=SHARE)
+    joint_damping: float = difference(0.002, NOT_NEGATIVE, exact=0.0, drawn=SHARE)
     """Viscous friction in each of the four leg joints [N·m·s/rad]."""
 
-    rotor_inertia: float = difference(3e-4, NOT_NEGATIVE, none=0.0, drawn=SHARE)
+    rotor_inertia: float = difference(3e-4, NOT_NEGATIVE, exact=0.0, drawn=SHARE)
     """Inertia of each motor's rotor [kg·m²]. A hollow 92 mm rotor of 0.2–0.3 kg, as of a T-motor U10 Plus, has about
     2e-4 to 4e-4."""
 
-    torque_scale: float = difference(0.687, POSITIVE, none=1.0, drawn=SHARE)
+    torque_scale: float = difference(0.687, POSITIVE, exact=1.0, drawn=SHARE)
     """Torque delivered per torque applied."""
 
-    torque_imbalance: float = difference(0.0, within(1, "lie within ±1"), none=0.0, drawn=EITHER_SIGN, whole=0.01)
+    torque_imbalance: float = difference(0.0, within(1, "lie within ±1"), exact=0.0, drawn=EITHER_SIGN, whole=0.01)
     """Motor 1 delivers `torque_scale` × (1 + this), motor 2 × (1 − this)."""
 
-    torque_saturation: float = difference(43.3, POSITIVE, none=inf, drawn=SHARE)
+    torque_saturation: float = difference(43.3, POSITIVE, exact=inf, drawn=SHARE)
     """Torque T [N·m] at which a motor's iron saturates: a command τ gives T tanh(τ/T) before the scale. The drive does
     not report it."""
 
-    torque_noise: float = difference(0.018, NOT_NEGATIVE, none=0.0, drawn=SHARE)
+    torque_noise: float = difference(0.018, NOT_NEGATIVE, exact=0.0, drawn=SHARE)
     """Standard deviation of the torque noise of each motor [N·m]."""
 
-    torque_noise_time: float = difference(0.1, NOT_NEGATIVE, none=0.0)
+    torque_noise_time: float = difference(0.1, NOT_NEGATIVE, exact=0.0)
     """Correlation time of that noise [s]; with 0 the noise of every tick is independent."""
 
-    torque_lag: float = difference(1.5e-3, NOT_NEGATIVE, none=0.0, drawn=SHARE)
+    torque_lag: float = difference(1.5e-3, NOT_NEGATIVE, exact=0.0, drawn=SHARE)
     """Time constant of the current loop, a first-order lag [s]."""
 
-    torque_limit: float = difference(38.0, POSITIVE, none=inf)
+    torque_limit: float = difference(38.0, POSITIVE, exact=inf)
     """Largest torque of the drives [N·m], in addition to the robot's own limit."""
 
     delay: float = difference(
         1e-3,
         NOT_NEGATIVE,
         Rule(lambda time: time <= LONGEST_DELAY, f"be at most {LONGEST_DELAY:g} s"),
-        none=0.0,
+        exact=0.0,
         drawn=SHARE,
     )
     """Time from writing a torque to its start in the drive [s], rounded to an integer number of physics steps; at most
     1 s."""
 
-    motor_offset_1: float = difference(-0.0052, none=0.0, drawn=EITHER_SIGN)
+    motor_offset_1: float = difference(-0.0052, exact=0.0, drawn=EITHER_SIGN)
     """Offset of motor encoder 1, reading minus true angle [rad]."""
 
-    motor_offset_2: float = difference(-0.0052, none=0.0, drawn=EITHER_SIGN)
+    motor_offset_2: float = difference(-0.0052, exact=0.0, drawn=EITHER_SIGN)
     """Offset of motor encoder 2, reading minus true angle [rad]."""
 
-    motor_counts: float = difference(16384.0, POSITIVE, none=inf)
+    motor_counts: float = difference(16384.0, POSITIVE, exact=inf)
     """Counts per turn of the motor encoders; inf is exact."""
 
-    boom_counts_horizontal: float = difference(5000.0, POSITIVE, none=inf)
+    boom_counts_horizontal: float = difference(5000.0, POSITIVE, exact=inf)
     """Counts per turn of the yaw encoder; inf is exact."""
 
-    boom_counts_vertical: float = difference(16384.0, POSITIVE, none=inf)
+    boom_counts_vertical: float = difference(16384.0, POSITIVE, exact=inf)
     """Counts per turn of the pitch encoder; inf is exact."""
 
-    touchdown_force: float = difference(5.0, NOT_NEGATIVE, none=0.0)
+    touchdown_force: float = difference(5.0, NOT_NEGATIVE, exact=0.0)
     """Contact force that counts as touchdown [N]; changes the sensor model, not the motion."""
 
-    takeoff_length: float = difference(0.273, POSITIVE, none=inf)
+    takeoff_length: float = difference(0.273, POSITIVE, exact=inf)
     """Leg length that counts as take-off [m]; changes the sensor model, not the motion. With inf only the contact force
     decides."""
 
@@ -188,6 +188,6 @@ class RealityGap(Gap):
         values = {}
         for name, share in wanted.items():
             known = differences(cls)[name]
-            none, whole = float(known.none or 0.0), known.whole
+            none, whole = float(known.exact or 0.0), known.whole
             values[name] = whole / max(share, 1e-3) if isinf(none) else none + share * (whole - none)
         return cls(**values)
