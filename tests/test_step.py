@@ -33,10 +33,8 @@ def test_commands_of_all_points_are_within_the_bounds() -> None:
 
 
 def test_scaled_states_are_one_at_the_ends_of_their_ranges() -> None:
-    upper = [quantity.upper for quantity in SPACE.state]
-    np.testing.assert_allclose(
-        SPACE.scaled_state(np.array([SPACE.state_lower, SPACE.state_centre, upper]))[:, 0], [-1, 0, 1]
-    )
+    states = np.array([SPACE.state_lower, SPACE.state_centre, SPACE.state_upper])
+    np.testing.assert_allclose(SPACE.scaled_state(states)[:, 0], [-1, 0, 1])
 
 
 def test_a_scaled_jacobian_is_the_derivative_of_the_scaled_state_by_the_point() -> None:

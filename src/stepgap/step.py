@@ -219,6 +219,11 @@ class StepSpace:
         return _read_only(quantity.lower for quantity in self.state)
 
     @cached_property
+    def state_upper(self) -> Array:
+        """Upper ends of the ranges of use of the state coordinates; shape (n,)."""
+        return _read_only(quantity.upper for quantity in self.state)
+
+    @cached_property
     def command_scale(self) -> Array:
         """Half the range of each command coordinate; shape (m,)."""
         return _read_only((quantity.upper - quantity.lower) / 2 for quantity in self.command)

@@ -76,24 +76,61 @@ def test_a_robot_with_equations_runs_and_its_tests_pass(stepgap: Command, monkey
     subprocess.run(command, check=True, env={"PYTHONPATH": "juggler", "PATH": ""})
 
 
-def test_a_robot_from_mujoco_has_a_step_and_one_from_a_model_has_its_parts(
-    stepgap: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_robot_from_mujoco_has_a_step(stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     from stepgap.robots.entry_points import load_robot
 
     assert stepgap("new", "springy", "--mujoco").code == 0
     robot = load_robot(installed(Path("springy").resolve(), monkeypatch))
     simulator = robot.nominal_maps()["simulator"]()
     assert np.isfinite(simulator([0.4, 0.62], [0.05, 0.0])).all()
-    code = Path("springy/springy.py").read_text()
-    model = code[code.index("<mujoco>") : code.index("</mujoco>") + 9]
-    Path("mine.xml").write_text(model)
-    assert stepgap("new", "own", "--mjcf", "mine.xml").code == 0
-    assert Path("own/model.xml").read_text() == model
-    assert "JOINTS = ['x', 'z', 'hip', 'spring']" in Path("own/own.py").read_text()
-    own = load_robot(installed(Path("own").resolve(), monkeypatch))
-    again = own.nominal_maps()["simulator"]()
-    assert again([0.4, 0.62], [0.05, 0.0]).tolist() == simulator([0.4, 0.62], [0.05, 0.0]).tolist()
+
+
+HOPPING = """
+<mujoco>
+  <compiler meshdir="meshes"/>
+  <include file="floor.xml"/>
+  <asset><mesh file="hull.obj" scale="0.1 0.1 0.1"/></asset>
+  <worldbody>
+    <body name="trunk" pos="0 0 0.3">
+      <freejoint/>
+      <geom type="mesh" mesh="hull" mass="5" contype="0" conaffinity="0"/>
+      <geom size="0.2" solref="-50000 0"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="push" joint="x"/></actuator>
+</mujoco>
+"""
+
+
+def test_a_robot_from_a_model_has_its_parts_and_its_files(stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    from stepgap.robots.entry_points import load_robot
+
+    mine = Path("mine")
+    (mine / "meshes").mkdir(parents=True)
+    hull = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+    (mine / "meshes" / "hull.obj").write_text(hull)
+    floor = '<geom name="floor" type="plane" size="9 9 1"/><body pos="9 0 3"><joint name="x"/><geom size="1"/></body>'
+    (mine / "floor.xml").write_text(f"<mujoco><worldbody>{floor}</worldbody></mujoco>")
+    (mine / "robot.xml").write_text(HOPPING.replace("solref", 'priority="1" solref'))
+    made = stepgap("new", "my_bot", "--mjcf", "mine/robot.xml")
+    assert (made.code, made.out) == (0, "my_bot/README.md\n")
+    assert "stepgap: write the controller in my_bot/my_bot.py first" in made.err
+    mine.rename("gone")
+    Path("my_bot").rename("moved")
+    file = Path("moved/my_bot.py")
+    code = file.read_text()
+    assert "class MyBot(MjcfRobot):" in code
+    assert "JOINTS = ['x', '']" in code
+    assert "'trunk': [2, 3]," in code
+    assert "TOUCHING = [1, 3]" in code
+    Path("moved").rename("my_bot")
+    name = installed(Path("my_bot").resolve(), monkeypatch)
+    result = stepgap("run", "my_bot/experiment.toml", "--out", "out")
+    refused(result, "my_bot/my_bot.py, line", "NotImplementedError: write data.ctrl, in the order of ACTUATORS")
+    monkeypatch.delitem(sys.modules, name)
+    (Path("my_bot") / "my_bot.py").write_text(code.replace("raise NotImplementedError(", "len("))
+    robot = load_robot(name)
+    assert np.isfinite(robot.nominal_maps()["simulator"]()([0.1, 0.3], [0.0])).all()
 
 
 def test_a_wrong_name_in_a_robot_is_one_line_with_its_location(
@@ -228,9 +265,9 @@ def test_a_command_that_did_not_vary_in_the_log_is_named(stepgap: Command) -> No
         (["robot_"], ["robot_: not the name of a new Python module", "no underscore last"]),
         (["_robot"], ["_robot: not the name of a new Python module", "a letter first"]),
         (["x", "--mujoco", "--process"], ["--mujoco and --process: give only one of them"]),
-        (["x", "--mjcf", "none.xml"], ["--mjcf: ", "none.xml: No such file"]),
+        (["x", "--mjcf", "none.xml"], ["--mjcf none.xml: No such file", "give a MuJoCo model"]),
         (["x", "--mjcf", "wrong.xml"], ["--mjcf wrong.xml: "]),
-        (["x", "--mjcf", "/dev/zero"], ["--mjcf: /dev/zero: larger than 16777216 bytes"]),
+        (["x", "--mjcf", "/dev/zero"], ["--mjcf /dev/zero: larger than 16777216 bytes"]),
         (["x", "--from", "none"], ["--from: ", "none: No such file", "give a run or its steps.csv"]),
         (["x", "--from", "wrong.xml"], ["--from: ", "name its columns"]),
         (["x", "--from", "log.csv"], ["log.csv, line 1: not the header of a step log", "name its columns"]),

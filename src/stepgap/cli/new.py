@@ -1,21 +1,19 @@
 """The verb `stepgap new`: a folder with a robot that runs at once, to be changed into one's own."""
 
 import json
-import keyword
 import re
 import sys
-from importlib.resources import files
-from importlib.util import find_spec
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from stepgap.base.errors import InputError, message_of
-from stepgap.base.files import create, new_folder, read_bounded_text
+from stepgap.base.files import create, new_folder
 from stepgap.base.output_files import EXISTING_IS_COMPLETE, writing
 from stepgap.base.plugins import load_plugin
+from stepgap.cli.new_package import EQUATIONS, MJCF, MUJOCO, check_package_name, starter_text, write_package
 from stepgap.cli.options import NO_COLUMNS, ColumnNames, Flag
 from stepgap.cli.terminal import warn
 
@@ -26,31 +24,8 @@ if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.step import Array, Quantity, StepSpace
 
 
-class Starter(NamedTuple):
-    """A robot in Python that a folder begins with.
-
-    Attributes:
-        file: Its file among the starters.
-        class_name: Name of its class.
-        kind: Name of its nominal map.
-        what: What a user replaces, for the README.
-    """
-
-    file: str
-    class_name: str
-    kind: str
-    what: str
-
-
 IMPORTERS = "stepgap.importers"
 """Entry points of this group read the steps of logs of other programs."""
-
-LARGEST_MJCF = 2**24
-"""Largest MuJoCo model that is copied [bytes]."""
-EQUATIONS = Starter("equations.py.txt", "BallRobot", "equations", "equations")
-MUJOCO = Starter("mujoco.py.txt", "SpringHopper", "simulator", "model and the controller")
-PACKAGE_NAME = "[A-Za-z]([A-Za-z0-9_]*[A-Za-z0-9])?"
-"""Names that are valid for a module, a project and a key of TOML."""
 PRACTICE = """\
 Until then the robot is for practice only: it jumps to the recorded step that is nearest to state and command, and only
 a part of the errors that these jumps cause can be learned."""
@@ -73,7 +48,8 @@ def new(
     Args:
         folder: New folder; its name is the name of the robot.
         mujoco: A MuJoCo model with a controller, from which the nominal map is computed.
-        mjcf: The same with your model, such as robot.xml; the controller is to be adapted to its joints.
+        mjcf: The same with your model, MJCF or URDF, such as robot.xml. It is copied with all its files and loaded; the
+            controller is to be written.
         process: A program in any language, and a nominal map of a few numbers; nothing is to be installed.
         from_: The same with a nominal map that is fitted to recorded steps: a run, its steps.csv, or a CSV file of any
             origin, if its columns are named.
@@ -93,7 +69,8 @@ def new(
     if process or from_:
         contents = _program(folder.name, _read_log(from_, columns, names) if from_ else None)
     else:
-        contents = _package(folder.name, MUJOCO if mujoco or mjcf else EQUATIONS, mjcf)
+        contents = {}
+        check_package_name(folder.name)
     from stepgap.robots.entry_points import next_commands
 
     with writing(folder, "FOLDER"):
@@ -101,50 +78,14 @@ def new(
         with new_folder(folder) as partial:
             for name, text in contents.items():
                 create(partial / name, text)
+            if not contents:
+                starter = MJCF if mjcf else MUJOCO if mujoco else EQUATIONS
+                write_package(partial, folder.name, starter, mjcf)
     print(folder / "README.md")
     if mjcf:
-        warn(f"adapt the controller in {folder / folder.name}.py to the joints and actuators of {mjcf} first")
+        warn(f"write the controller in {folder / folder.name}.py first, for the joints and actuators of the model")
     for command in next_commands(folder):
         print(f"next: {command}", file=sys.stderr)
-
-
-def _package(name: str, starter: Starter, model: Path | None) -> dict[str, str]:
-    """Files of a package with a robot in Python."""
-    from stepgap.robots.entry_points import robot_names
-
-    valid = re.fullmatch(PACKAGE_NAME, name) and not keyword.iskeyword(name)
-    if not valid or name in robot_names() or find_spec(name):
-        rule = (
-            "letters from a to z, digits and underscores, a letter first and no underscore last, and no installed "
-            "module or known robot has it"
-        )
-        raise InputError(f"{name}: not the name of a new Python module: {rule}; choose another")
-    code = _starter(starter.file).replace(_named(starter), f'    name = "{name}"\n')
-    extra: dict[str, str] = {}
-    if model:
-        extra = {"model.xml": _model_text(model)}
-        begin, end = code.index('MJCF = """'), code.index('"""\n', code.index('MJCF = """') + 12) + 4
-        code = code[:begin] + f'MJCF = Path(__file__).with_name("model.xml")\n{_parts_of(model)}\n' + code[end:]
-        code = code.replace("from_xml_string(MJCF)", "from_xml_path(str(MJCF))")
-        code = code.replace(
-            "from dataclasses import dataclass\n", "from dataclasses import dataclass\nfrom pathlib import Path\n"
-        )
-    values = {
-        "name": name,
-        "package": name.replace("_", "-"),
-        "class": starter.class_name,
-        "kind": starter.kind,
-        "what": starter.what,
-        "model": ', "model.xml"' if model else "",
-    }
-    written = {
-        "pyproject.toml": "pyproject.toml.txt",
-        "experiment.toml": "experiment.toml.txt",
-        f"test_{name}.py": "test_equations.py.txt",
-        "README.md": "README_package.md.txt",
-    }
-    filled = {target: Template(_starter(source)).substitute(values) for target, source in written.items()}
-    return {f"{name}.py": code, **filled, **extra}
 
 
 def _program(name: str, log: "Steps | None") -> dict[str, str]:
@@ -158,46 +99,13 @@ def _program(name: str, log: "Steps | None") -> dict[str, str]:
     values["function"] = "take_step" if log else "hop"
     values["nominal"] = "the nominal map is fitted to `steps.csv`" if log else "`template.toml` is the nominal map"
     values["practice"] = f"\n{PRACTICE}" if log else ""
-    replayed = Template(_starter("replayed.py.txt"))
+    replayed = Template(starter_text("replayed.py.txt"))
     return {
-        "experiment.toml": Template(_starter("process.toml.txt")).substitute(values),
-        "robot.py": replayed.substitute(units=_units(space)) if log else _starter("process.py.txt"),
-        "README.md": Template(_starter("README_process.md.txt")).substitute(values),
-        file: text_of(log) if log else _starter("template.toml.txt"),
+        "experiment.toml": Template(starter_text("process.toml.txt")).substitute(values),
+        "robot.py": replayed.substitute(units=_units(space)) if log else starter_text("process.py.txt"),
+        "README.md": Template(starter_text("README_process.md.txt")).substitute(values),
+        file: text_of(log) if log else starter_text("template.toml.txt"),
     }
-
-
-def _starter(name: str) -> str:
-    return files("stepgap.cli").joinpath("starters", name).read_text("utf-8")
-
-
-def _named(starter: Starter) -> str:
-    """The line of a starter that names its robot."""
-    return next(line for line in _starter(starter.file).splitlines(keepends=True) if line.startswith('    name = "'))
-
-
-def _model_text(model: Path) -> str:
-    try:
-        return read_bounded_text(model, LARGEST_MJCF)
-    except (OSError, ValueError) as error:
-        raise InputError(f"--mjcf: {message_of(error)}; give a MuJoCo model") from None
-
-
-def _parts_of(model: Path) -> str:
-    """Python code of the names of joints, actuators and geoms of a MuJoCo model, as string literals in ASCII."""
-    import mujoco
-
-    try:
-        loaded = mujoco.MjModel.from_xml_path(str(model))  # pyright: ignore[reportAttributeAccessIssue]
-    except ValueError as error:
-        raise InputError(f"--mjcf {model}: {' '.join(str(error).split()):.200}") from None
-    kinds = {
-        "joints": (loaded.njnt, loaded.joint),
-        "actuators": (loaded.nu, loaded.actuator),
-        "geoms": (loaded.ngeom, loaded.geom),
-    }
-    lists = {kind: [get(i).name for i in range(count)] for kind, (count, get) in kinds.items()}
-    return "\n".join(f"{kind.upper()} = {names!a}" for kind, names in lists.items())
 
 
 def _read_log(path: Path, columns: Path | None, names: ColumnNames) -> "Steps":
