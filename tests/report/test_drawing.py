@@ -29,7 +29,7 @@ def test_a_report_needs_no_matplotlib(tmp_path: Path, monkeypatch: pytest.Monkey
     imported = builtins.__import__
 
     def without(name: str, *rest: object, **named: object) -> object:
-        if name.startswith(("matplotlib", "stepgap.report.figures", "stepgap.report.state_figure")):
+        if name.startswith(("matplotlib", "stepgap.report.state_figure")):
             raise ImportError("libfreetype.so.6: cannot open shared object file")
         return imported(name, *rest, **named)  # pyright: ignore[reportArgumentType]
 
