@@ -3,6 +3,7 @@
 import json
 import re
 from base64 import b64decode
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,3 +61,13 @@ def test_a_page_with_a_replay_stands_alone(folder: Path) -> None:
     check_alone(page)
     names = {given.get("id") for _, given in page.tags}
     assert {"replay-canvas", "replay-slider", "replay-play", "replay-deployment", "replay-moment"} <= names
+
+
+def test_the_legend_speaks_of_what_the_robot_has(folder: Path) -> None:
+    run, plain = Run(folder, space=LossyHopper().space), replace(SCENE, feet=(), height="", circle=0.0, signals={})
+    motions = {0: motion(40)}
+    whole, short = (replay_view(run, Replay(motions, scene)) for scene in (SCENE, plain))
+    for words in ("A foot is filled", "Dashed: target height", "Curves: the step", "the bending of the boom"):
+        assert words in whole
+        assert words not in short
+    assert "what they do not contain is not shown." in short

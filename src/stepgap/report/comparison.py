@@ -40,10 +40,9 @@ MOST_RUNS: Final = 12
 COMPARED: Final = {"rmse": "RMSE", "steady_rmse": "steady RMSE", "transient_rmse": "transient RMSE"}
 """Compared errors, with their labels."""
 
-CAPTION: Final = (
-    "Root-mean-square tracking error of each run by deployment, on a logarithmic axis. An aborted deployment is "
-    "counted up to its last completed step."
-)
+CAPTION: Final = "Root-mean-square tracking error of each run by deployment, on a logarithmic axis."
+
+ABORTED: Final = " An aborted deployment is counted up to its last completed step."
 
 TRACKING_CAPTION: Final = (
     "Tracking in the last deployment of each run: the state at the end of each step, and the reference."
@@ -92,7 +91,9 @@ def comparison_html(runs: Sequence[Run]) -> str:
     _check(runs)
     names = run_names([run.folder for run in runs])
 
-    pictures = [picture(draw_figure(lambda: comparison_figure(runs, names), "the errors"), "errors-", CAPTION)]
+    aborted = any(entry.failed_steps for run in runs for entry in run.deployments)
+    caption = CAPTION + ABORTED * aborted
+    pictures = [picture(draw_figure(lambda: comparison_figure(runs, names), "the errors"), "errors-", caption)]
     if same_reference(runs):
         drawing = draw_figure(lambda: comparison_tracking_figure(runs, names), "the tracking")
         pictures.append(picture(drawing, "tracking-", TRACKING_CAPTION))

@@ -62,22 +62,25 @@ def replay_view(run: Run, replay: Replay | Missing) -> str:
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     kept = f'<script type="application/json" id="replay-data">{text}</script>'
     signals = f"{CHARTS}\n" if scene.signals else ""
-    return f'{CONTROLS}\n{signals}<p class="note">{safe(_legend(known, bool(scene.signals)))}</p>\n{kept}'
+    return f'{CONTROLS}\n{signals}<p class="note">{safe(_legend(scene, known))}</p>\n{kept}'
 
 
-def _legend(height: bool, signals: bool) -> str:
-    marks = (
-        " Dashed: target height at the end of the step. Circles: measured heights at the ends of steps; bars: their "
-        "targets."
-    )
-    curves = (
-        f" Curves: the step that is shown, with at most {1 / INTERVAL:g} values per second; short peaks may be missing."
-    )
-    return (
-        "Drag to rotate; the keys ← and → move by one frame. A foot is filled while it touches the ground."
-        f"{marks if height else ''}{curves if signals else ''} The motion was measured by the sensors of the robot; "
-        "motion that they cannot measure, such as the bending of a boom, is not shown."
-    )
+def _legend(scene: Scene, height: bool) -> str:
+    """Sentences on what is drawn of this robot; `height` says whether its height has a target."""
+    parts = ["Drag to rotate; the keys ← and → move by one frame."]
+    if scene.feet:
+        parts.append("A foot is filled while it touches the ground.")
+    if height:
+        parts.append(
+            "Dashed: target height at the end of the step. Circles: measured heights at the ends of steps; bars: their "
+            "targets."
+        )
+    if scene.signals:
+        rate = f"at most {1 / INTERVAL:g} values per second"
+        parts.append(f"Curves: the step that is shown, with {rate}; short peaks may be missing.")
+    bending = ", such as the bending of the boom," if scene.circle else ""
+    parts.append(f"The motion is drawn from the ticks; what they do not contain{bending} is not shown.")
+    return " ".join(parts)
 
 
 def _described(quantity: Quantity) -> list[str | int]:
