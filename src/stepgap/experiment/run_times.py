@@ -1,5 +1,6 @@
 """How long a run fits models and chooses commands, recorded while it runs, for the file `times.json`."""
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -40,4 +41,5 @@ class TimeRecorder:
         known = read_times(self.folder)
         times = {} if isinstance(known, Missing) else known
         times[iteration] = {part: statistics_of(seconds) for part, seconds in measured.items()}
-        write_times(self.folder, times)
+        with suppress(OSError):  # a run does not end because its times cannot be kept
+            write_times(self.folder, times)
