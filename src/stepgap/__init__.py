@@ -75,6 +75,7 @@ if TYPE_CHECKING:
     from stepgap.robots.mjcf.mjcf_robot import MjcfRobot as MjcfRobot
     from stepgap.robots.mjcf.section import Section as Section
     from stepgap.robots.mjcf.section import apex as apex
+    from stepgap.robots.mjcf.section import next_foot as next_foot
     from stepgap.robots.mjcf.section import touchdown as touchdown
     from stepgap.robots.nominal_maps.simulator import Simulator as Simulator
     from stepgap.robots.nominal_maps.simulator import SimulatorMap as SimulatorMap

@@ -18,7 +18,7 @@ from stepgap.experiment.settings import read_experiment
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.robots.mjcf.mjcf_robot import MjcfPlant, MjcfRobot, MjcfSimulator
-from stepgap.robots.mjcf.section import Section, apex, touchdown
+from stepgap.robots.mjcf.section import Section, apex, next_foot, touchdown
 from stepgap.step import Array, Quantity, StepSpace, StepStatus
 from tests.cli.command_line import Command, CommandResult
 from tests.quick_runs import leave_out_report
@@ -225,3 +225,79 @@ def test_the_robot_of_the_page_learns(package: Path, stepgap: Command, monkeypat
     assert motion.read_bytes() == recorded, "the deployment is simulated again to the same motion"
     result = stepgap("export", "out", "--to", "mcap", "--iteration", "1")
     assert (result.code, Path(result.out.strip()).name) == (0, "ticks_1.mcap")
+
+
+STEPPING = """
+<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody>
+  <geom name="floor" type="plane" size="9 9 1" contype="0" conaffinity="0"/>
+  <body pos="0 0.1 0.02"><joint name="l" type="slide" axis="0 0 1"/><geom name="left" size="0.02" mass="1"/></body>
+  <body pos="0 -0.1 0.02"><joint name="r" type="slide" axis="0 0 1"/><geom name="right" size="0.02" mass="1"/></body>
+  </worldbody><actuator><motor joint="l"/></actuator></mujoco>
+"""
+
+
+@dataclass(frozen=True)
+class Walker(MjcfRobot):
+    """Feet that are lifted in turn, 0.3 s each, with an overlap of 0.1 s in which both are on the ground."""
+
+    name = "walker"
+    tick = 0.001
+    longest_step = 1.5
+    ends: Any = None
+    bounces: bool = False
+
+    @property
+    def space(self) -> StepSpace:
+        return StepSpace((Quantity("time", "s", 0.0, 2.0),), (Quantity("none", "", -1.0, 1.0),))
+
+    def mjcf_model(self) -> Any:
+        return mujoco.MjModel.from_xml_string(STEPPING)
+
+    def controller(self):
+        def control(model: Any, data: Any, command: Array) -> None:
+            phase = (data.time + 0.05) % 0.8
+            for joint, begin in (("r", 0.1), ("l", 0.5)):
+                swing = (phase - begin) / 0.3
+                lift = np.sin(np.pi * swing) if 0 < swing < 1 else -0.01
+                if self.bounces and 0.1 < swing - 1 < 0.2:
+                    lift = 0.5
+                data.joint(joint).qpos, data.joint(joint).qvel = 0.02 * lift, 0.0
+
+        return control
+
+    def section(self) -> Section:
+        return self.ends
+
+    def state(self, model: Any, data: Any) -> Array:
+        return np.array([data.time])
+
+    def place(self, model: Any, data: Any, state: Array) -> None:
+        data.joint("l").qpos = -0.0002
+        data.joint("r").qpos = 0.0
+
+
+def ends_of_steps(section: Section, bounces: bool = False) -> list[float]:
+    """Times at which the first steps end; NaN for one that does not."""
+    plant = MjcfPlant(Walker(gap=EXACT, ends=section, bounces=bounces), np.random.default_rng(0))
+    plant.start()
+    return [plant.take_step(np.zeros(1)).next_state[0] for _ in range(4)]
+
+
+@pytest.mark.parametrize("bounces", [False, True])
+def test_a_step_of_a_walker_ends_where_another_foot_touches_down(bounces: bool) -> None:
+    found = ends_of_steps(next_foot("left", "right"), bounces)
+    np.testing.assert_allclose(found, [0.35, 0.75, 1.15, 1.55], atol=0.005)
+    np.testing.assert_array_equal(found, ends_of_steps(next_foot("right", "left"), bounces))
+    np.testing.assert_array_equal(found, ends_of_steps(next_foot(1, 2), bounces))
+
+
+def test_a_walker_has_no_touchdown_of_all_feet_but_one_of_each() -> None:
+    assert np.isnan(ends_of_steps(touchdown("left", "right"))).all()
+    np.testing.assert_allclose(ends_of_steps(touchdown("left")), [0.75, 1.55, 2.35, 3.15], atol=0.005)
+
+
+def test_feet_that_swing_together_are_one() -> None:
+    found = ends_of_steps(next_foot(("left", "left"), ("right",)))
+    np.testing.assert_allclose(found, [0.35, 0.75, 1.15, 1.55], atol=0.005)
+    with pytest.raises(ValueError, match="be at least two"):
+        next_foot("left")

@@ -32,7 +32,8 @@ class SectionOptions:
         force: Columns of the force between ground and foot.
         crossing: Column that passes a level at the section.
         aerial: Phases in which the robot is in the air. [default: those with flight, aerial or swing in their names]
-        at: Section of a flight: apex, begin (lift-off) or end (touch-down). [default: apex]
+        at: Section of a flight: apex, begin (lift-off) or end (touch-down); of walking, next_foot, which is the
+            touch-down of another foot than before. [default: apex]
         threshold: Force above which a foot is in contact. [default: 0.3 of the 95th percentile]
         level: Level of the crossing. [default: 0]
         falling: The crossing is downwards.
@@ -58,7 +59,7 @@ class SectionOptions:
     force: Names | None = None
     crossing: Name | None = None
     aerial: Names | None = None
-    at: Literal["apex", "begin", "end"] | None = None
+    at: Literal["apex", "begin", "end", "next_foot"] | None = None
     threshold: float | None = None
     level: float | None = None
     falling: Flag = False

@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 
 from stepgap.logs.sections.aerial_phases import AerialPhase, aerial_phases, airborne, crossings
-from stepgap.logs.sections.section_settings import BOOM_COLUMNS, SectionSettings
+from stepgap.logs.sections.section_settings import BOOM_COLUMNS, NEXT_FOOT, SectionSettings
 from stepgap.logs.sections.signals import Signal, SignalLog, TimedTable
 from stepgap.logs.sections.tops import tops
 from stepgap.logs.tables.log_table import LogTable
@@ -38,6 +38,9 @@ class FoundSection:
     doubts: tuple[str, ...] = ()
 
 
+WALKING = "; a robot that walks has no flight, in which all feet are in the air: use --at next_foot"
+"""Advice where there are no flights."""
+
 SectionFunction = Callable[[SignalLog], Sequence[FoundSection]]
 """Finds the sections of a log."""
 
@@ -54,11 +57,14 @@ def find_sections(log: SignalLog, settings: SectionSettings) -> list[FoundSectio
         signal = log.signal(settings.crossing)
         times, std = crossings(signal, settings.level, settings.falling), signal.interval / np.sqrt(12)
         found = [FoundSection(time, time_std=std) for time in times]
+    elif settings.at == NEXT_FOOT:
+        found = _next_feet(log, settings)
     else:
         found = _in_flights(flights(log, settings), log, settings)
     if len(found) < 2:
         raise RecordError(
             f"{log.source}: the rule {settings.rule} finds {len(found)} section(s); at least two are needed"
+            + (WALKING if (settings.contact or settings.force) and settings.at != NEXT_FOOT else "")
         )
     return found
 
@@ -133,6 +139,21 @@ def _aerial_names(source: str, settings: SectionSettings, labels: Sequence[str])
             f"{source}, column {settings.phase!r}: say by --aerial which are flight: {', '.join(labels):.200}"
         )
     return names
+
+
+def _next_feet(log: SignalLog, settings: SectionSettings) -> list[FoundSection]:
+    """Touch-downs of another foot than before; those of one foot in a row are one step."""
+    swings: list[tuple[AerialPhase, int]] = []
+    for number, column in enumerate(settings.contact or settings.force):
+        foot = _in_air(log, column, settings)
+        swings += [(each, number) for each in aerial_phases(foot.time, np.asarray(foot.values) == 1)]
+    swings.sort(key=lambda swing: swing[0].end)
+    others = [foot != (swings[row - 1][1] if row else None) for row, (_, foot) in enumerate(swings)]
+    return [
+        FoundSection(swing.end, swing.begin, swing.end, swing.resolution / np.sqrt(12), swing.doubts)
+        for (swing, _), other in zip(swings, others, strict=True)
+        if other
+    ]
 
 
 def _in_flights(found: Sequence[AerialPhase], log: SignalLog, settings: SectionSettings) -> list[FoundSection]:

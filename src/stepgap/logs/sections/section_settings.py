@@ -22,6 +22,9 @@ COORDINATES = ("state", "command", "target", "predicted")
 LISTS = (*COORDINATES, "aerial", "contact", "force")
 """Keys whose value is a list of names; on the command line they are separated by commas."""
 
+NEXT_FOOT = "next_foot"
+"""Section of walking: another foot touches down than before."""
+
 OF_SEVERAL = ("first", "last", "largest")
 """Which command of a step counts, if it has several: by time, or by magnitude."""
 
@@ -49,7 +52,7 @@ class SectionSettings:
         crossing: Column that passes a level at the section, such as the position of the hip over the foot.
         level: This level.
         falling: Whether it passes the level downwards.
-        at: Section of a flight: its apex; its begin, lift-off; or its end, touch-down.
+        at: Section of a flight: its apex; its begin, lift-off; or its end, touch-down. Of walking: `NEXT_FOOT`.
         rise: Smallest prominence of a top of the height [its unit]; by default, 0, it is found.
         window: Time before and after a section from which the state there is estimated [s]; by default, 0, it is found.
         boom: Length of the boom [m], if the robot hops around one; the log then has the columns height =
@@ -104,8 +107,12 @@ class SectionSettings:
         if len(rules) > 1:
             given = _joined(getattr(self, rules[1]))
             raise ValueError(f"{rules[1]} = {given!r:.60}, but it must not be given beside {rules[0]}")
-        if self.at not in ("apex", "begin", "end"):
-            raise ValueError(f"at = {self.at!r:.40}, but it must be apex, begin or end")
+        if self.at not in ("apex", "begin", "end", NEXT_FOOT):
+            raise ValueError(f"at = {self.at!r:.40}, but it must be apex, begin, end or {NEXT_FOOT}")
+        if self.at == NEXT_FOOT and len(self.contact or self.force) < 2:
+            raise ValueError(
+                f"at = {NEXT_FOOT!r}, but it must be given with the contact or the force of at least two feet"
+            )
         if self.of_several not in ("", *OF_SEVERAL):
             raise ValueError(f"of_several = {self.of_several!r:.40}, but it must be {', '.join(OF_SEVERAL)}")
         for name in ("threshold", "rise", "window", "boom"):

@@ -56,7 +56,7 @@ class MjcfRobot(Robot):
 
     @abstractmethod
     def section(self) -> Section:
-        """When a step ends: `section.apex`, `section.touchdown`, or a `Section` with a function of your own."""
+        """When a step ends: `apex`, `touchdown`, `next_foot`, or a `Section` with a function of your own."""
 
     @abstractmethod
     def state(self, model: Any, data: Any) -> Array:
@@ -107,6 +107,7 @@ class MjcfStepper:
         self._model = gap.of(robot.mjcf_model())
         self._data = mujoco.MjData(self._model)
         self._section, self._substeps = robot.section(), max(1, round(robot.tick / self._model.opt.timestep))
+        self._guard_functions = (self._section.guard, *self._section.others)
         self._most_ticks = round(robot.longest_step / robot.tick)
         self.place(robot.space.state_centre)
 
@@ -118,7 +119,11 @@ class MjcfStepper:
         self._control = self._robot.controller()
         self._late = deque([self._data.ctrl.copy()] * round(self._gap.delay / self._robot.tick))
         self._lagged = self._data.ctrl.copy()
-        self._armed, self._guard = False, 0.0
+        self._armed, self._guards = [False] * len(self._guard_functions), [0.0] * len(self._guard_functions)
+        self._last = -1
+        if self._section.others:
+            values = self._guard_values()
+            self._last = values.index(min(values))
 
     @property
     def state(self) -> Array:
@@ -166,12 +171,19 @@ class MjcfStepper:
         mujoco.mj_step(self._model, data, self._substeps)
 
     def _crosses(self) -> bool:
-        """Whether the guard of the section has just fallen through zero."""
-        before, self._guard = self._guard, self._section.guard(self._model, self._data)
-        self._armed = self._armed or self._guard > self._section.threshold
-        crossed = self._armed and before > 0 >= self._guard
-        self._armed = self._armed and not crossed
-        return crossed
+        """Whether a guard of the section, of several another one than the last, has just fallen through zero."""
+        before, self._guards = self._guards, self._guard_values()
+        ended = False
+        for number, (was, now) in enumerate(zip(before, self._guards, strict=True)):
+            armed = self._armed[number] or now > self._section.threshold
+            crossed = armed and was > 0 >= now
+            self._armed[number] = armed and not crossed
+            if crossed and number != self._last and not ended:
+                ended, self._last = True, number if self._section.others else -1
+        return ended
+
+    def _guard_values(self) -> list[float]:
+        return [guard(self._model, self._data) for guard in self._guard_functions]
 
 
 class MjcfSimulator:

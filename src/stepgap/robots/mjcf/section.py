@@ -9,6 +9,8 @@ from typing import Any, final
 
 import mujoco
 
+from stepgap.base.ranges import require
+
 Guard = Callable[[Any, Any], float]
 """Function of a MuJoCo model and its data; a step ends when it falls through zero."""
 
@@ -21,10 +23,13 @@ class Section:
     Attributes:
         guard: Function of model and data.
         threshold: The guard must have been larger since the last section, so that a bouncing contact is one section.
+        others: Guards with the same threshold. If there are some, a step ends where another guard falls through zero
+            than at its begin; the first step begins at the guard that is smallest where the robot is placed.
     """
 
     guard: Guard
     threshold: float = 0.0
+    others: tuple[Guard, ...] = ()
 
 
 def apex(joint: str, threshold: float = 0.05) -> Section:
@@ -37,25 +42,48 @@ def apex(joint: str, threshold: float = 0.05) -> Section:
     return Section(lambda model, data: float(data.qvel[model.joint(joint).dofadr[0]]), threshold)
 
 
-def touchdown(*feet: str, threshold: float = 0.005) -> Section:
-    """The first contact of one of the feet with the ground after a time in which none of them touched it.
+def touchdown(*feet: str | int, threshold: float = 0.005) -> Section:
+    """The first contact of one of the feet with the ground after a flight, in which none of them touched it.
 
+    A robot that walks has no flight: its steps end at `next_foot`, or at the touchdown of one foot alone (a stride).
     Heel strike is the touchdown of a heel.
 
     Args:
-        feet: Names of the geoms that touch the ground.
+        feet: Names, or numbers, of the geoms that touch the ground.
         threshold: Clearance of all feet that must have been exceeded [m].
     """
-    return Section(lambda model, data: min(clearance(model, data, foot) for foot in feet), threshold)
+    return Section(_lowest(feet), threshold)
 
 
-def clearance(model: Any, data: Any, geom: str, ground: str = "floor") -> float:
+def next_foot(*feet: str | int | tuple[str | int, ...], threshold: float = 0.005) -> Section:
+    """Alternate-foot touchdown, as in walking: another foot touches the ground than at the begin of the step.
+
+    Since the feet take turns, `state` must be the same for both, such as mirrored; `place` puts the model on one foot.
+
+    Args:
+        feet: Names, or numbers, of the geoms that touch the ground; those that swing together, as in a trot, as tuple.
+        threshold: Clearance of a foot that must have been exceeded before it touches down [m].
+
+    Raises:
+        ValueError: There are fewer than two feet.
+    """
+    require(len(feet) > 1, "feet", list(feet), "be at least two; the touchdown of one is `touchdown`")
+    first, *others = (_lowest(each if isinstance(each, tuple) else (each,)) for each in feet)
+    return Section(first, threshold, tuple(others))
+
+
+def _lowest(feet: tuple[str | int, ...]) -> Guard:
+    """Clearance of the lowest of some feet."""
+    return lambda model, data: min(clearance(model, data, foot) for foot in feet)
+
+
+def clearance(model: Any, data: Any, geom: str | int, ground: str = "floor") -> float:
     """Distance between a geom and the ground, negative in contact [m].
 
     Args:
         model: MuJoCo model.
         data: Its data.
-        geom: Name of the geom.
+        geom: Name or number of the geom.
         ground: Name of the ground's geom.
     """
     return float(mujoco.mj_geomDistance(model, data, model.geom(geom).id, model.geom(ground).id, 1.0, None))
