@@ -1,5 +1,6 @@
 """The sentences of the diagnosis, for robots with a known deficiency."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +33,8 @@ def test_without_a_deficiency_it_says_so(record: Run) -> None:
 
 def test_memory_and_noise_are_named_with_their_coordinate(record: Run) -> None:
     text = sentences(record, with_memory)
-    assert "The step before helps to predict the error of speed, beyond state and command. As an input, its err" in text
+    assert "The step before helps to predict the error of speed, beyond state and command. With inputs" in text
+    assert re.search(r"it is smaller, by \d+ % with its error(\.| and by \d+ % with its error, command)", text)
     assert "error of height" not in text
     assert "The unexplained error of speed depends on state and command" in sentences(record, varying, 227)
 

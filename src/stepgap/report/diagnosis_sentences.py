@@ -84,11 +84,12 @@ def _lagged_inputs(run: Run, found: Diagnosis, number: int) -> list[str]:
         error, step = (100 * found.gains[name][row] for name in ("previous_error", "previous_step"))
         if max(error, step) > 100 * SMALLEST_GAIN:
             gains = {"its error": error, "its error, command and state": step}
-            parts = [f"{what} reduces it by {gain:.0f} %" for what, gain in gains.items() if gain > 0]
+            parts = [f"by {gain:.0f} % with {what}" for what, gain in gains.items() if gain > 0]
             sentences.append(
                 f"The step before helps to predict the error of {quantity.name}, beyond state and command. "
-                f"As an input, {listed(parts)}. So the state does not contain all that the next step depends on, or a "
-                f"disturbance changes slowly. Measure what is missing, {advice}."
+                f"With inputs from the step before it is smaller, {listed(parts)}. So the state does not contain all "
+                "that the next step depends on, or a disturbance changes slowly. Measure what is missing, "
+                f"{advice}."
             )
     if not sentences:
         names = listed([quantity.name for quantity in space.state])
