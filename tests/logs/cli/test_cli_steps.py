@@ -1,6 +1,7 @@
 """`stepgap steps`: its files, which `stepgap fit` reads; what it leaves out and refuses; and wrong input."""
 
 import csv
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,22 @@ def test_it_writes_steps_their_meaning_and_a_figure(log: HoppingLog, stepgap: Co
         ("speed", "height"), ("next_speed", "next_height"), ("number",), "log",
     )  # fmt: skip
     assert columns.units == {"speed": "m/s", "height": "m"}
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="names of files are UTF-8 there")
+@pytest.mark.parametrize(("name", "label"), [("l\udcff.csv", "l\ufffd.csv"), ("a\nb.csv", "a\ufffdb.csv")])
+def test_a_log_may_have_any_name(name: str, label: str, log: HoppingLog, stepgap: Command) -> None:
+    assert log
+    Path("log.csv").rename(name)
+    assert stepgap("steps", name, "--plan", "plan.csv", *APEXES, "--out", "steps.csv").code == 0
+    assert {row["log"] for row in rows_of("steps.csv")} == {label}
+
+
+@pytest.mark.parametrize(("name", "typed"), [("./-x.csv", "./-x.csv --columns ./-x.toml"), ("a b.csv", "'a b.csv'")])
+def test_the_next_command_can_be_typed(name: str, typed: str, log: HoppingLog, stepgap: Command) -> None:
+    assert log
+    result = stepgap("steps", "log.csv", "--plan", "plan.csv", *APEXES, "--out", name)
+    assert f"stepgap fit {typed}" in result.err
 
 
 def test_fit_reads_the_steps(log: HoppingLog, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:

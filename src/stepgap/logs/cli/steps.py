@@ -3,6 +3,7 @@
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
@@ -123,7 +124,8 @@ def steps(
     write_together({out: steps_table(found), **({meaning: text} if text else {})}, "--out")
     _draw(found, picture)
     if text:
-        print(f"stepgap fit {out} --columns {meaning} shows what can be learned from these steps", file=sys.stderr)
+        typed = (quote(f"./{path}" if str(path).startswith("-") else str(path)) for path in (out, meaning))
+        print(f"stepgap fit {' --columns '.join(typed)} shows what can be learned from these steps", file=sys.stderr)
     else:
         print("without --command or --target, stepgap fit cannot use these steps", file=sys.stderr)
 
