@@ -208,6 +208,17 @@ def test_objects_that_the_rig_needs(drive: EsiFile) -> None:
     assert remarks == ["the file lists no object 0x6076, the rated torque, which the rig needs"]
 
 
+@pytest.mark.parametrize("fixed", [False, True])
+def test_a_number_with_a_fraction_is_no_value_for_the_rig(fixed: bool, drive: EsiFile) -> None:
+    outputs = [
+        replace(each, fixed=fixed, entries=tuple(replace(entry, is_real=True) for entry in each.entries))
+        for each in drive.devices[-1].outputs
+    ]
+    errors, _ = found(SLAVE, PDOS, changed(drive, outputs=tuple(outputs)))
+    assert [text.split(" is ")[0] for text in errors] == [f"pdos: {entry}" for entry in (CONTROL, TORQUE, MODE)]
+    assert errors[0].endswith("is a REAL according to the file, and the rig has whole numbers only")
+
+
 def test_a_file_that_names_no_objects_is_compared_by_sizes(drive: EsiFile) -> None:
     nameless = EsiPdo(0x1A00, "In", (EsiEntry(0x1A00, 1, 16), EsiEntry(0x1A00, 2, 32)), True, True, 3)
     _, remarks = found(SLAVE, PDOS, changed(drive, inputs=(nameless,)))

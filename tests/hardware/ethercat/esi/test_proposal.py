@@ -68,6 +68,18 @@ def test_what_cannot_be_exchanged_is_not_proposed(tmp_path: Path) -> None:
     assert "#   0x1A00 Inputs: 0x6000:01:8" in text
 
 
+def test_numbers_with_a_fraction_have_no_names(tmp_path: Path) -> None:
+    """The rig takes the bits of position, torque and target torque for whole numbers."""
+    real = DRIVE
+    for index in ("<Index>#x6071</Index>", "<Index>#x6064</Index>"):
+        real = real.replace(index, f"{index}<DataType>REAL</DataType>")
+    text = propose(read_esi(written(tmp_path, real)))
+    (slave,), sets = pasted(text)
+    assert slave.pdos == "sd-10-default"
+    assert "position" not in Packing(sets[slave.pdos].inputs).names
+    assert "(REAL, not used by the rig)" in text
+
+
 def test_modules_are_named(tmp_path: Path) -> None:
     assert "whose modules have PDOs of their own: Torque" in propose(read_esi(written(tmp_path, MODULAR)))
 

@@ -128,6 +128,10 @@ BROKEN = [
     ("<EtherCATInfo/>", "it has no Vendor"),
     ("<EtherCATInfo><Vendor/></EtherCATInfo>", "line 1: Vendor has no Id"),
     ("<EtherCATInfo><Vendor><Id>two</Id></Vendor></EtherCATInfo>", "line 1: Id: 'two' is not a number"),
+    (
+        "<EtherCATInfo>\n<Name>R&D</Name></EtherCATInfo>",
+        "line 2: not XML: not well-formed (invalid token) at 'R&D'; write R&amp;D",
+    ),
     ("<EtherCATInfo>\n<b>&c;</b></EtherCATInfo>", "line 2: not XML: undefined entity"),
     ('<?xml version="1.0" encoding="klingon"?><a/>', "cannot be read in the encoding 'klingon'"),
     ('<?xml version="1.0" encoding="idna"?><a/>', "cannot be read in the encoding 'idna'"),

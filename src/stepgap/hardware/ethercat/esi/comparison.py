@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from stepgap.hardware.ethercat.esi.document import EsiDevice, EsiFile, EsiPdo, InitCommand
+from stepgap.hardware.ethercat.esi.document import EsiDevice, EsiEntry, EsiFile, EsiPdo, InitCommand
 from stepgap.hardware.ethercat.pdo import Packing, Pdo, PdoSet
 from stepgap.hardware.ethercat.reactions import REACTIONS
 from stepgap.hardware.ethercat.rig_settings import Slave
@@ -126,6 +126,9 @@ def _direction_findings(
 
 def _content_findings(wanted: Pdo, found: EsiPdo, pdo_config: bool) -> Iterator[Finding]:
     difference = _difference(wanted, found)
+    for entry in wanted.entries:
+        if entry.name and any((each.index, each.subindex) == (entry.index, entry.subindex) for each in _reals(found)):
+            yield Finding(f"pdos: {entry} is a REAL according to the file, and the rig has whole numbers only")
     if not difference:
         if names_no_objects(found):
             text = f"pdos: the file does not say which objects PDO 0x{found.index:04X} has"
@@ -141,6 +144,10 @@ def _content_findings(wanted: Pdo, found: EsiPdo, pdo_config: bool) -> Iterator[
 def names_no_objects(pdo: EsiPdo) -> bool:
     """Whether a file names subindices of the mapping object instead of the mapped objects, as some files do."""
     return any(entry.index == pdo.index for entry in pdo.entries)
+
+
+def _reals(pdo: EsiPdo) -> list[EsiEntry]:
+    return [entry for entry in pdo.entries if entry.is_real]
 
 
 def _difference(wanted: Pdo, found: EsiPdo) -> str:

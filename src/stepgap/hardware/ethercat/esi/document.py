@@ -12,12 +12,14 @@ class EsiEntry:
         subindex: Its subindex.
         bits: Its size.
         name: Its name.
+        is_real: Whether it is a number with a fraction (REAL, LREAL), which the rig neither reads nor writes.
     """
 
     index: int
     subindex: int
     bits: int
     name: str = ""
+    is_real: bool = False
 
 
 @dataclass(frozen=True)

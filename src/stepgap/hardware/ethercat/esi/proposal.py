@@ -168,7 +168,7 @@ def _combination(
     for count in range(_MOST_COMBINED + 1):
         for added in combinations(optional, count):
             chosen = tuple(sorted((*mandatory, *added), key=lambda pdo: pdo.index))
-            objects = frozenset(entry.index for pdo in chosen for entry in pdo.entries)
+            objects = frozenset(entry.index for pdo in chosen for entry in pdo.entries if not entry.is_real)
             together = {pdo.index for pdo in chosen}
             if needed <= objects and not any(pdo.excludes & (together - {pdo.index}) for pdo in chosen):
                 candidates.append((costs(objects), len(chosen), sum(pdo.bits for pdo in chosen), chosen))
@@ -205,7 +205,7 @@ def _converted(chosen: _Chosen) -> tuple[tuple[Pdo, ...], tuple[Pdo, ...]]:
             entries = []
             for entry in pdo.entries:
                 name = VALUES.get(entry.index, "") if entry.subindex == 0 and bit % 8 == 0 else ""
-                if entry.bits not in ENTRY_FORMATS or name in named:
+                if entry.bits not in ENTRY_FORMATS or name in named or entry.is_real:
                     name = ""
                 named |= {name} - {""}
                 if entry.bits > _LARGEST_ENTRY or entry.index > 0xFFFF or entry.subindex > 0xFF:
@@ -229,7 +229,8 @@ def _set_lines(name: str, outputs: tuple[EsiPdo, ...], inputs: tuple[EsiPdo, ...
             yield f"index = 0x{pdo.index:04X}"
             yield "entries = ["
             for entry, described in zip(own.entries, pdo.entries, strict=True):
-                yield f'    "{entry}",' + (f" # {described.name}" if described.name and not entry.name else "")
+                comment = f"{described.name} (REAL, not used by the rig)" if described.is_real else described.name
+                yield f'    "{entry}",' + (f" # {comment}" if comment and not entry.name else "")
             yield "]"
     if any(map(names_no_objects, (*outputs, *inputs))):
         yield "# The file does not say which objects these are: write those of the manual, with their names."

@@ -142,6 +142,7 @@ def _entry(element: Element) -> EsiEntry:
         subindex=_number(subindex) if subindex and index else 0,
         bits=_child_number(element, "BitLen"),
         name=_name_of(element),
+        is_real=element.text_of("DataType") in ("REAL", "LREAL"),
     )
 
 

@@ -41,7 +41,7 @@ STRUCTURE: Mapping[str, frozenset[str]] = MappingProxyType({
     "Object": frozenset({"Index"}),
     "RxPdo": frozenset({"Index", "Name", "Exclude", "ExcludedSm", "Entry"}),
     "TxPdo": frozenset({"Index", "Name", "Exclude", "ExcludedSm", "Entry"}),
-    "Entry": frozenset({"Index", "SubIndex", "BitLen", "Name"}),
+    "Entry": frozenset({"Index", "SubIndex", "BitLen", "Name", "DataType"}),
     "Mailbox": frozenset({"CoE"}),
     "CoE": frozenset({"InitCmd", "InitCmds"}),
     "InitCmds": frozenset({"InitCmd"}),
@@ -129,8 +129,7 @@ def parse_tree(content: bytes) -> Element:
     try:
         builder.parser.Parse(content.decode(codec).encode("utf-8") if codec else content, True)
     except expat.ExpatError as error:
-        reason = expat.ErrorString(error.code)
-        raise ValueError(f"line {error.lineno}: not XML: {reason}; give an ESI file (.xml)") from None
+        raise ValueError(_fault_of(error, content[max(builder.parser.ErrorByteIndex - 20, 0) :][:40])) from None
     except _RefusedTree:
         raise
     except (LookupError, ValueError):  # of the codec that the file names
@@ -138,6 +137,16 @@ def parse_tree(content: bytes) -> Element:
             f"its text cannot be read in the encoding '{encoding}' that it declares; save it as UTF-8"
         ) from None
     return builder.root()
+
+
+def _fault_of(error: expat.ExpatError, around: bytes) -> str:
+    """What is wrong with a file that is no XML, and what would be right, from the bytes around the place."""
+    reason = f"line {error.lineno}: not XML: {expat.ErrorString(error.code)}"
+    bare = re.search(rb"\w*&(?!#?\w+;)\w*", around)
+    if bare and error.code == expat.errors.codes[expat.errors.XML_ERROR_INVALID_TOKEN]:
+        text = bare[0].decode("latin-1")
+        return f"{reason} at '{text}'; write {text.replace('&', '&amp;')} there"
+    return f"{reason}; give an ESI file (.xml)"
 
 
 class _RefusedTree(StepGapError, ValueError):
