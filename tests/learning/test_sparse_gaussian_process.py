@@ -8,8 +8,11 @@ import pytest
 from scipy.stats import norm
 from sklearn.gaussian_process.kernels import Matern
 
-from stepgap.learning import sparse_gaussian_process
+from stepgap.learning import gaussian_process_fit, gaussian_process_regression, sparse_gaussian_process
 from stepgap.learning.exact_gaussian_process import ExactGaussianProcess, condition
+from stepgap.learning.gaussian_process_fit import fit_gaussian_process, fit_hyper_parameters
+from stepgap.learning.gaussian_process_regression import FITRGP
+from stepgap.learning.regression import TrainingData
 from stepgap.learning.sparse_gaussian_process import (
     SparseGaussianProcess,
     condition_sparse,
@@ -183,7 +186,7 @@ class TestSpreadPoints:
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in (("EXACT_SIZE", 300), ("SEARCH_SIZE", 120), ("INDUCING_SIZES", (15, 30, 60, 120))):
+    for name, value in (("EXACT_SIZE", 300), ("INDUCING_SIZES", (15, 30, 60, 120))):
         monkeypatch.setattr(sparse_gaussian_process, name, value)
 
 
@@ -209,6 +212,30 @@ class TestFit:
     def test_the_size_decides_which_process_is_fitted(self) -> None:
         for size, kind in ((300, ExactGaussianProcess), (301, SparseGaussianProcess)):
             assert isinstance(fit_process(*sample(size), SCALE, 0.2, basis="linear"), kind)
+
+    def test_the_search_uses_no_more_points_than_an_exact_process_may_have(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """So that the cost of a search does not grow with a log, and falls nowhere."""
+        monkeypatch.setattr(gaussian_process_fit, "EXACT_SIZE", 120)
+        points, values = sample(1500)
+        some = np.linspace(0, 1499, 120).astype(int)
+        for basis in ("constant", "linear"):
+            part = fit_hyper_parameters(points[some], values[some], SCALE, 0.2, basis=basis)
+            for fit in (fit_sparse, fit_gaussian_process):
+                found = fit(points, values, SCALE, 0.2, basis=basis).hyper_parameters
+                np.testing.assert_equal(vars(found), vars(part))
+
+    def test_that_of_fitrgp_is_sparse_beyond_this_number_and_predicts_as_well(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        points, values = sample(400)
+        data = TrainingData(points, values, CENTRE, SCALE, 0.2, False)
+        exact = FITRGP.fit(data, None)
+        monkeypatch.setattr(gaussian_process_regression, "EXACT_SIZE", 399)
+        sparse, (queries, _) = FITRGP.fit(data, None), sample(100, seed=5)
+        np.testing.assert_allclose(sparse.mean(queries), exact.mean(queries), atol=0.002)
+        np.testing.assert_allclose(sparse.std(queries), exact.std(queries), atol=0.001)
 
     @pytest.mark.parametrize("size", [1, 2, 9, 400])
     def test_awkward_data_do_not_fail(self, size: int) -> None:

@@ -4,13 +4,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.learning.gaussian_process import GaussianProcess
-from stepgap.learning.gaussian_process_fit import Basis, fit_like_fitrgp
+from stepgap.learning.gaussian_process_fit import EXACT_SIZE, Basis, fit_like_fitrgp, hyper_parameters_like_fitrgp
 from stepgap.learning.kernel import MATERN_52, Kernel
 from stepgap.learning.regression import Parameter, Prediction, Regression, ResidualModel, TrainingData
-from stepgap.learning.sparse_gaussian_process import fit_process, process_from_dict
+from stepgap.learning.sparse_gaussian_process import condition_as_needed, fit_process, process_from_dict
 from stepgap.step import Array
 
 TIME_SCALE = 1e3
@@ -125,7 +126,10 @@ def gaussian_process_model(
 
 
 def _fit_like_fitrgp(data: TrainingData, start: Regression | None) -> Regression:
-    return GaussianProcessRegression(fit_like_fitrgp(data.points, data.values), plug_in=True)
+    if len(data.values) <= EXACT_SIZE:
+        return GaussianProcessRegression(fit_like_fitrgp(data.points, data.values), plug_in=True)
+    found, raw_units = hyper_parameters_like_fitrgp(data.points, data.values), np.ones(data.points.shape[1])
+    return GaussianProcessRegression(condition_as_needed(data.points, data.values, raw_units, found), plug_in=True)
 
 
 def _fitrgp_from_dict(saved: Mapping[str, Any]) -> Regression:

@@ -31,15 +31,9 @@ from stepgap.learning.gaussian_process import (
     saved_data,
     saved_hyper_parameters,
 )
-from stepgap.learning.gaussian_process_fit import Search, fit_gaussian_process
+from stepgap.learning.gaussian_process_fit import EXACT_SIZE, Search, fit_gaussian_process, fit_hyper_parameters
 from stepgap.learning.kernel import MATERN_52, Kernel
 from stepgap.step import Array
-
-EXACT_SIZE = 2000
-"""Largest number of points for which `fit_process` returns the exact process."""
-
-SEARCH_SIZE = 1000
-"""Number of points to which `fit_sparse` fits the hyper-parameters, by an exact fit."""
 
 INDUCING_SIZES = (50, 100, 200, 400, 800)
 """Numbers of inducing points that `fit_sparse` tries, in turn."""
@@ -246,7 +240,27 @@ def fit_sparse(
     value_scale: float | None = None,
     **search: Unpack[Search],
 ) -> SparseGaussianProcess:
-    """Fits a sparse Gaussian process; its hyper-parameters are those of an exact fit to some of the points.
+    """Fits a sparse Gaussian process; its hyper-parameters are those of `fit_gaussian_process`.
+
+    Args:
+        points: Shape (N, d), N ≥ 1.
+        values: Shape (N,).
+        input_scale: Fixed size of each input, not taken from the data; shape (d,).
+        value_scale: As for `fit_gaussian_process`.
+        search: As for `fit_gaussian_process`.
+    """
+    found = fit_hyper_parameters(points, values, input_scale, value_scale, **search)
+    return condition_as_needed(points, values, input_scale, found, search.get("kernel", MATERN_52))
+
+
+def condition_as_needed(
+    points: ArrayLike,
+    values: ArrayLike,
+    input_scale: ArrayLike,
+    found: HyperParameters,
+    kernel: Kernel = MATERN_52,
+) -> SparseGaussianProcess:
+    """Conditions a sparse process with as many inducing points as it needs.
 
     Each inducing point is the point of largest variance given those before it (Burt and others, Convergence of
     Sparse Variational Inference in Gaussian Processes Regression, 2020). Their number grows as long as this
@@ -256,13 +270,10 @@ def fit_sparse(
         points: Shape (N, d), N ≥ 1.
         values: Shape (N,).
         input_scale: Fixed size of each input, not taken from the data; shape (d,).
-        value_scale: As for `fit_gaussian_process`.
-        search: As for `fit_gaussian_process`.
+        found: Hyper-parameters; `noise_std` must be positive.
+        kernel: Covariance of f.
     """
     points, values, input_scale = checked_data(points, values, input_scale)
-    some = np.unique(np.linspace(0, len(values) - 1, SEARCH_SIZE).astype(int))
-    fitted = fit_gaussian_process(points[some], values[some], input_scale, value_scale, **search)
-    found, kernel = fitted.hyper_parameters, fitted.kernel
     held_out = np.arange(len(values)) % 5 == 4
     size, best = INDUCING_SIZES[0], -np.inf
     for candidate in INDUCING_SIZES:

@@ -34,8 +34,8 @@ from stepgap.records.model_files import MAP, NominalSource, saved_model_text
 from stepgap.records.steps_csv import RecordError, read_step_log
 from stepgap.step import Array, StepSpace, StepStatus
 
-MOST_STEPS = 2000
-"""Largest number of steps; fits to more would take hours."""
+MOST_STEPS = 100_000
+"""Largest number of steps; those of a day of hopping."""
 
 NOMINALS = {
     MAP: "the robot's nominal map",

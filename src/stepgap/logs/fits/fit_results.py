@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from stepgap.learning.gaussian_process_fit import EXACT_SIZE
 from stepgap.logs.fits.fit import BASELINES, Comparison, FitData, gains, heaviest_residual
 from stepgap.logs.fits.model_averaging import averaged, correlation_of_successive, residual_weights
 from stepgap.logs.fits.validation import Folds, HeldOut, Reduction, Validation
@@ -122,6 +123,7 @@ def _percent(value: float, half_width: float) -> str:
 def describe_fit_data(data: FitData, folds: Folds, test: FitData | None = None) -> str:
     """A few lines on the steps that were read, and on those that are held out: parts of them, or other steps."""
     parts = "parts of whole deployments" if folds.whole_deployments else "contiguous blocks"
+    most = len(data.steps) - int(np.bincount(folds.fold).min() if test is None else 0)
     held_out = f"{folds.count} {parts}, one at a time" if test is None else f"{len(test.steps)} steps of other logs"
     return "\n".join(
         [
@@ -129,6 +131,7 @@ def describe_fit_data(data: FitData, folds: Folds, test: FitData | None = None) 
             f"held out    {held_out}",
             f"disturbance {_disturbance(data)}",
             f"outliers    {'not learned from' if data.learning.reject_outliers else 'learned from, as other steps'}",
+            *([f"processes   hyper-parameters from {EXACT_SIZE} of the steps, sparse"] if most > EXACT_SIZE else []),
         ]
     )
 
