@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from stepgap.base.compiled import KEPT_VERSIONS
 from stepgap.hybrid.motion import axpy
 
 SOURCE = Path(__file__).parents[2] / "src"
@@ -136,6 +137,31 @@ with on_first_compilation(lambda: print("compiling")):
     print(doubled(1.0), doubled(2))
 print(sum(doubled.stats.cache_hits.values()))
 """
+
+
+def test_another_checkout_of_the_same_content_does_not_compile_again(run: Run, package: Path) -> None:
+    """Its files have other paths and other times."""
+    cache, elsewhere = str(package.parent / "cache"), package.parent / "elsewhere"
+    assert run(CALL, package.parent, NUMBA_CACHE_DIR=cache) == "4.0 0"
+    shutil.copytree(package, elsewhere / "robot")
+    for file in (elsewhere / "robot").iterdir():
+        os.utime(file, (1e9, 1e9))
+    shutil.rmtree(package)
+    assert run(CALL, elsewhere, NUMBA_CACHE_DIR=cache) == "4.0 1"
+
+
+def test_the_versions_that_were_not_used_for_longest_are_removed(run: Run, package: Path) -> None:
+    cache = package.parent / "cache"
+    for day in range(KEPT_VERSIONS + 3):
+        old = cache / f"{day:016x}-{0:016x}"
+        old.mkdir(parents=True)
+        os.utime(old, (1e9 + 86400 * day,) * 2)
+    (cache / "notes").mkdir()
+    assert run(CALL, package.parent) == "4.0 0"
+    kept = {entry.name for entry in cache.iterdir()}
+    assert len(kept) == KEPT_VERSIONS + 1
+    assert {"notes", f"{KEPT_VERSIONS + 2:016x}-{0:016x}"} < kept
+    assert f"{3:016x}-{0:016x}" not in kept
 
 
 def test_a_process_compiles_only_after_a_change_in_a_called_file_or_of_a_constant_and_reports_it(

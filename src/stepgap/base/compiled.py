@@ -1,8 +1,9 @@
 """Compilation by Numba: `compiled` with a disk cache that can be trusted, `implements` for dispatch.
 
 Numba's own cache checks only the file of the compiled function, so a function would keep the old
-version of a function that it calls from another file. Here the name of the cache folder is the digest
-of all compiled sources of the function's package.
+version of a function that it calls from another file; and it is named after the path of that file, so that
+each checkout would compile again. Here the name of the cache folder is the digest of all compiled sources of
+the function's package, wherever they are.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -11,12 +12,13 @@ of all compiled sources of the function's package.
 import hashlib
 import os
 import re
+import shutil
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self, final
 
 import numba
 from numba.core import config
@@ -27,6 +29,9 @@ OPTIONS = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "arcp
 
 Sums are not regrouped: Numba tests whether x is finite by x − x, which would always be 0 then.
 """
+
+KEPT_VERSIONS = 12
+"""Number of versions of compiled code, some 10 MB each, that remain in the cache."""
 
 AS_WRITTEN = {"nogil": True, "error_model": "numpy"}
 """As `OPTIONS`, but every product, quotient and sum is rounded separately, as in Python and NumPy."""
@@ -46,7 +51,7 @@ def _digest(package: Path) -> str:
         for module in re.findall(rb"^from (\S+) import", sources[path], re.MULTILINE):
             file = package.parent.joinpath(*module.decode(errors="replace").split("."))
             relevant |= {file.with_suffix(".py"), file / "__init__.py"} & sources.keys()
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(relevant):
         digest.update(str(path.relative_to(package)).encode() + b"\0" + sources[path])
     return digest.hexdigest()[:16]
@@ -100,17 +105,70 @@ def as_written(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
-    file, cache = Path(function.__code__.co_filename).resolve(), cache_folder()
-    if cache is None or not file.is_file():
+    if cache_folder() is None or not Path(function.__code__.co_filename).is_file():
         return numba.njit(**options)(function)
-    previous = config.CACHE_DIR
-    own_digest = _digest(_package_folder(Path(__file__).resolve()))
-    function_digest = _digest(_package_folder(file))
-    config.CACHE_DIR = str(cache / f"{own_digest}-{function_digest}")
+    previous = config.CACHE_LOCATOR_CLASSES
+    config.CACHE_LOCATOR_CLASSES = f"{ContentLocator.__module__}.{ContentLocator.__name__}"
     try:
         return numba.njit(cache=True, **options)(function)
     finally:
-        config.CACHE_DIR = previous
+        config.CACHE_LOCATOR_CLASSES = previous
+
+
+@final
+class ContentLocator:
+    """Tells Numba where the compiled code of a function is: in a folder that is named after the content of its package.
+
+    Numba makes it by `from_function` and calls the other methods (its variable NUMBA_CACHE_LOCATOR_CLASSES).
+
+    Args:
+        function: The function.
+        file: Its source.
+    """
+
+    def __init__(self, function: Callable[..., Any], file: str):
+        source = Path(file).resolve()
+        package, home = _package_folder(source), cache_folder()
+        assert home is not None, "Numba is asked to use a cache only if there is one"
+        self._py_file, self._line = file, function.__code__.co_firstlineno
+        self._stamp = f"{_digest(_package_folder(Path(__file__).resolve()))}-{_digest(package)}"
+        self._folder = _used(home / self._stamp) / ".".join(source.relative_to(package.parent).parent.parts)
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], file: str) -> Self:
+        """The locator of a function."""
+        found = cls(function, file)
+        found.ensure_cache_path()
+        return found
+
+    def ensure_cache_path(self) -> None:
+        """Makes the folder."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+
+    def get_cache_path(self) -> str:
+        """The folder."""
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        """What must be equal for the code to be valid: the content, and not the time of a file."""
+        return self._stamp
+
+    def get_disambiguator(self) -> str:
+        """What distinguishes functions of the same name in a file: the line."""
+        return str(self._line)
+
+
+@lru_cache
+def _used(folder: Path) -> Path:
+    """Notes that a version of the code is in use; before a new one, removes those that were not used for longest."""
+    if not folder.exists():
+        versions = (each for each in folder.parent.iterdir() if re.fullmatch("[0-9a-f]{16}-[0-9a-f]{16}", each.name))
+        for old in sorted(versions, key=lambda each: each.stat().st_mtime)[: 1 - KEPT_VERSIONS]:
+            shutil.rmtree(old, ignore_errors=True)
+    with suppress(OSError):  # another user's, or another process has just removed it
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+    return folder
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
