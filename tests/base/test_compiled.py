@@ -131,9 +131,9 @@ def package(tmp_path: Path) -> Path:
 
 CALL = "from robot.outer import doubled; doubled(1.0); print(doubled(1.0), sum(doubled.stats.cache_hits.values()))"
 REPORTED = """
-from stepgap.base.compiling import on_first_compilation
+from stepgap.base.compiling import on_compilation
 from robot.outer import doubled
-with on_first_compilation(lambda: print("compiling")):
+with on_compilation(lambda *_: print("compiling")):
     print(doubled(1.0), doubled(2))
 print(sum(doubled.stats.cache_hits.values()))
 """

@@ -7,7 +7,8 @@ import numba
 import pytest
 from numba.core.event import Event, Listener, install_listener
 
-from stepgap.base.compiling import signals_between_passes
+from stepgap.base import compiling
+from stepgap.base.compiling import on_compilation, signals_between_passes
 from stepgap.base.signals import handled
 
 
@@ -50,3 +51,14 @@ def test_a_signal_whose_handler_goes_on_does_not_end_the_compilation() -> None:
     with signals_between_passes(), note, install_listener("numba:run_pass", listener):
         assert doubled(1.0) == 2
     assert seen == [(signal.SIGTERM, 3)]
+
+
+def test_compilation_is_reported_from_time_to_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    reports: list[int] = []
+    for interval, expected in ((0.0, [0, 1, 2]), (1e9, [0])):
+        monkeypatch.setattr(compiling, "REPORT_INTERVAL", interval)
+        with on_compilation(lambda functions, _: reports.append(functions)):
+            for _ in range(2):
+                _new_function()(1.0)
+        assert reports == expected
+        reports.clear()

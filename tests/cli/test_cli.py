@@ -393,7 +393,7 @@ def test_a_verb_announces_compilation_once(capfd: pytest.CaptureFixture[str], mo
 
     monkeypatch.setattr(ApexMap, "evaluate", compiling)
     main(["map"])
-    assert capfd.readouterr().err == "stepgap: compiling for this machine; this takes about half a minute, once\n"
+    assert capfd.readouterr().err == "stepgap: compiling for this machine, once; this takes about half a minute\n"
 
 
 def raising(error: Exception) -> Callable[[], None]:

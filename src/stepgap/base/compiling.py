@@ -1,10 +1,11 @@
-"""Compilation of code that is not in the cache yet: when it begins, which takes a while, and errors of the cache."""
+"""Compilation of code that is not in the cache yet: how far it is, signals meanwhile, and errors of the cache."""
 
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from threading import current_thread, main_thread
+from time import perf_counter
 from traceback import extract_tb
 from types import FrameType
 
@@ -13,26 +14,36 @@ from numba.core.event import Event, Listener, install_listener
 from stepgap.base.compiled import cache_folder
 from stepgap.base.signals import ENDING, handled
 
+REPORT_INTERVAL = 5.0
+"""Time after which compilation is reported again [s]."""
 
-class _FirstCompilation(Listener):
-    """Calls a function when Numba compiles for the first time."""
 
-    def __init__(self, callback: Callable[[], None]):
-        self._callback, self._called = callback, False
+class _Compilation(Listener):
+    """Calls a function when Numba compiles for the first time, and from time to time later on."""
+
+    def __init__(self, callback: Callable[[int, float], None]):
+        self._callback, self._count, self._begin, self._last = callback, 0, 0.0, 0.0
 
     def on_start(self, event: Event) -> None:  # noqa: ARG002  (the signature is Numba's)
-        if not self._called:
-            self._called = True
-            self._callback()
+        if not self._begin:
+            self._begin = self._last = perf_counter()
+            self._callback(0, 0.0)
 
-    def on_end(self, event: Event) -> None:
-        """Does nothing; Numba requires it."""
+    def on_end(self, event: Event) -> None:  # noqa: ARG002
+        self._count += 1
+        now = perf_counter()
+        if now - self._last >= REPORT_INTERVAL:
+            self._last = now
+            self._callback(self._count, now - self._begin)
 
 
 @contextmanager
-def on_first_compilation(callback: Callable[[], None]) -> Iterator[None]:
-    """Calls `callback` at the first compilation within the block; never if all code comes from the cache."""
-    with install_listener("numba:compile", _FirstCompilation(callback)):
+def on_compilation(callback: Callable[[int, float], None]) -> Iterator[None]:
+    """Calls a function with the number of compiled functions and the time since the first one began [s].
+
+    It is called when the first one begins, then every `REPORT_INTERVAL`; never if all code comes from the cache.
+    """
+    with install_listener("numba:compile", _Compilation(callback)):
         yield
 
 

@@ -63,17 +63,24 @@ def check_consent(asked_by: str) -> None:
 
 
 def announces_compilation(verb: Callable[..., None]) -> Callable[..., None]:
-    """Decorator of a verb that may compile: it says so on stderr, unless quiet, and errors of the cache name it."""
+    """Decorator of a verb that may compile: it says so on stderr, unless quiet, and errors of the cache name it.
+
+    On a terminal it says every few seconds how far it is.
+    """
 
     @wraps(verb)
     def announcing(*arguments: Any, **options: Any) -> None:
-        from stepgap.base.compiling import naming_cache, on_first_compilation, signals_between_passes
+        from stepgap.base.compiling import naming_cache, on_compilation, signals_between_passes
 
-        def announce() -> None:
-            if not _is_quiet(options):
-                warn("compiling for this machine; this takes about half a minute, once")
+        def announce(functions: int, seconds: float) -> None:
+            if _is_quiet(options):
+                return
+            if not functions:
+                warn("compiling for this machine, once; this takes about half a minute")
+            elif sys.stderr.isatty():
+                warn(f"compiling: {functions} functions after {seconds:.0f} s")
 
-        with naming_cache(), on_first_compilation(announce), signals_between_passes():
+        with naming_cache(), on_compilation(announce), signals_between_passes():
             verb(*arguments, **options)
 
     return announcing
