@@ -683,8 +683,11 @@ def test_a_full_cache_of_compiled_code_is_named(tmp_path: Path) -> None:
 HEAVY = {"numpy", "numba", "scipy", "mujoco", "matplotlib", "rich.markdown"}
 
 
-@pytest.mark.parametrize("arguments", ["--help", "run --help", "--no-such-option", "run --no-such-option"])
-def test_help_and_a_wrong_option_import_nothing_heavy(arguments: str) -> None:
+@pytest.mark.parametrize(
+    "arguments",
+    ["--help", "run --help", "--no-such-option", "run --no-such-option", "settings", "completion bash"],
+)
+def test_what_only_prints_text_imports_nothing_heavy(arguments: str) -> None:
     asked = f"""
 import sys, stepgap.cli.app
 try:

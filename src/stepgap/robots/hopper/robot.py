@@ -2,27 +2,27 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
 from stepgap.base.errors import InputError
 from stepgap.control.reference import Reference
 from stepgap.rigs.rig import SensorModel
-from stepgap.robots.hopper.kinematics import HopperKinematics
-from stepgap.robots.hopper.model.apex_map import ApexMap
-from stepgap.robots.hopper.model.sampled_map import SampledApexMap
 from stepgap.robots.hopper.paper import paper_reference, paper_result
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
-from stepgap.robots.hopper.tick.hop_control import HopperControl
-from stepgap.robots.hopper.tick.sensors import hopper_sensors
 from stepgap.robots.hopper.twin.paper_family import PAPER_FAMILY
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
-from stepgap.robots.hopper.twin.simulation import HopperSimulation, TwinSimulation
-from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
 from stepgap.robots.published_result import PublishedResult
 from stepgap.robots.robot import Robot
 from stepgap.step import StepMap, StepSpace
+
+if TYPE_CHECKING:  # they load Numba and MuJoCo, which the settings do not need
+    from stepgap.robots.hopper.kinematics import HopperKinematics
+    from stepgap.robots.hopper.model.apex_map import ApexMap
+    from stepgap.robots.hopper.model.sampled_map import SampledApexMap
+    from stepgap.robots.hopper.tick.hop_control import HopperControl
+    from stepgap.robots.hopper.twin.simulation import HopperSimulation
 
 TWIN = "twin"
 """Name of the simulated plant."""
@@ -55,16 +55,20 @@ class Hopper(Robot):
         """State [speed, height], command [fx, fy]."""
         return self.command.space()
 
-    def apex_map(self) -> ApexMap:
+    def apex_map(self) -> "ApexMap":
         """Map of the physics model."""
+        from stepgap.robots.hopper.model.apex_map import ApexMap
+
         return ApexMap(self.parameters, self.gains, self.command)
 
     def nominal_maps(self) -> Mapping[str, Callable[[], StepMap]]:
         """The equations of motion."""
         return {"equations": self.apex_map}
 
-    def sampled_map(self, tick: float) -> SampledApexMap:
+    def sampled_map(self, tick: float) -> "SampledApexMap":
         """The equations of motion with torques that are held for a tick [s]."""
+        from stepgap.robots.hopper.model.sampled_map import SampledApexMap
+
         return SampledApexMap(self.parameters, self.gains, self.command, tick)
 
     @property
@@ -87,16 +91,27 @@ class Hopper(Robot):
         except ValueError as error:
             raise ValueError(f"gains.{error}") from None
 
-    def simulations(self) -> Mapping[str, Callable[[np.random.Generator], HopperSimulation]]:
+    def simulations(self) -> "Mapping[str, Callable[[np.random.Generator], HopperSimulation]]":
         """The twin."""
-        return {TWIN: lambda world: TwinSimulation(self.parameters, self.gap, self.control, world)}
+        return {TWIN: self._twin}
 
-    def control(self) -> HopperControl:
+    def _twin(self, world: np.random.Generator) -> "HopperSimulation":
+        from stepgap.robots.hopper.twin.simulation import TwinSimulation
+
+        return TwinSimulation(self.parameters, self.gap, self.control, world)
+
+    def control(self) -> "HopperControl":
         """The joint controller."""
+        from stepgap.robots.hopper.tick.hop_control import HopperControl
+
         return HopperControl(self.parameters, self.gains, self.command)
 
-    def kinematics(self, sensors: SensorModel | None = None) -> HopperKinematics:
+    def kinematics(self, sensors: SensorModel | None = None) -> "HopperKinematics":
         """Kinematics of boom and leg with the sensors of a rig, or with those of the twin."""
+        from stepgap.robots.hopper.kinematics import HopperKinematics
+        from stepgap.robots.hopper.tick.sensors import hopper_sensors
+        from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
+
         model = twin_sensor_model(self.parameters, self.gap) if sensors is None else hopper_sensors(sensors)
         return HopperKinematics(self.parameters, self.gains, model)
 
