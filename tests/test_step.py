@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stepgap.robots.hopper.parameters import CommandBounds
-from stepgap.step import ADVICE, ContextQuantity, Quantity, StepFailed, StepSpace, StepStatus, ending_of
+from stepgap.step import ADVICE, ContextQuantity, Quantity, StepFailed, StepSpace, StepStatus, box_grid, ending_of
 
 SPACE = StepSpace(
     state=(Quantity("speed", "m/s", 0.0, 0.4),),
@@ -24,7 +24,7 @@ def test_points_and_commands_are_inverse_to_each_other() -> None:
 
 def test_commands_of_all_points_are_within_the_bounds() -> None:
     np.testing.assert_array_equal(SPACE.command_at(np.array([-3.0, 3.0])), [-15.0, 0.7])
-    grid = SPACE.command_grid(7)
+    grid = SPACE.command_at(box_grid(7, 2))
     assert grid.shape == (7, 7, 2)
     assert ((grid >= SPACE.command_lower) & (grid <= SPACE.command_upper)).all()
     np.testing.assert_allclose(grid[0, -1], [-15.0, 0.7], rtol=1e-15)

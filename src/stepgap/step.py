@@ -260,10 +260,6 @@ class StepSpace:
         """∂(scaled next state)/∂point from ∂(next state)/∂command; shape (…, n, m)."""
         return by_command * self.command_scale / self.state_scale[:, None]
 
-    def command_grid(self, samples: int) -> Array:
-        """Even grid over the command bounds, its ends included; shape (samples, …, samples, m)."""
-        return self.command_at(box_grid(samples, len(self.command)))
-
 
 def _check_words(name: str, unit: str) -> None:
     """Raises ValueError unless name and unit can be written into any program, page or table."""

@@ -680,7 +680,7 @@ def test_a_full_cache_of_compiled_code_is_named(tmp_path: Path) -> None:
     assert done.stderr.splitlines()[-1] == f"stepgap: {tmp_path}: {FILE_TOO_LARGE}"
 
 
-HEAVY = {"numpy", "numba", "scipy", "mujoco", "matplotlib", "rich.markdown"}
+HEAVY = {"numba", "scipy", "mujoco", "matplotlib", "rich.markdown"}
 
 
 @pytest.mark.parametrize(

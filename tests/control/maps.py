@@ -191,3 +191,20 @@ class CountingMap(StepMap):
 
     def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
         return self.inner.std_gradient(state, command)
+
+
+class WavyMap(ClosedFormMap):
+    """A map of n state coordinates and m commands with several solutions of most targets."""
+
+    def __init__(self, n: int, m: int):
+        rng = np.random.default_rng(100 * n + m)
+        self._by_state, self._by_command = rng.standard_normal((n, n)) / 2 / n, rng.standard_normal((n, m)) / np.sqrt(m)
+        state = tuple(Quantity(f"s{i}", "m", -1.0, 1.0) for i in range(n))
+        self._space = StepSpace(state, tuple(Quantity(f"c{i}", "N", -2.0, 2.0) for i in range(m)))
+
+    @property
+    def space(self) -> StepSpace:
+        return self._space
+
+    def next_state(self, state: Array, command: Array) -> Array:
+        return state @ self._by_state.T + (command + 0.3 * np.sin(3 * command)) @ self._by_command.T

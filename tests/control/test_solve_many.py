@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.optimize import lsq_linear
 
 from stepgap.control.gauss_newton import box_step, box_steps
 from stepgap.control.solve_many import solve_many
@@ -66,7 +67,7 @@ def test_unreached_targets_get_the_least_distance_of_a_dense_grid():
     step_map = StumblingHopper()
     state, target = np.array([0.1, 0.55]), np.array([0.4, 0.64])
     answers = solve_many(step_map, state[None], target[None])
-    dense = step_map.space.command_grid(201)
+    dense = step_map.space.command_at(box_grid(201, 2))
     off = (step_map.evaluate(state, dense).next_state - target) / step_map.space.state_scale
     found = np.linalg.norm((answers.predicted[0, 0] - target) / step_map.space.state_scale)
     assert not answers.reached
@@ -110,6 +111,18 @@ def test_a_node_costs_few_evaluations():
 def test_arguments_that_do_not_fit_the_map_are_refused(states, targets, message):
     with pytest.raises(ValueError, match=message):
         solve_many(LossyHopper(), states, targets)
+
+
+@pytest.mark.parametrize("commands", [2, 5, 12])
+def test_steps_within_a_box_are_those_of_scipy(commands: int) -> None:
+    rng = np.random.default_rng(commands)
+    matrices, values = rng.standard_normal((40, commands, commands)), rng.standard_normal((40, commands))
+    lower, upper = -rng.uniform(0, 0.5, (40, commands)), rng.uniform(0, 0.5, (40, commands))
+    steps = box_steps(matrices, values, lower, upper, np.zeros(40))
+    assert ((steps >= lower) & (steps <= upper)).all()
+    for i, step in enumerate(steps):
+        found = lsq_linear(matrices[i], -values[i], (lower[i] - 1e-12, upper[i] + 1e-12), method="bvls", tol=1e-14)
+        assert np.sum((matrices[i] @ step + values[i]) ** 2) <= 2 * found.cost + 1e-9
 
 
 entries = st.floats(-3, 3)

@@ -7,7 +7,7 @@ from scipy.optimize import lsq_linear
 
 from stepgap.control.gauss_newton import REACHED, box_step
 from stepgap.control.step_controller import StepController
-from stepgap.step import Array, StepFailed, StepMap, StepStatus
+from stepgap.step import Array, StepFailed, StepMap, StepStatus, box_grid
 from tests.control.maps import (
     CountingMap,
     FoldedMap,
@@ -17,6 +17,7 @@ from tests.control.maps import (
     RoughMap,
     ScalarMap,
     StumblingHopper,
+    WavyMap,
 )
 
 MAPS = [LossyHopper(), StumblingHopper(), RedundantMap(), ScalarMap(), FoldedMap(), RoughMap()]
@@ -40,7 +41,8 @@ def commands(step_map: StepMap, fractions: Array) -> Array:
 def closest_on_grid(step_map: StepMap, state: Array, target: Array) -> float:
     """Least distance over a dense grid of the command bounds."""
     space = step_map.space
-    grid = space.command_grid({1: 4001, 2: 201, 3: 41}[len(space.command)])
+    m = len(space.command)
+    grid = space.command_at(box_grid({1: 4001, 2: 201, 3: 41}[m], m))
     next_states = step_map.evaluate(state, grid).next_state
     return float(np.nanmin(np.linalg.norm((next_states - target) / space.state_scale, axis=-1)))
 
@@ -225,3 +227,19 @@ def test_box_step_is_the_bounded_least_squares_of_scipy(matrix, value, room, dam
     stacked = np.vstack([matrix, np.sqrt(damping) * np.eye(3)])
     oracle = lsq_linear(stacked, -np.append(value, np.zeros(3)), (lower, upper), method="bvls", tol=1e-12)
     np.testing.assert_allclose(step, oracle.x, atol=1e-6)
+
+
+@pytest.mark.parametrize(("n", "m"), [(2, 2), (4, 8), (8, 8), (12, 12), (30, 12)])
+def test_evaluations_grow_at_most_with_the_number_of_inputs(n: int, m: int) -> None:
+    """A grid of only three commands along each of twelve axes would have half a million points."""
+    step_map, rng = CountingMap(WavyMap(n, m)), np.random.default_rng(0)
+    space = step_map.space
+    for _ in range(10):
+        state, target = rng.uniform(-1, 1, (2, n))
+        step_map.evaluations = step_map.jacobians = 0
+        plan = StepController(step_map)(state, target)
+        assert step_map.cost < 2000 + 200 * (n + m)
+        assert np.abs(space.point_of(plan.command)).max() <= 1
+        command = space.command_at(rng.uniform(-0.5, 0.5, m))
+        reachable = StepController(step_map)(state, step_map(state, command))
+        assert reachable.distance < 0.1

@@ -1,17 +1,20 @@
-"""Bounded least squares without a good start: Gauss–Newton steps first, then a search for better starts on a grid."""
+"""Bounded least squares without a good start: Gauss–Newton steps first, then a search for better starts."""
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from stepgap.control.box_points import box_points
 from stepgap.control.gauss_newton import REACHED, Function, Jacobian, Solution, minimise, norms
-from stepgap.step import Array, box_grid
+from stepgap.step import Array
 
-GRID_POINTS = (81, 1089)
-"""Numbers of points of the coarse and the fine search grid; the fine one is used if no coarse point has a value."""
+SEARCHED = (81, 1089)
+"""Numbers of points of the coarse and the fine search; the fine one is used if no coarse point has a value."""
 BASINS = 3
-"""Number of grid points from which a search starts."""
-ZOOM_ROUNDS = 12
+"""Number of these points from which a search starts."""
+SEPARATION = 0.5
+"""Starts differ by more than this in at least one coordinate."""
+ZOOMED = 25
+"""Number of points around the best one in each round of a search that comes nearer and nearer."""
+ZOOM_ROUNDS = 13
 
 
 def solve(function: Function, jacobian: Jacobian, start: Array) -> Solution:
@@ -20,45 +23,49 @@ def solve(function: Function, jacobian: Jacobian, start: Array) -> Solution:
     if best.distance <= REACHED:
         return best
     points, distance = _sample(function, len(start))
-    spacing = 2 / (len(distance) - 1)
-    for index in _basins(distance)[:BASINS]:
-        known = np.abs(points[index] - best.point).max() <= spacing and distance[index] >= best.distance
-        if not known:
-            best = min(best, minimise(function, jacobian, points[index]), key=lambda solution: solution.distance)
+    for row in separate_starts(points, distance[None])[0]:
+        if row < 0:
+            break
+        near_best = np.abs(points[row] - best.point).max() <= SEPARATION
+        if not (near_best and distance[row] >= best.distance):
+            other = minimise(function, jacobian, points[row])
+            best = other if other.distance < best.distance else best
         if best.distance <= REACHED:
             return best
-    return best if best.converged or np.isinf(best.distance) else _zoom(function, best, spacing)
+    return best if best.converged or np.isinf(best.distance) else _zoom(function, best)
 
 
 def _sample(function: Function, k: int) -> tuple[Array, Array]:
-    """Grid over |point| ≤ 1 (s, …, s, k) and its distances (s, …, s); the fine one if the coarse one has no value."""
-    coarse, fine = (box_grid(max(3, round(total ** (1 / k))), k) for total in GRID_POINTS)
+    """Points (N, k) and their distances (N,); the fine ones if the coarse ones have no value."""
+    coarse, fine = (box_points(count, k) for count in SEARCHED)
     distance = norms(function(coarse))
     return (coarse, distance) if np.isfinite(distance).any() else (fine, norms(function(fine)))
 
 
-def _basins(distance: Array) -> list[tuple[int, ...]]:
-    """Grid points with no closer neighbour, the closest first."""
-    lowest = np.argwhere(local_minima(distance, distance.ndim))
-    return sorted((tuple(index) for index in lowest), key=lambda index: distance[index])
+def separate_starts(points: Array, distance: Array) -> Array:
+    """The closest points that lie apart from each other, the closest first.
 
+    Args:
+        points: Shape (N, k).
+        distance: Distances of each of P functions at the points, infinite where one has no value; shape (P, N).
 
-def local_minima(values: Array, k: int) -> NDArray[np.bool_]:
-    """Which finite values on a grid of k axes have no smaller neighbour; (…, s, …, s) to the same shape.
-
-    `scipy.ndimage` has this filter, too, but its import takes ten times as long as the choice of a command, in which it
-    would be made.
+    Returns:
+        Rows of the points, -1 where there are no more; shape (P, BASINS).
     """
-    grid = tuple(range(values.ndim - k, values.ndim))
-    padded = np.pad(values, [(0, 0)] * (values.ndim - k) + [(1, 1)] * k, mode="edge")
-    neighbours = sliding_window_view(padded, (3,) * k, axis=grid)
-    return (values == neighbours.min(axis=tuple(range(values.ndim, values.ndim + k)))) & np.isfinite(values)
+    near = np.abs(points[:, None] - points).max(axis=-1) <= SEPARATION
+    left, found = distance.copy(), np.full((len(distance), BASINS), -1)
+    for column in found.T:
+        closest = np.argmin(left, axis=1)
+        some = np.isfinite(left[np.arange(len(left)), closest])
+        column[some] = closest[some]
+        left[near[closest]] = np.inf
+    return found
 
 
-def _zoom(function: Function, best: Solution, width: float) -> Solution:
-    """Searches on finer and finer grids around a point without convergence, such as one at the border of the domain."""
-    point, distance = best.point, best.distance
-    offsets = box_grid(5, len(point)).reshape(-1, len(point))
+def _zoom(function: Function, best: Solution) -> Solution:
+    """Searches nearer and nearer around a point without convergence, such as one at the border of the domain."""
+    point, distance, width = best.point, best.distance, SEPARATION
+    offsets = box_points(ZOOMED, len(point))
     for _ in range(ZOOM_ROUNDS):
         points = np.clip(point + width * offsets, -1.0, 1.0)
         distances = norms(function(points))

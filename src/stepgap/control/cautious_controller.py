@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stepgap.control.box_points import box_points, composite_design
 from stepgap.control.command_table import CommandTable
 from stepgap.control.evaluation_budget import BudgetedMap, EvaluationBudget
 from stepgap.control.gauss_newton import minimise
@@ -26,14 +27,12 @@ RISK = 2.0
 """The next state must be viable even if it is off by this number of standard deviations."""
 FAILURE_RADIUS = 0.2
 """A step closer than this to one that failed, in every coordinate, is not taken [half ranges]."""
-SEARCH_POINTS = 9
-"""Commands along each axis of the grid that is searched if no better command is safe; fewer if their evaluation takes
-more than `SEARCH_SHARE` of the budget."""
+SEARCH_POINTS = 81
+"""Commands that are searched if no better command is safe; fewer if their evaluation takes more than `SEARCH_SHARE` of
+the budget."""
 SEARCH_SHARE = 0.25
 IMPROVEMENT = 1e-6
 """The search for the least expected squared distance ends where that can fall by no more than this fraction."""
-VIABILITY_POINTS = 3
-"""Commands along each axis of the grid that is searched for a command that makes a step from the next state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +92,7 @@ class CautiousController:
         commands = np.array([exact.command, *searching._cautious_commands(state, target, exact.command)])
         best = checking._best(state, target, commands)
         if best is None:
-            best = checking._best(state, target, self._grid())
+            best = checking._best(state, target, self._searched_commands())
         command = exact.command if best is None else best
         return CautiousPlan(command, self.step_map(state, command), self.step_std(state, command))
 
@@ -106,11 +105,10 @@ class CautiousController:
         budget = EvaluationBudget(self.settings.evaluations // 2)
         return replace(self, step_map=BudgetedMap(self.step_map, budget), nominal=BudgetedMap(self.nominal, budget))
 
-    def _grid(self) -> Array:
-        """Even grid over the command bounds; shape (k, m)."""
-        m = len(self.step_map.space.command)
-        affordable = int((SEARCH_SHARE * self.settings.evaluations) ** (1 / m))
-        return self.step_map.space.command_grid(min(SEARCH_POINTS, max(2, affordable))).reshape(-1, m)
+    def _searched_commands(self) -> Array:
+        """Commands all over the bounds; shape (k, m)."""
+        space = self.step_map.space
+        return space.command_at(box_points(searched_commands(self.settings), len(space.command)))
 
     def _cautious_commands(self, state: Array, target: Array, start: Array) -> list[Array]:
         """The nominal command, and the local minimum of the expected squared distance from the better start.
@@ -177,6 +175,11 @@ class CautiousController:
         doubtful = next_states[self.nominal.evaluate(next_states, space.command_centre).status != StepStatus.OK]
         if not len(doubtful):
             return True
-        commands = space.command_grid(VIABILITY_POINTS).reshape(-1, len(command))
+        commands = space.command_at(composite_design(len(command)))
         statuses = self.nominal.evaluate(doubtful[:, None], commands).status
         return bool((statuses == StepStatus.OK).any(axis=1).all())
+
+
+def searched_commands(settings: ControlSettings) -> int:
+    """Number of commands that are searched if no better command is safe."""
+    return min(SEARCH_POINTS, max(1, int(SEARCH_SHARE * settings.evaluations)))

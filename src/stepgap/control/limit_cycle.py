@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepgap.base.ranges import require
+from stepgap.control.box_points import box_points
 from stepgap.control.reach import within_noise
 from stepgap.control.step_controller import StepController, as_vector
-from stepgap.step import Array, Codes, StepMap, StepStatus
+from stepgap.step import Array, Codes, StepMap, StepStatus, box_grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +42,12 @@ class FixedPoint:
 
 @dataclass(frozen=True, eq=False)
 class ReachableSet:
-    """One-step reachable set: the next states from one state, on a grid over the command bounds.
+    """One-step reachable set: the next states from one state, for commands all over the bounds.
 
     Attributes:
-        commands: Shape (s, …, s, m), one axis for each command.
-        next_states: NaN where the step fails; shape (s, …, s, n).
-        statuses: `StepStatus` values; shape (s, …, s).
+        commands: On an even grid of one or two commands, (s, …, m) with one axis for each; otherwise (k, m).
+        next_states: NaN where the step fails; shape (…, n).
+        statuses: `StepStatus` values; shape (…).
     """
 
     commands: Array
@@ -63,7 +64,7 @@ class ReachableSet:
         Raises:
             ValueError: There are not two commands, so the border is no polygon.
         """
-        grid, commands = self.next_states, self.statuses.ndim
+        grid, commands = self.next_states, self.commands.shape[-1]
         if commands != 2:
             raise ValueError(f"the border is a polygon for two commands, not for {commands}")
         return np.concatenate([grid[:-1, 0], grid[-1, :-1], grid[:0:-1, -1], grid[0, :0:-1]])
@@ -103,16 +104,17 @@ def floquet_multipliers(step_map: StepMap, state: ArrayLike, command: ArrayLike)
 
 
 def reachable_set(step_map: StepMap, state: ArrayLike, samples: int = 21) -> ReachableSet:
-    """Computes the one-step reachable set: all next states from one state, over an even grid of the command bounds.
+    """Computes the one-step reachable set: next states from one state, for commands all over the bounds.
 
     Args:
         step_map: The map.
         state: Shape (n,).
-        samples: Grid points for each command, at least 2.
+        samples: Grid points for each of one or two commands, at least 2; of more commands, the square of this number is
+            tried.
     """
     require(samples >= 2, "samples", samples, "be at least 2: both ends of each command")
     space = step_map.space
-    state = as_vector("state", state, len(space.state))
-    commands = space.command_grid(samples)
+    state, m = as_vector("state", state, len(space.state)), len(space.command)
+    commands = space.command_at(box_grid(samples, m) if m <= 2 else box_points(samples**2, m))
     next_states, statuses = step_map.evaluate(state, commands)
     return ReachableSet(commands, np.where((statuses == StepStatus.OK)[..., None], next_states, np.nan), statuses)

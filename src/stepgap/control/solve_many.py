@@ -12,10 +12,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stepgap.control.bounded_search import BASINS, local_minima
+from stepgap.control.bounded_search import separate_starts
+from stepgap.control.box_points import box_points
 from stepgap.control.gauss_newton import REACHED, minimise_many, norms
 from stepgap.control.step_controller import StepController
-from stepgap.step import Array, Codes, StepFailed, StepMap, StepSpace, StepStatus, box_grid
+from stepgap.step import Array, Codes, StepFailed, StepMap, StepSpace, StepStatus
 
 SAMPLES = 27
 """Approximate number of sampled commands, which are shared by all targets of a state."""
@@ -96,18 +97,17 @@ def solve_many(step_map: StepMap, states: ArrayLike, targets: ArrayLike) -> Answ
 
 
 def _solve(problem: _Problem, states: Array, count: int) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Points (P, m), their errors (P, n), and which of them converged; from one basin of the sample after another."""
+    """Points (P, m), their errors (P, n), and which of them converged; from one start after another."""
     space, n, m = problem.space, len(problem.space.state), len(problem.space.command)
-    grid = box_grid(max(3, round(SAMPLES ** (1 / m))), m)
-    sample = grid.reshape(-1, m)
+    sample = box_points(SAMPLES, m)
     next_states, status = problem.step_map.evaluate(states[:, None], space.command_at(sample))
     next_states = np.where((status == StepStatus.OK)[..., None], next_states, np.nan)[:, None]
     targets = problem.targets.reshape(len(states), count, 1, n)
     sampled = ((next_states - targets) / space.state_scale).reshape(-1, len(sample), n)
-    ranks = _basins(norms(sampled).reshape(-1, *grid.shape[:-1]), m)
+    ranks = separate_starts(sample, norms(sampled))
     best, at = sampled[np.arange(len(ranks)), ranks[:, 0]], sample[ranks[:, 0]]
     converged = np.zeros(len(ranks), bool)
-    # Each turn starts from the next closest basin of the nodes that are not yet solved, in one batch. `best` is the
+    # Each turn starts from the next closest start of the nodes that are not yet solved, in one batch. `best` is the
     # least error so far. An equal one replaces it: a search that did not move tells, too, whether it converged.
     for choice in ranks.T:
         nodes = np.flatnonzero((choice >= 0) & (norms(best) > REACHED))
@@ -118,13 +118,6 @@ def _solve(problem: _Problem, states: Array, count: int) -> tuple[Array, Array, 
         chosen = nodes[closer]
         at[chosen], best[chosen], converged[chosen] = points[closer], values[closer], ended[closer]
     return at, best, converged
-
-
-def _basins(length: Array, m: int) -> Nodes:
-    """Samples with no closer neighbour, the closest first, -1 where there are no more; (P, s, …, s) to (P, BASINS)."""
-    length = np.where(local_minima(length, m), length, np.inf).reshape(len(length), -1)
-    order = np.argsort(length, axis=1, kind="stable")[:, :BASINS]
-    return np.where(np.isfinite(np.take_along_axis(length, order, axis=1)), order, -1)
 
 
 def _jacobians(problem: _Problem, states: Array, rows: Nodes, sample: Array, choice: Nodes) -> Array:

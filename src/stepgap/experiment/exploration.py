@@ -9,14 +9,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stepgap.control.box_points import box_points
 from stepgap.control.cautious_controller import CautiousController, CautiousPlan
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
 from stepgap.learning.residual import Residual
 from stepgap.step import Array, StepFailed, StepMap
 
-TRIED = 5
-"""Number of commands along each axis that are compared."""
+TRIED, SECOND = 25, 13
+"""Numbers of commands that are compared for the next step, and of those with which each is followed."""
 MARGIN = 0.1
 """Distance by which an exploratory step may leave the range of the targets [half ranges]."""
 
@@ -67,7 +68,7 @@ def exploration_plan(controller: CautiousController, residual: Residual, state: 
     """
     step_map, space = controller.step_map, controller.step_map.space
     n, m = len(space.state), len(space.command)
-    commands = space.command_grid(TRIED).reshape(-1, m)
+    commands = space.command_at(box_points(TRIED, m))
     safe = np.array([command for command in commands if controller.is_safe(state, command)]).reshape(-1, m)
     if not len(safe):
         return controller(state, goals.points[0, :n])
@@ -78,7 +79,7 @@ def exploration_plan(controller: CautiousController, residual: Residual, state: 
 
     def uncertainty(i: int) -> float:
         first = np.append(state, safe[i])
-        second = [np.append(ends[i], command) for command in commands[:: TRIED // 2]]
+        second = [np.append(ends[i], command) for command in commands[:: max(1, round(len(commands) / SECOND))]]
         return min(goals.uncertainty_after(residual, first, point) for point in second)
 
     best = min(allowed.tolist(), key=uncertainty)

@@ -17,6 +17,7 @@ import numpy as np
 from stepgap.base.errors import InputError
 from stepgap.base.versions import versions_here
 from stepgap.control import bounded_search, cautious_controller, gauss_newton
+from stepgap.control.box_points import box_points, composite_design, irrational_steps
 from stepgap.export.controller.portable_controller import SAMPLE_RESOLUTION, PortableController
 from stepgap.learning import disturbance, learner, outliers
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
@@ -222,6 +223,7 @@ class _Tables:
             "NO_DAMPING": gauss_newton.NO_DAMPING,
             "ACCEPTED": gauss_newton.ACCEPTED,
             "RISK": cautious_controller.RISK,
+            "SEPARATION": bounded_search.SEPARATION,
             "FAILURE_RADIUS": cautious_controller.FAILURE_RADIUS,
             "SCORE_MEMORY": disturbance.SCORE_MEMORY,
             "SWITCHING_PENALTY": disturbance.SWITCHING_PENALTY,
@@ -235,9 +237,8 @@ class _Tables:
     def _sizes(self) -> dict[str, int]:
         settings, m = self.controller.settings, len(self.controller.space.command)
         nominal, regressions = self.controller.map.nominal, self.controller.map.residual.regressions
-        coarse, fine = (max(3, round(total ** (1 / m))) for total in bounded_search.GRID_POINTS)
-        affordable = int((cautious_controller.SEARCH_SHARE * settings.evaluations) ** (1 / m))
-        side = min(cautious_controller.SEARCH_POINTS, max(2, affordable))
+        coarse, fine = (len(box_points(count, m)) for count in bounded_search.SEARCHED)
+        design = len(composite_design(m))
         half = settings.evaluations // 2
         centres = [len(_process(each).inducing) for each in regressions if isinstance(each, GaussianProcessRegression)]
         return {
@@ -246,12 +247,13 @@ class _Tables:
             "MOST_TRIALS": gauss_newton.MOST_TRIALS,
             "BASINS": bounded_search.BASINS,
             "ZOOM_ROUNDS": bounded_search.ZOOM_ROUNDS,
-            "COARSE_SIDE": coarse,
-            "FINE_SIDE": fine,
-            "GRID_SIZE": max([1, *(side**m for side in (coarse, fine) if side**m <= half)]),
-            "SEARCH_SIDE": side,
-            "SEARCH_SIZE": side**m,
-            "VIABILITY_SIDE": cautious_controller.VIABILITY_POINTS,
+            "ZOOM_SIZE": len(box_points(bounded_search.ZOOMED, m)),
+            "COARSE_SIZE": coarse,
+            "FINE_SIZE": fine,
+            "SAMPLE_SIZE": max([1, *(size for size in (coarse, fine) if size <= half)]),
+            "SEARCH_SIZE": len(box_points(cautious_controller.searched_commands(settings), m)),
+            "DESIGN_SIZE": design,
+            "OPPOSITE": max(1, (design - 1 - 2 * m) // 2),
             "EVALUATIONS": settings.evaluations,
             "CAUTIOUS": int(settings.cautious),
             "VIABILITY": int(settings.viability),
@@ -265,6 +267,7 @@ class _Tables:
         space, failures = self.controller.space, self.controller.failures
         names = "state_scale", "command_scale", "command_centre", "command_lower", "command_upper"
         arrays = [self._array(name, getattr(space, name)) for name in names]
+        arrays.append(self._array("irrational_steps", irrational_steps(len(space.command))))
         return [*arrays, self._array("failures", failures), f"static const int failure_count = {len(failures)};"]
 
     def _filters(self) -> list[str]:
