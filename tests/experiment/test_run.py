@@ -271,7 +271,7 @@ def test_steps_changed_after_the_summary(folder: Path) -> None:
 
 def test_too_many_coordinates(tmp_path: Path) -> None:
     names = tuple(f"x{number}" for number in range(steps_csv.MOST_COORDINATES + 1))
-    assert "at most 12" in complaint(write_run(tmp_path / "run", names, steps=1))
+    assert "at most 100" in complaint(write_run(tmp_path / "run", names, steps=1))
 
 
 def test_summary_of_another_robot(folder: Path) -> None:

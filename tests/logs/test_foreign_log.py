@@ -168,7 +168,7 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
         ({"command": ("f",)}, "state: no column"),
         ({"state": ("v",)}, "command: no column"),
         ({"state": ("v", "y"), "next": ("v2",), "command": ("f",)}, "next: 1 columns; it must have as many"),
-        ({"state": ("v",) * 13, "command": ("f",)}, "state: 13 columns; it must have at most 12"),
+        ({"state": ("v",) * 101, "command": ("f",)}, "state: 101 columns; it must have at most 100"),
         ({"state": ("v",), "command": ("x=f", "v=g")}, "give each a different name"),
         ({"state": ("v",), "command": ("f",), "units": {"w": "m"}}, "units: no column 'w'; "),
         ({"state": ("v",), "command": ("f",), "factors": {"f": 0.0}}, "factors: f = 0.0, but its magnitude must"),

@@ -137,7 +137,7 @@ def test_a_step_that_could_not_be_read_is_not_written(tmp_path: Path, wrong: dic
         (("x", "place_after"), (), "the name 'place_after'"),
         (("x",), ("x",), "the name 'x'"),
         (("x", "next_x"), (), "the name 'next_x'"),
-        ([f"x{number}" for number in range(13)], (), "the state has 13 coordinates, but it must have at most 12"),
+        ([f"x{number}" for number in range(101)], (), "the state has 101 coordinates, but it must have at most 100"),
     ],
 )
 def test_names_that_could_not_be_read_are_refused_before_the_first_step(

@@ -1,6 +1,7 @@
 """Bounded least squares without a good start: Gauss–Newton steps first, then a search for better starts."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.control.box_points import box_points
 from stepgap.control.gauss_newton import REACHED, Function, Jacobian, Solution, minimise, norms
@@ -42,7 +43,7 @@ def _sample(function: Function, k: int) -> tuple[Array, Array]:
     return (coarse, distance) if np.isfinite(distance).any() else (fine, norms(function(fine)))
 
 
-def separate_starts(points: Array, distance: Array) -> Array:
+def separate_starts(points: Array, distance: Array) -> NDArray[np.intp]:
     """The closest points that lie apart from each other, the closest first.
 
     Args:
@@ -53,7 +54,7 @@ def separate_starts(points: Array, distance: Array) -> Array:
         Rows of the points, -1 where there are no more; shape (P, BASINS).
     """
     near = np.abs(points[:, None] - points).max(axis=-1) <= SEPARATION
-    left, found = distance.copy(), np.full((len(distance), BASINS), -1)
+    left, found = distance.copy(), np.full((len(distance), BASINS), -1, np.intp)
     for column in found.T:
         closest = np.argmin(left, axis=1)
         some = np.isfinite(left[np.arange(len(left)), closest])

@@ -24,7 +24,7 @@ LARGEST_STEPS_FILE = 256 * 2**20
 LONGEST_HEADER = 2**14
 """Longest first line of `steps.csv` [bytes]."""
 
-MOST_COORDINATES = 12
+MOST_COORDINATES = 100
 """Largest number of state coordinates; each has its own figure."""
 
 

@@ -49,7 +49,7 @@ def test_options_override_the_file(tmp_path: Path) -> None:
         ({"boom": 1.2}, "--boom = 1.2, but it must be given together with pitch and yaw"),
         ({"rise": -1.0}, "--rise = -1.0, but it must be a positive number, or 0"),
         ({"window": float("nan")}, "--window = nan, but it must be a positive number, or 0"),
-        ({"height": "y", "state": "y,y"}, "--state = 'y,y', but it must be at most 12 coordinates"),
+        ({"height": "y", "state": "y,y"}, "--state = 'y,y', but it must be at most 100 coordinates"),
         ({"height": "y", "state": "x,y", "target": "z"}, "--target = 'z', but it must be 2 coordinates, as the state"),
         ({"height": "y", "state": "y", "plan_match": "x"}, "--plan-match = 'x', but it must be PLAN_COLUMN=COLUMN"),
     ],
