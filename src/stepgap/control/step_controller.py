@@ -1,7 +1,7 @@
 """The step controller: the command with which the next state is the target (Sec. 4.3 of the paper, Eqs. 11, 13).
 
 `StepController` works with any `StepMap`, nominal or corrected. Usually a few damped Gauss–Newton steps within the
-command bounds reach the target. Where they do not, the controller searches commands all over the bounds for better starting
+command bounds reach the target. Where they do not, the controller searches all over the bounds for better starting
 points (`bounded_search`). In a run, `DeploymentController` (`experiment.deployment`) calls `CautiousController`, which
 calls this controller, and departs from its command where the map is uncertain or a fall is possible.
 
