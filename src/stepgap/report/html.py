@@ -96,7 +96,7 @@ def picture(drawn: Drawing | Missing, prefix: str, caption: str, on_first_screen
     values = safe(drawn.hover)
     svg = inline_svg(drawn, prefix)
     ratio = _ratio(svg)
-    size = ' class="tall"' if ratio <= 1 else f' class="first" style="--ratio: {ratio:.3f}"' * on_first_screen
+    size = ' class="tall"' if ratio < 1 else f' class="first" style="--ratio: {ratio:.3f}"' * on_first_screen
     return f'<figure{size} data-hover="{values}">{svg}<figcaption>{safe(caption)}</figcaption></figure>'
 
 
