@@ -12,6 +12,7 @@ import hashlib
 import json
 import resource
 import sys
+from contextlib import suppress
 from typing import Any
 
 import mujoco
@@ -22,7 +23,8 @@ def _describe() -> None:
     path, seconds, size = sys.argv[1:]
     for kind, limit in ((resource.RLIMIT_CPU, int(seconds)), (resource.RLIMIT_AS, int(size))):
         _, hard = resource.getrlimit(kind)
-        resource.setrlimit(kind, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
+        with suppress(OSError, ValueError):  # macOS has no limit of the memory
+            resource.setrlimit(kind, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
     try:
         model = mujoco.MjModel.from_xml_path(path)
         mujoco.MjData(model)
