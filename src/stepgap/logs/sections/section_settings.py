@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, final
 
 from stepgap.base.errors import InputError
-from stepgap.base.names import UNIT_RULE, is_unit
+from stepgap.base.names import UNIT_RULE, as_name, is_unit
 from stepgap.base.settings_file import merge, read_toml
 from stepgap.logs.columns import LARGEST_VALUE
 from stepgap.logs.tables.text_format import AS_FOUND, TextFormat
@@ -161,7 +161,7 @@ class SignalCoordinate:
     """A coordinate of a state or command.
 
     Attributes:
-        name: Its name.
+        name: Its name, an identifier.
         column: The column that it is computed from.
         rate: Whether it is the rate of this column.
     """
@@ -176,7 +176,7 @@ class SignalCoordinate:
         name, _, given = entry.rpartition("=")
         rate = re.fullmatch(r"rate\((.+)\)", given.strip())
         column = rate[1] if rate else given.strip()
-        return SignalCoordinate(name.strip() or column, column, rate is not None)
+        return SignalCoordinate(as_name(name.strip() or column), column, rate is not None)
 
 
 def read_section_settings(file: Path | None, options: Mapping[str, str | float | bool]) -> SectionSettings:
