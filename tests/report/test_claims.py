@@ -1,5 +1,6 @@
 """Every sentence of a report follows from what happened in its run, for runs of several kinds."""
 
+import re
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -89,6 +90,7 @@ def test_nothing_is_claimed_that_did_not_happen(name: str, text_of) -> None:
     text, kind = text_of(name), KINDS[name]
     for claim in ("the paper", "yaw", "periodic", "Triangles", "cut by limits", " fell", "exploratory", "1.0 times"):
         assert claim not in text, claim
+    assert not re.search(r"−0(\.0+)?(?![\d.])", text), "zero has no sign"
     assert ("one of the step before" in text) == (kind.learning.lagged_inputs != "none")
     assert ("with the learned correction" in text) == (kind.learning.iterations > 0)
 
