@@ -422,6 +422,16 @@ def test_a_failure_is_no_bad_input(
     assert Path("run/steps.csv").read_text().count("\n") == 5, "recorded steps are kept, so that the run can be resumed"
 
 
+def test_an_unexpected_error_names_what_changes_the_compilation(
+    finished: Path, stepgap: Command, trouble: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "0")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "cache")
+    trouble(raising(ValueError("a fault")))
+    result = stepgap("run", finished / "short.toml", "--out", "run", "--quiet")
+    assert result.err == "stepgap: ValueError: a fault (the environment sets NUMBA_DISABLE_JIT; try without)\n"
+
+
 def test_the_error_of_a_full_disk_names_the_settings(finished: Path, stepgap: Command) -> None:
     with largest_file(1000):
         result = stepgap("run", finished / "short.toml", "--out", "run", "--quiet")

@@ -5,6 +5,7 @@ At their top, verb modules import only modules that load quickly, so that help d
 Exit codes: 0 done; 2 bad input, with one line that gives the rule; 130 Ctrl-C; 1 any other failure.
 """
 
+import os
 import re
 import sys
 import warnings
@@ -142,7 +143,13 @@ def _line_of(error: Exception) -> str:
     if _is_bad_input(error) or about_a_file or isinstance(error, StepGapError):
         return f"{message_of(error)}{_hint(error)}"
     text = error.args[0] if isinstance(error, KeyError) and error.args else error  # str(KeyError) is in quotes
-    return f"{type(error).__name__}: {text}"
+    return f"{type(error).__name__}: {text}{_hint_of_numba()}"
+
+
+def _hint_of_numba() -> str:
+    """Hint that the environment changes how code is compiled, which may be why it fails; empty if it does not."""
+    names = ", ".join(sorted(name for name in os.environ if name.startswith("NUMBA_") and name != "NUMBA_CACHE_DIR"))
+    return f" (the environment sets {names}; try without)" if names else ""
 
 
 def _hint(error: Exception) -> str:

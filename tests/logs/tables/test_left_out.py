@@ -280,6 +280,19 @@ def test_lists_in_parquet_are_columns_as_in_mcap(tmp_path: Path) -> None:
     })  # fmt: skip
 
 
+def test_a_filter_of_hdf5_that_is_not_installed(tmp_path: Path) -> None:
+    path = tmp_path / "log.h5"
+    with h5py.File(path, "w") as file:
+        file["t"], file["v"] = T, V
+        file.create_dataset("packed", data=np.arange(4.0), chunks=(4,), compression="gzip")
+    number, rest = struct.pack("<H", 1), struct.pack("<3H", 8, 1, 1) + b"deflate\0"
+    content = path.read_bytes()
+    assert content.count(number + rest) == 1
+    path.write_bytes(content.replace(number + rest, struct.pack("<H", 32026) + rest))
+    (table,) = read(path, "packed (compressed by deflate, which is not installed; write it with gzip)").values()
+    np.testing.assert_array_equal(table.numbers("v"), V)
+
+
 def matlab_object(path: Path) -> None:
     """Two arrays, and between them a variable of a class, as MATLAB's `save` writes a table."""
     texts = [(16, b"events"), (16, b"MCOS"), (16, b"table")]

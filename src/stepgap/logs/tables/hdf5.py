@@ -38,7 +38,7 @@ def read_hdf5(path: Path, matlab: bool, unread: dict[str, str]) -> dict[str, Log
                 if not matlab:
                     arrays.append(_array(h5py, names, dataset))
                 elif _is_matlab_number(dataset):
-                    arrays.append(_matlab_array(names, dataset))
+                    arrays.append(_matlab_array(names, _values(h5py, dataset)))
         return tables_of_arrays(str(path), arrays, unread)
 
 
@@ -77,7 +77,7 @@ def _datasets(
 
 def _array(h5py: Any, names: tuple[str, ...], dataset: Any) -> tuple[str, str, Any]:
     text = h5py.check_string_dtype(dataset.dtype) is not None and dataset.dtype.kind == "O"
-    values = dataset.asstr()[...].astype(str) if text else dataset[...]
+    values = dataset.asstr()[...].astype(str) if text else _values(h5py, dataset)
     return "/".join(names[:-1]), names[-1], values
 
 
@@ -87,7 +87,26 @@ def _is_matlab_number(dataset: Any) -> bool:
     return dataset.dtype.kind in "biuf" and not is_text and "MATLAB_empty" not in dataset.attrs
 
 
-def _matlab_array(names: tuple[str, ...], dataset: Any) -> tuple[str, str, Any]:
+def _matlab_array(names: tuple[str, ...], values: Any) -> tuple[str, str, Any]:
     """MATLAB stores the transposed array."""
     group, name = (names[0], names[1:]) if len(names) > 1 else ("", names)
-    return group, ".".join(name), dataset[...].T
+    return group, ".".join(name), values.T
+
+
+def _values(h5py: Any, dataset: Any) -> Any:
+    """The values of a dataset.
+
+    Raises:
+        OSError: They are damaged.
+        ValueError: They are compressed in a way that is not installed.
+    """
+    try:
+        return dataset[...]
+    except OSError:
+        pipeline = dataset.id.get_create_plist()
+        filters = [pipeline.get_filter(number) for number in range(pipeline.get_nfilters())]
+        named = [(code, name.decode(errors="replace").partition(";")[0]) for code, _, _, name in filters]
+        names = [name or str(code) for code, name in named if not h5py.h5z.filter_avail(code)]
+        if not names:
+            raise
+        raise ValueError(f"compressed by {', '.join(names):.60}, which is not installed; write it with gzip") from None
