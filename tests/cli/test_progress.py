@@ -2,6 +2,7 @@
 
 import io
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,3 +64,13 @@ def test_deployments_and_what_is_between_them_have_a_line(terminal: io.StringIO)
         observer.on_phase("measuring the noise floor", 5, 20)
         assert "measuring the noise floor" in (line := shown(progress, terminal))
         assert "5/20" in line
+
+
+def test_a_coordinate_that_stays_away_from_its_targets_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    with RunProgress(SPACE, steps=6, iterations=0) as progress:
+        for number in range(1, 7):
+            step = logged(0, number)
+            low = step.record.next_state - [0.0, 0.3]
+            progress.observer.on_step(replace(step, record=replace(step.record, next_state=low)))
+        progress.observer.on_deployment(Deployment(0, "none", 6, 0, ERR, ERR, ERR, ERR, ERR, ERR, 0, NONE, NONE))
+    assert "In all 6 steps of deployment 0, height ended below all targets, 0.290 to 0.290 m" in capsys.readouterr().err

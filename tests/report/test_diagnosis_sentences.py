@@ -9,7 +9,7 @@ import pytest
 from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
-from stepgap.report.diagnosis_sentences import diagnosis_sentences
+from stepgap.report.diagnosis_sentences import diagnosis_sentences, offset_sentences
 from tests.experiment.test_diagnosis import NOMINAL, SPACE, Error, plain, steps_of, varying, with_memory
 from tests.report.runs import write_run
 
@@ -61,6 +61,15 @@ def test_a_state_in_the_wrong_unit_is_named_even_without_a_nominal_map(record: R
     )
     assert named.startswith("In the first 5 steps of deployment 0, height was about 5")
     assert rest == "Not available: no map."
+
+
+def test_an_offset_of_the_nominal_map_is_no_finding_but_one_that_learning_leaves_is() -> None:
+    rng, count = np.random.default_rng(0), 30
+    for offset, std, found in ((0.01, 0.0, 0), (0.01, 0.002, 1), (0.3, 0.0, 1), (0.0, 0.002, 0)):
+        target = np.tile([0.2, 0.58], (count, 1))
+        ends = target - [0.0, offset] + [0.01, 0.001] * rng.normal(size=(count, 2))
+        steps = Steps.of_columns(SPACE, state=target, target=target, next_state=ends, std=np.full((count, 2), std))
+        assert len(offset_sentences(steps)) == found
 
 
 def test_what_cannot_be_judged_is_said(record: Run) -> None:

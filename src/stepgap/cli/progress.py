@@ -17,6 +17,7 @@ from stepgap.experiment.state_ranges import COMPARED_STEPS, far_states
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.records.steps_csv import values_of
 from stepgap.records.summary import Deployment, deployment_entry
+from stepgap.report.diagnosis_sentences import offset_sentences
 from stepgap.report.text import decimal, unit_suffix
 from stepgap.step import StepSpace, StepStatus, ending_of
 
@@ -98,6 +99,9 @@ class RunProgress:
     def _on_deployment(self, deployment: Deployment) -> None:
         if len(self._executed) < COMPARED_STEPS:
             self._warn_of_far_states()
+        if not self._quiet and self._executed:
+            for sentence in offset_sentences(Steps(self._space, self._executed)):
+                warn(sentence)
         status = self._executed[-1].record.status if self._executed else StepStatus.OK
         self._executed, self._errors = [], []
         self._last = deployment.iteration

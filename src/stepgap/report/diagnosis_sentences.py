@@ -32,23 +32,29 @@ OFTEN = 0.1
 def diagnosis_sentences(run: Run) -> list[str]:
     """Sentences on the first recorded deployment, and on errors and commands at their bounds in the last one."""
     first = run.steps.of_iteration(run.steps.iterations[0])
-    offsets = [f"{sentence} {OFFSET_ADVICE}" for sentence in offset_sentences(run)]
+    last = run.steps.of_iteration(run.steps.iterations[-1])
+    offsets = [f"{sentence} {OFFSET_ADVICE}" for sentence in offset_sentences(last)]
     if isinstance(run.nominal, Missing):
         return [*far_states(first), *offsets, f"Not available: {run.nominal.reason}."]
     return [*far_states(first), *offsets, *_of_nominal(run, run.nominal)]
 
 
-def offset_sentences(run: Run) -> list[str]:
-    """Sentences on coordinates that ended on the same side of all their targets, far away, in the last deployment."""
-    steps = run.steps.of_iteration(run.steps.iterations[-1]).tracking().completed()
+def offset_sentences(deployment: Steps) -> list[str]:
+    """Sentences on coordinates that ended on the same side of all their targets, far away, in a deployment.
+
+    Before anything was learned, that is an error of the nominal map unless it is larger than half the range of use.
+    """
+    steps = deployment.tracking().completed()
     if len(steps) < FEWEST_OFFSET:
         return []
     sentences = []
-    for row, quantity in enumerate(run.space.state):
+    for row, quantity in enumerate(steps.space.state):
         error, ends, unit = steps.tracking_errors()[:, row], steps.next_state[:, row], unit_suffix(quantity)
         low, high = error.min(), error.max()
         apart = ends.max() < steps.target[:, row].min() or ends.min() > steps.target[:, row].max()
         if low * high <= 0 or not apart or abs(error.mean()) < FAR_OFFSET * error.std():
+            continue
+        if not steps.std.any() and abs(error.mean()) < steps.space.state_scale[row]:
             continue
         side, least, most = ("above", low, high) if low > 0 else ("below", -high, -low)
         sentences.append(

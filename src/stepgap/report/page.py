@@ -104,10 +104,11 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
         "settings": [_settings(run)],
         "files": [_file_list(run)],
     }  # fmt: skip
+    offsets = offset_sentences(run.steps.of_iteration(run.steps.iterations[-1]))
     note = " ".join([recorded(run), *times_in_words(run)])
     top = (
         f'<h1>{safe(title)}</h1>\n<nav>{links}</nav>\n<p class="headline">{safe(headline(run))}</p>\n'
-        f"{summary_table(run)}{bullets([*sentences(run), *offset_sentences(run), *growth_sentences(analysis.loops)])}"
+        f"{summary_table(run)}{bullets([*sentences(run), *offsets, *growth_sentences(analysis.loops)])}"
         f'<p class="note">{safe(note)}</p>'
     )
     parts = [
