@@ -61,7 +61,7 @@ class RunProgress:
         self._description = ""
         self._last = 0
         self._deployments: list[Deployment] = []
-        self._errors: list[np.ndarray] = []
+        self._squares, self._completed = np.zeros(len(space.state)), 0
         self._executed: list[LoggedStep] = []
 
     @property
@@ -83,8 +83,9 @@ class RunProgress:
 
     def _on_step(self, logged: LoggedStep) -> None:
         if logged.record.status == StepStatus.OK:
-            self._errors.append(logged.record.next_state - logged.target)
-        error = self._describe(np.sqrt(np.mean(np.square(self._errors), axis=0))) if self._errors else ""
+            self._squares += np.square(logged.record.next_state - logged.target)
+            self._completed += 1
+        error = self._describe(np.sqrt(self._squares / self._completed)) if self._completed else ""
         self._executed.append(logged)
         description = f"deployment {logged.iteration} of {self._iterations}"
         self._show(description, len(self._executed), self._steps, error)
@@ -103,7 +104,7 @@ class RunProgress:
             for sentence in offset_sentences(Steps(self._space, self._executed)):
                 warn(sentence)
         status = self._executed[-1].record.status if self._executed else StepStatus.OK
-        self._executed, self._errors = [], []
+        self._executed, self._squares, self._completed = [], np.zeros_like(self._squares), 0
         self._last = deployment.iteration
         self._deployments.append(deployment)
         if not self._quiet:

@@ -116,6 +116,8 @@ class Polynomial(BatchRegression):
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
         """Predictions, with noise, of each value from those outside its block, with the same prior."""
         basis, counts = self._basis(self.points), self._counts
+        if len(blocks) == len(self.values):
+            return self._left_one_out(basis, counts)
         mean, std = np.empty(len(self.values)), np.empty(len(self.values))
         for block in blocks:
             others = self.moments.plus(basis[block], self.values[block], -counts[block])
@@ -123,6 +125,15 @@ class Polynomial(BatchRegression):
             mean[block] = basis[block] @ weights
             std[block] = np.sqrt(noise_variance * (1 + np.einsum("ka,ak->k", basis[block], spread)))
         return Prediction(mean, std)
+
+    def _left_one_out(self, basis: Array, counts: Array) -> Prediction:
+        """Predictions of each value from all others: those of `left_out`, by the leverage of each (Allen's PRESS)."""
+        weights, spread, _ = self.moments.solve(basis)
+        known, degrees = np.einsum("ka,ak->k", basis, spread), self.moments.degrees_of_freedom
+        error, kept = self.values - basis @ weights, 1 - counts * known
+        squares = self.moments.squares - float(self.moments.projection @ weights) - counts * error**2 / kept
+        noise_variance = squares / (degrees - counts - 2)
+        return Prediction(self.values - error / kept, np.sqrt(noise_variance * (1 + known / kept)))
 
     def append(self, point: ArrayLike, value: float) -> "Polynomial":
         """Conditions the polynomial on one more value; costs as much as solving for the weights."""
