@@ -194,6 +194,16 @@ def test_a_file_of_a_data_logger() -> None:
     assert table.numbers("v").tolist() == [0.5]
 
 
+def test_a_column_of_lists_does_not_hide_the_others() -> None:
+    """Vectors in files of simulators: their commas are neither decimal signs nor separators of thousands."""
+    table = read(b"t\tx\n0.5\t0.04,0.17,-0.2\n1.5\t1.5,2.5,3\n")
+    assert table.numbers("t").tolist() == [0.5, 1.5]
+    assert table.columns["x"].tolist() == ["0.04,0.17,-0.2", "1.5,2.5,3"]
+    for thousands in ("1,234.5", "-12.345.678,9", "1,234,567.8e3"):
+        with pytest.raises(RecordError, match="has separated thousands"):
+            read(f"t\tx\n0\t{thousands}\n".encode())
+
+
 def test_a_row_without_numbers_is_kept_where_it_may_be_data() -> None:
     for text in ("t,phase\n,stand\n1,hop\n", "a,b\nx,y\nz,w\n", "t,v\nfast,slow\n1,faster\nnow,2\n"):
         assert len(read(text.encode())) == text.count("\n") - 1

@@ -20,7 +20,7 @@ _BYTE_ORDER_MARKS = {
 _DECIMAL_COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?")
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 _DECIMAL_POINT = re.compile(r"[+-]?(\d+\.\d*|\.\d+)([eE][+-]?\d+)?")
-_BOTH = re.compile(r"[+-]?\d+([.,]\d+)*([.,]\d*)?([eE][+-]?\d+)?")
+_BOTH = re.compile(r"[+-]?[1-9]\d{0,2}((,\d{3})+\.\d*|(\.\d{3})+,\d*)([eE][+-]?\d+)?")
 _BINARY = re.compile(r"[\x00-\x08\x0e-\x1b\x7f-\x9f]")
 
 
