@@ -31,7 +31,7 @@ import numpy as np
 from stepgap.base.compiled import as_written
 from stepgap.hardware.hopper.ethercat import read_rig_settings
 from stepgap.plants.tick_control import Mode, Order, TickFlag
-from stepgap.rigs.rig import HEALTHY, LOST, Health, RigFault, Torques
+from stepgap.rigs.rig import HEALTHY, LOST, Health, Rig, RigFault, Torques
 from stepgap.robots.hopper import Gains, RobotParameters
 from stepgap.robots.hopper.tick.closures import MOST_EVIDENCE
 from stepgap.robots.hopper.tick.encoder_track import EncoderTrack, with_angle
@@ -39,7 +39,7 @@ from stepgap.robots.hopper.tick.hop_control import HopControl
 from stepgap.robots.hopper.tick.limits import SafetyLimits
 from stepgap.robots.hopper.tick.plausibility import jump_ratio
 from stepgap.robots.hopper.tick.safety import DOUBTS, Limited
-from stepgap.robots.hopper.tick.sensors import HopperReading
+from stepgap.robots.hopper.tick.sensors import HopperReading, hopper_sensors
 from stepgap.robots.hopper.tick.tick_row import TICK_UNITS
 from stepgap.robots.hopper.twin import twin as twin_module
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
@@ -78,7 +78,7 @@ def unchanged(number: int, reading: HopperReading) -> HopperReading:
 
 
 def deployment(
-    twin: Twin,
+    twin: Rig,
     limits: SafetyLimits,
     rng: np.random.Generator,
     trouble: Trouble,
@@ -94,7 +94,7 @@ def deployment(
         change: Returns the reading of a tick as a fault of a sensor changes it.
     """
     twin.connect()
-    control, reading = HopControl(twin.sensor_model, ROBOT, GAINS, limits), twin.read()
+    control, reading = HopControl(hopper_sensors(twin.sensor_model), ROBOT, GAINS, limits), _reading(twin)
     time, given, applied, command = 0.0, (0.0, 0.0), (0.0, 0.0), START_COMMAND
     for number in count():
         chance, health = rng.random(), HEALTHY
@@ -104,7 +104,7 @@ def deployment(
             if chance > 1 - trouble.late:
                 time, health = time + TICK, Health(late=1)
                 twin.write(given)
-            reading = change(number, twin.read())
+            reading = change(number, _reading(twin))
         torques, flags = control.tick(time, reading, Order(Mode.STEP, 1.0, command), applied, health)
         yield control, flags, applied, health
         if flags & (TickFlag.STOPPED | TickFlag.FAILED):
@@ -114,6 +114,10 @@ def deployment(
         arrives = chance >= trouble.lost / 2
         given = twin.write(torques if arrives else given)
         applied, time = given if arrives else torques, time + TICK
+
+
+def _reading(rig: Rig) -> HopperReading:
+    return HopperReading(*rig.read())
 
 
 @dataclass

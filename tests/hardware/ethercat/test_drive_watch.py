@@ -12,6 +12,9 @@ from stepgap.hardware.ethercat.drive_watch import (
     BEYOND,
     LARGEST_JUMP,
     MOST_DOUBTS,
+    MOST_SAME,
+    MOST_WARNED,
+    ONLY_STO,
     DriveWatch,
     ReportedValue,
     Track,
@@ -21,6 +24,7 @@ from stepgap.hardware.ethercat.drive_watch import (
     with_value,
 )
 from stepgap.hardware.ethercat.pdo import Entry
+from stepgap.hardware.torque_watch import MOST_WRONG
 
 ENTRIES = {
     "statusword": Entry(0x6041, 0, 16, "statusword"),
@@ -250,3 +254,80 @@ def test_a_limit_that_the_entry_cannot_reach_is_refused(changes: dict, entry: En
 def test_the_largest_number_of_an_entry() -> None:
     assert largest_number(ENTRIES["temperature"]) == 32767
     assert largest_number(ENTRIES["bus_voltage"]) == 2**32 - 1
+
+
+IGNORES = f"it ignores its commands (bit 12 of its status word); {ONLY_STO}"
+MOTION = {"statusword": 0x1237, "torque": 0, "position": 100, "velocity": 0}
+MOTION_ENTRIES = {name: Entry(0x6041, 0, 16, name) for name in MOTION}
+
+
+def judged(limits: DriveLimits, frames: list[tuple[int, dict[str, int]]]) -> tuple[int, str, str]:
+    """Number of readings until torque must go off, the reason, and the warning then; of commands and inputs."""
+    watch = DriveWatch("drive", limits, MOTION_ENTRIES, 1e-3)
+    for number, (command, values) in enumerate(frames, 1):
+        watch.command(command)
+        if excess := watch.update(MOTION | values):
+            return number, excess, watch.warning
+    return len(frames), "", watch.warning
+
+
+def moving(command: int, number: int, **values: int) -> tuple[int, dict[str, int]]:
+    """A command, and the inputs of a drive that follows it while its motor moves."""
+    return command, {"torque": command, "position": 100 + 3 * number, **values}
+
+
+def test_a_drive_that_follows_its_commands_is_neither_doubted_nor_warned_of():
+    frames = [moving(round(400 * (number % 7 - 3)), number) for number in range(200)]
+    assert judged(DriveLimits(), frames) == (200, "", "")
+
+
+def test_another_torque_than_commanded_ends_torque():
+    frames = [moving(100, number, torque=-100 if number >= 20 else 100) for number in range(60)]
+    found, excess, _ = judged(DriveLimits(), frames)
+    assert found == 20 + MOST_WRONG
+    assert excess.startswith("drive: its torque is -100, commanded were 100 (1/1000 of the rated torque); it may keep")
+    assert judged(DriveLimits(torque_tolerance=inf), frames)[1] == ""
+
+
+def test_a_drive_that_hangs_is_found_although_its_torque_is_near_the_commands():
+    frames = [(30 * (number % 2), {"torque": 20}) for number in range(60)]
+    assert judged(DriveLimits(), frames)[1] == "", "so small a change proves nothing"
+    frames = [(70 * (number % 2), {"torque": 35}) for number in range(60)]
+    found, excess, _ = judged(DriveLimits(), frames)
+    assert found <= 2 + MOST_SAME
+    assert "none of its values changes any more" in excess
+    assert "only its STO input stops it" in excess
+
+
+def test_a_resting_drive_without_changing_commands_does_not_hang():
+    assert judged(DriveLimits(), [(0, {})] * 500) == (500, "", "")
+
+
+def test_a_drive_that_ignores_its_commands_ends_torque_unless_it_never_used_that_bit():
+    frames = [moving(0, number, statusword=0x0237 if number >= 20 else 0x1237) for number in range(60)]
+    assert judged(DriveLimits(), frames)[:2] == (20 + MOST_WRONG, f"drive: {IGNORES}")
+    assert judged(DriveLimits(ignored_status_bits=(12,)), frames)[1] == ""
+    assert judged(DriveLimits(), [moving(0, number, statusword=0x0237) for number in range(60)])[1] == ""
+
+
+@pytest.mark.parametrize(("bit", "text"), [(7, "warns"), (11, "is at an internal limit")])
+def test_a_warning_and_an_internal_limit_that_last_let_the_robot_land(bit, text):
+    frames = [moving(0, number, statusword=0x1237 | 1 << bit) for number in range(MOST_WARNED)]
+    assert judged(DriveLimits(), frames[1:]) == (MOST_WARNED - 1, "", "")
+    found = judged(DriveLimits(), frames)
+    assert found[:2] == (MOST_WARNED, "")
+    assert found[2].startswith(f"drive: it {text}")
+    assert judged(DriveLimits(ignored_status_bits=(bit,)), frames)[2] == ""
+
+
+@pytest.mark.parametrize(
+    ("settings", "rule"),
+    [
+        ({"torque_tolerance": 0.0}, "at least 0.01"),
+        ({"torque_delay": 1.0}, "between 0.001 and 0.05"),
+        ({"ignored_status_bits": (3,)}, "some of"),
+    ],
+)
+def test_settings_of_obedience_have_ranges(settings, rule):
+    with pytest.raises(ValueError, match=rule):
+        DriveLimits(**settings)

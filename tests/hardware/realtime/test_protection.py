@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 
 from stepgap.hardware.commissioning.limp import LastTick, describe_devices
-from stepgap.hardware.ethercat.drive_watch import BEYOND
-from stepgap.hardware.ethercat.emulator.faults import Fault, FedBus, Heated, OpenedInput
+from stepgap.hardware.ethercat.drive_watch import BEYOND, MOST_WARNED
+from stepgap.hardware.ethercat.emulator.faults import (
+    Fault,
+    FedBus,
+    Heated,
+    OpenedInput,
+    Stalled,
+    StatusBits,
+    WrongTorque,
+)
 from stepgap.hardware.incident import describe_incident
 from stepgap.hardware.realtime.board import Request
 from stepgap.plants.ticks.rig_state import RigState
@@ -114,3 +122,39 @@ def test_a_warm_drive_gets_no_torque_at_all():
         assert hopping.board.message.endswith("more than 80: no torque is given")
         assert not any(map(any, ring.look().torques))
         assert ring.look().enabled == [True, True], "until the rig is closed"
+
+
+DISOBEDIENT = {
+    "runs away": (WrongTorque(0, "drive_2", offset=2000), 8, "slave 2 'drive_2': its torque is 20"),
+    "runs away backward": (WrongTorque(0, "drive_1", offset=-2000), 8, "slave 1 'drive_1': its torque is -"),
+    "turns the wrong way": (WrongTorque(0, "drive_1", factor=-1.0), 8, "slave 1 'drive_1': its torque is "),
+    "is dead": (WrongTorque(0, "drive_2"), 20, "slave 2 'drive_2': its torque is 0, commanded were "),
+    "keeps its torque": (WrongTorque(0, "drive_1", is_kept=True), 40, "only its STO input stops it"),
+    "hangs": (Stalled(0, "drive_1", 10**6), 20, "slave 1 'drive_1': "),
+    "ignores its commands": (StatusBits(0, "drive_1", cleared=0x1000), 4, "it ignores its commands (bit 12"),
+}
+"""Fault in the first thrust, most ticks until torque is off, and the message."""
+
+
+@pytest.mark.parametrize("name", DISOBEDIENT)
+def test_a_drive_that_does_not_follow_its_commands_is_found_by_its_torque(name):
+    fault, most, expected = DISOBEDIENT[name]
+    with deployment(at(HOPPING, fault)) as (ring, hopping):
+        assert not hopping.run(HOPPING + 1500)
+        assert HOPPING <= len(hopping.rows) <= HOPPING + 1 + most
+        assert hopping.loop.state == RigState.FAULT
+        assert expected in hopping.board.message
+        hangs = isinstance(fault, Stalled)
+        assert (ring.look().now[0] != 0.0) == hangs, "torque is off, but for a drive that hangs"
+        assert ring.look().now[1] == 0.0
+        assert max(abs(row[COLUMN["joint_speed"]]) for row in hopping.rows) < 40.0
+
+
+@pytest.mark.parametrize("bits", [0x0080, 0x0800])
+def test_the_robot_lands_when_a_drive_warns_or_is_at_an_internal_limit(bits):
+    with deployment(at(HOPPING, StatusBits(0, "drive_2", raised=bits))) as (_, hopping):
+        assert not hopping.run(HOPPING + 4000)
+        states = [int(row[COLUMN["state"]]) for row in hopping.rows]
+        assert states.index(RigState.STOP) >= HOPPING + MOST_WARNED - 1
+        assert hopping.loop.state == RigState.OFF
+        assert "slave 2 'drive_2': it " in hopping.board.message

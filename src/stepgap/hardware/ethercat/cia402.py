@@ -5,8 +5,8 @@ from enum import Enum, auto
 STATUSWORD_UNIT = "CiA 402"
 """Unit of a logged field whose number is a status word."""
 
-WARNING, INTERNAL_LIMIT = 0x0080, 0x0800
-"""Bits of a status word: the drive warns; a limit inside the drive acts."""
+WARNING, INTERNAL_LIMIT, FOLLOWS_COMMAND = 0x0080, 0x0800, 0x1000
+"""Bits of a status word: the drive warns; a limit inside the drive acts; the drive follows the command value."""
 
 CYCLIC_TORQUE = 10
 """Mode of operation: cyclic synchronous torque."""

@@ -15,6 +15,9 @@ TEMPERATURES, VOLTAGES = (-40.0, 200.0), (0.0, 1000.0)
 
 _MOST_BITS = 32
 
+JUDGED_BITS = (7, 11, 12)
+"""Numbers of the bits of a status word that are judged, besides those of the state."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class DriveLimits:
@@ -32,6 +35,11 @@ class DriveLimits:
         sto_open: Value of these bits while the input is open, so that it removes the torque.
         enable_bits: Numbers of the bits that show an enable input.
         enable_open: Value of these bits while the input is open.
+        torque_tolerance: Largest distance of the torque that the drive reports (0x6077) from the commands of the last
+            `torque_delay`, as a part of the rated torque; infinite for a drive that reports something else.
+        torque_delay: Time that delay, lag and filter take from a command to the reported torque, at most [s].
+        ignored_status_bits: Of the bits 7 (warning), 11 (internal limit) and 12 (follows the command) of the status
+            word, those that are not judged, since the drive uses them in another way.
     """
 
     temperature_unit: float = 1.0
@@ -45,8 +53,15 @@ class DriveLimits:
     sto_open: int = 0
     enable_bits: tuple[int, ...] = ()
     enable_open: int = 0
+    torque_tolerance: float = 0.06
+    torque_delay: float = 0.005
+    ignored_status_bits: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
+        require(self.torque_tolerance >= 0.01, "torque_tolerance", self.torque_tolerance, "be at least 0.01")
+        require(0.001 <= self.torque_delay <= 0.05, "torque_delay", self.torque_delay, "lie between 0.001 and 0.05")
+        ignored = list(self.ignored_status_bits)
+        require(set(ignored) <= {*JUDGED_BITS}, "ignored_status_bits", ignored, f"be some of {[*JUDGED_BITS]}")
         for name in ("temperature_unit", "bus_voltage_unit"):
             unit = getattr(self, name)
             require(isfinite(unit) and 1e-4 <= unit <= 10, name, unit, "lie between 0.0001 and 10")

@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf, nan
+from math import ceil, inf, nan
 from typing import NamedTuple, Self
 
-from stepgap.hardware.ethercat.cia402 import STATUSWORD_UNIT
+from stepgap.hardware.ethercat.cia402 import FOLLOWS_COMMAND, INTERNAL_LIMIT, STATUSWORD_UNIT, WARNING
 from stepgap.hardware.ethercat.drive_limits import (
     BUS_VOLTAGE,
     DIGITAL_INPUTS,
@@ -16,6 +16,7 @@ from stepgap.hardware.ethercat.drive_limits import (
     largest_number,
 )
 from stepgap.hardware.ethercat.pdo import SIGNED_VALUES, Entry
+from stepgap.hardware.torque_watch import MOST_WRONG, TorqueWatch
 
 MOTION_UNITS = {"statusword": STATUSWORD_UNIT, "velocity": "drive counts/s", "torque": "rated torque / 1000"}
 """Values of a drive that are logged as they are, with their units."""
@@ -28,6 +29,18 @@ MOST_DOUBTS = 20
 
 LARGEST_JUMP = 5.0
 """Largest plausible change of a temperature from one reading to the next [°C]; at least two counts."""
+
+MOST_WARNED = 20
+"""Number of readings in a row with a bit of the status word that warns, after which the robot shall land."""
+
+MOST_SAME = 8
+"""Number of readings in a row in which no value of a drive may change, although the commands do."""
+
+ONLY_STO = "it may keep its torque, and then only its STO input stops it"
+"""What a person must know of a drive that no longer follows its commands."""
+
+WARNED_BITS = {WARNING: "warns (bit 7 of its status word)", INTERNAL_LIMIT: "is at an internal limit (bit 11)"}
+"""Bits that warn, and what the drive does then."""
 
 INPUT_STATES = {0: "closed", 1: "open"}
 """Names of the logged numbers of an STO or enable input."""
@@ -196,6 +209,58 @@ class SafetyInput:
         return inputs & self.mask != self.closed
 
 
+class Obedience:
+    """Whether a drive still follows its commands, by its torque, its status word and the changes of its values.
+
+    Args:
+        limits: Its limits.
+        entries: Entries of its inputs by name.
+        cycle: Time between two readings [s].
+    """
+
+    def __init__(self, limits: DriveLimits, entries: Mapping[str, Entry], cycle: float):
+        self._has_torque = "torque" in entries  # without it, a link that rests could be one that hangs
+        self._judges_torque = self._has_torque and limits.torque_tolerance < inf
+        self._torque = TorqueWatch(1000 * limits.torque_tolerance, ceil(limits.torque_delay / cycle))
+        ignored = sum(1 << bit for bit in limits.ignored_status_bits)
+        self._warned = {bit: 0 for bit in WARNED_BITS if not bit & ignored}
+        self._judges_following = not FOLLOWS_COMMAND & ignored
+        self.restart()
+
+    def restart(self) -> None:
+        """Forgets earlier readings and commands."""
+        self._torque.restart()
+        self._warned = dict.fromkeys(self._warned, 0)
+        self._follows, self._ignoring, self._last, self._same = False, 0, dict[str, int](), 0
+
+    def command(self, units: int) -> None:
+        """Adds the command that was sent last, in 1/1000 of the rated torque."""
+        self._torque.command(units)
+
+    def excess(self, values: Mapping[str, int]) -> str:
+        """Takes the inputs of a good frame; returns why torque must go off, or an empty text."""
+        status = values["statusword"]
+        for bit in self._warned:
+            self._warned[bit] = self._warned[bit] + 1 if status & bit else 0
+        follows = bool(status & FOLLOWS_COMMAND)
+        self._follows, self._ignoring = self._follows or follows, 0 if follows else self._ignoring + 1
+        self._same = self._same + 1 if self._has_torque and self._last == values and self._torque.changed else 0
+        self._last = dict(values)
+        if self._judges_following and self._follows and self._ignoring >= MOST_WRONG:
+            return f"it ignores its commands (bit 12 of its status word); {ONLY_STO}"
+        if self._same >= MOST_SAME:
+            return f"none of its values changes any more although its commands do: it hangs; {ONLY_STO}"
+        if self._judges_torque and self._torque.reading(values["torque"]):
+            found, sent = values["torque"], self._torque.commanded
+            return f"its torque is {found}, commanded were {sent} (1/1000 of the rated torque); {ONLY_STO}"
+        return ""
+
+    @property
+    def warning(self) -> str:
+        """Why the robot should land, or an empty text."""
+        return next((f"it {WARNED_BITS[bit]}" for bit, count in self._warned.items() if count >= MOST_WARNED), "")
+
+
 class DriveWatch:
     """Watches the values of one drive, and keeps those that are logged.
 
@@ -208,7 +273,7 @@ class DriveWatch:
 
     def __init__(self, label: str, limits: DriveLimits, entries: Mapping[str, Entry], cycle: float):
         self._label = label
-        self._reported = reported_values(limits, entries, cycle)
+        self._reported, self._obedience = reported_values(limits, entries, cycle), Obedience(limits, entries, cycle)
         self.restart()
         inputs = (
             SafetyInput.of("sto", "STO input", limits.sto_bits, limits.sto_open),
@@ -233,6 +298,11 @@ class DriveWatch:
     def restart(self) -> None:
         """Forgets earlier readings, as after a pause without frames."""
         self._tracks = [Track()] * len(self._reported)
+        self._obedience.restart()
+
+    def command(self, units: int) -> None:
+        """Adds the command that was sent last, in 1/1000 of the rated torque."""
+        self._obedience.command(units)
 
     def update(self, values: Mapping[str, int]) -> str:
         """Takes the inputs of a good frame; returns why torque must go off, or an empty text."""
@@ -246,6 +316,7 @@ class DriveWatch:
         self.values = (*numbers, *opened)
         if any(opened):
             return self.open_inputs(values)
+        excess = self._obedience.excess(values) or excess
         return f"{self._label}: {excess}" if excess else ""
 
     def open_inputs(self, values: Mapping[str, int]) -> str:
@@ -262,5 +333,5 @@ class DriveWatch:
     @property
     def warning(self) -> str:
         """Why the robot should land, or an empty text."""
-        found = map(warning_of, self._reported, self._tracks)
+        found = (*map(warning_of, self._reported, self._tracks), self._obedience.warning)
         return next((f"{self._label}: {text}" for text in found if text), "")

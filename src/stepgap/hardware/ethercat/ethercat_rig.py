@@ -250,6 +250,7 @@ class EthercatRig(Rig):
             unit, most = motor.torque_unit, motor.most_units
             units = round(min(max(torque / unit, -most), most))
             self._command(drive, motor.sign * units, ENABLE)
+            self._watched.command(drive, motor.sign * units)
             sent.append(units * unit)
         self._bus.send()
         self._frame_pending = True

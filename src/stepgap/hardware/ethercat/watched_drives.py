@@ -11,6 +11,9 @@ _T = TypeVar("_T")
 NO_STO_INPUT = "no drive reports its STO input (digital_inputs, sto_bits): an open one is seen only by a drive's state"
 """Remark on a bus whose messages cannot name its STO inputs."""
 
+TORQUE_NOT_REPORTED = "does not report its torque (0x6077), so that it cannot be compared with the commands"
+"""Remark on a drive."""
+
 
 class WatchedDrives:
     """Watches what the drives report beside their motion.
@@ -30,6 +33,7 @@ class WatchedDrives:
                 drive, entries = settings.position(motor.slave), settings.input_entries(motor.slave)
                 self._watches[table] = drive, DriveWatch(label(drive), motor, entries, settings.cycle)
                 self.remarks += motor.remarks(label(drive), entries)
+                self.remarks += [] if "torque" in entries else [f"{label(drive)} {TORQUE_NOT_REPORTED}"]
         self.hint = "" if any(motor.sto_bits for motor in settings.motors) else NO_STO_INPUT
         """Why messages cannot name an open STO input; empty if they can."""
         if self.hint:
@@ -64,6 +68,12 @@ class WatchedDrives:
         """Forgets earlier readings."""
         for _, watch in self._watches.values():
             watch.restart()
+
+    def command(self, number: int, units: int) -> None:
+        """Adds the command that was sent to a drive last, in 1/1000 of the rated torque."""
+        for drive, watch in self._watches.values():
+            if drive == number:
+                watch.command(units)
 
     def update(self) -> str:
         """Takes the inputs of a good frame; returns why torque must go off, or an empty text."""

@@ -1,5 +1,6 @@
 """A torque-controlled drive: its side of the device control of CiA 402-2 (ETG.6010), mode 10 only."""
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -9,7 +10,16 @@ from stepgap.hardware.ethercat.emulator.device import EmulatedDevice
 from stepgap.hardware.ethercat.emulator.dictionary import Abort, Dictionary, ObjectEntry
 from stepgap.hardware.ethercat.emulator.drive_layout import ELMO_LAYOUT, DriveLayout
 from stepgap.hardware.ethercat.emulator.drive_power import PowerSettings, PowerStage, next_stage
-from stepgap.hardware.ethercat.emulator.faults import DriveCondition, FedBus, Heated, OpenedInput, StuckObject
+from stepgap.hardware.ethercat.emulator.faults import (
+    Delayed,
+    DriveCondition,
+    FedBus,
+    Heated,
+    OpenedInput,
+    StatusBits,
+    StuckObject,
+    WrongTorque,
+)
 from stepgap.hardware.ethercat.emulator.mailbox import emergency
 from stepgap.hardware.ethercat.emulator.sii import Identity
 from stepgap.rigs.rig import Reading
@@ -127,6 +137,9 @@ class Drive(EmulatedDevice):
         self._true_counts, self._closed = 0, STO_CLOSED | ENABLE_CLOSED
         self._heating = self._fed = 0.0
         self._stuck: dict[int, int] = {}
+        self._wrong: WrongTorque | None = None
+        self._raised = self._cleared = self._kept = 0
+        self._late_torque, self._late_counts = deque([0], maxlen=1), deque([0], maxlen=1)
         super().__init__(name, settings.identity)
         self.power_on()
 
@@ -231,6 +244,13 @@ class Drive(EmulatedDevice):
         elif isinstance(condition, StuckObject):
             present = self._objects[condition.index].value
             self._stuck[condition.index] = present if condition.value is None else condition.value
+        elif isinstance(condition, WrongTorque):
+            self._wrong, self._kept = condition, self._torque.value
+        elif isinstance(condition, StatusBits):
+            self._raised, self._cleared = self._raised | condition.raised, self._cleared | condition.cleared
+        elif isinstance(condition, Delayed):
+            self._late_torque = deque([self._torque.value] * (condition.torque + 1), condition.torque + 1)
+            self._late_counts = deque([self._true_counts] * (condition.counts + 1), condition.counts + 1)
 
     @property
     def _is_open(self) -> bool:
@@ -238,7 +258,8 @@ class Drive(EmulatedDevice):
 
     def sense(self, reading: Reading) -> None:
         """Updates position and velocity of the motor [counts, counts/s]."""
-        counts = round(self._counts(reading))
+        self._late_counts.append(round(self._counts(reading)))
+        counts = self._late_counts[0]
         shown = self.error.shown(counts)
         moved = counts - self._true_counts if self.error.true_velocity else shown - self._position.value
         self._velocity.value = round(moved / self._settings.period)
@@ -260,9 +281,16 @@ class Drive(EmulatedDevice):
         """Sets torque [N·m] and statusword according to the state."""
         follows = self.state is DriveState.OPERATION_ENABLED and self._mode_display.value == CYCLIC_SYNCHRONOUS_TORQUE
         limit = self._largest.value
-        self._torque.value = min(max(self._target.value, -limit), limit) if follows else 0
-        self.torque = self._torque.value * self._settings.rated_torque * (self._settings.rated_torque_unit / 1000)
-        self._status.value = self.state | VOLTAGE_ENABLED | REMOTE | (FOLLOWS if follows else 0)
+        self._late_torque.append(min(max(self._target.value, -limit), limit) if follows else 0)
+        commanded = given = self._late_torque[0] if follows else 0
+        if follows and self._wrong:
+            wrong = self._wrong
+            given = self._kept if wrong.is_kept else round(wrong.factor * commanded) + wrong.offset
+            commanded = given if wrong.is_reported else commanded
+        self._torque.value = commanded
+        self.torque = given * self._settings.rated_torque * (self._settings.rated_torque_unit / 1000)
+        status = self.state | VOLTAGE_ENABLED | REMOTE | (FOLLOWS if follows else 0)
+        self._status.value = (status | self._raised) & ~self._cleared
 
 
 def _check(index: int, value: int) -> None:

@@ -236,7 +236,62 @@ class StuckObject:
     value: int | None = None
 
 
-DriveCondition = OpenedInput | Heated | FedBus | StuckObject
+@dataclass(frozen=True)
+class WrongTorque:
+    """A drive that gives another torque than commanded while it is enabled; its statusword remains right.
+
+    Attributes:
+        cycle: First cycle.
+        slave: Name of the drive.
+        factor: Torque given per torque commanded: 0 of a dead drive or one that runs away, −1 with a wrong sign.
+        offset: Torque given in addition, in 1/1000 of the rated torque.
+        is_kept: The drive keeps the torque that it had in that cycle.
+        is_reported: Whether its actual torque (0x6077) shows it; otherwise it shows the command.
+    """
+
+    cycle: int
+    slave: str
+    factor: float = 0.0
+    offset: int = 0
+    is_kept: bool = False
+    is_reported: bool = True
+
+
+@dataclass(frozen=True)
+class StatusBits:
+    """A drive that sets or clears bits of its status word, while it works as before.
+
+    Attributes:
+        cycle: First cycle.
+        slave: Name of the drive.
+        raised: Bits that are 1 from now on.
+        cleared: Bits that are 0 from now on.
+    """
+
+    cycle: int
+    slave: str
+    raised: int = 0
+    cleared: int = 0
+
+
+@dataclass(frozen=True)
+class Delayed:
+    """A drive whose torque follows its commands later, or whose encoder values are older.
+
+    Attributes:
+        cycle: First cycle.
+        slave: Name of the drive.
+        torque: Number of ticks by which its torque, also the reported one, is later.
+        counts: Number of ticks by which its position is older.
+    """
+
+    cycle: int
+    slave: str
+    torque: int = 0
+    counts: int = 0
+
+
+DriveCondition = OpenedInput | Heated | FedBus | StuckObject | WrongTorque | StatusBits | Delayed
 
 SensorFault = FrozenSensor | ShiftedSensor | NoisySensor | ReportedError
 
