@@ -316,6 +316,21 @@ def test_a_variable_of_a_class_does_not_hide_the_others(tmp_path: Path) -> None:
     np.testing.assert_array_equal([table.numbers("t"), table.numbers("v")], [T, V])
 
 
+def test_an_object_of_matlab_in_version_7_3_is_no_column(tmp_path: Path) -> None:
+    """It is stored as numbers that say where its parts are."""
+    path = tmp_path / "log.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in (("t", T), ("v", V)):
+            file.create_dataset(name, data=values[None, :]).attrs["MATLAB_class"] = np.bytes_("double")
+        where = file.create_dataset("events", data=np.array([[0xDD000000, 2, 1, 1]], np.uint32))
+        where.attrs["MATLAB_class"] = np.bytes_("table")
+        where.attrs["MATLAB_object_decode"] = np.int32(3)
+    header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
+    path.write_bytes(header + path.read_bytes()[128:])
+    (table,) = read(path, "left out events (a table of MATLAB, which only MATLAB can read").values()
+    assert list(table.columns) == ["t", "v"]
+
+
 def test_a_damaged_variable_does_not_hide_the_others(tmp_path: Path) -> None:
     file = BytesIO()
     savemat(file, {"t": T, "v": V}, do_compression=True)

@@ -47,6 +47,11 @@ def tables_of_arrays(
     return {name: LogTable(f"{source}, {name}" if name else source, columns) for name, columns in named.items()}
 
 
+def only_for_matlab(kind: str) -> str:
+    """Why an object of a class of MATLAB, such as a table, is left out."""
+    return f"a {kind:.60} of MATLAB, which only MATLAB can read; save numbers or a struct"
+
+
 def part_name(group: str, name: str) -> str:
     """The name of an array as part of a file, GROUP:NAME."""
     return f"{group}:{name}" if group else name

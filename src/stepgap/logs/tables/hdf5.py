@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from stepgap.logs.tables.arrays import part_name, tables_of_arrays
+from stepgap.logs.tables.arrays import only_for_matlab, part_name, tables_of_arrays
 from stepgap.logs.tables.files import check_file_size
 from stepgap.logs.tables.libraries import leaving_out, library, reading
 from stepgap.logs.tables.log_table import LogTable, check_size
@@ -82,7 +82,14 @@ def _array(h5py: Any, names: tuple[str, ...], dataset: Any) -> tuple[str, str, A
 
 
 def _is_matlab_number(dataset: Any) -> bool:
-    """Whether a dataset is an array of numbers for MATLAB, not text and not empty."""
+    """Whether a dataset is an array of numbers for MATLAB, not text and not empty.
+
+    Raises:
+        ValueError: It is an object of a class, whose numbers mean something else.
+    """
+    if "MATLAB_object_decode" in dataset.attrs:
+        kind = dataset.attrs.get("MATLAB_class", b"object")
+        raise ValueError(only_for_matlab(kind.decode() if isinstance(kind, bytes) else str(kind)))
     is_text = dataset.attrs.get("MATLAB_class", b"double") == b"char"
     return dataset.dtype.kind in "biuf" and not is_text and "MATLAB_empty" not in dataset.attrs
 

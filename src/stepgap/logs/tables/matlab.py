@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stepgap.logs.tables.arrays import part_name, tables_of_arrays
+from stepgap.logs.tables.arrays import only_for_matlab, part_name, tables_of_arrays
 from stepgap.logs.tables.files import content_of
 from stepgap.logs.tables.libraries import leaving_out, reading
 from stepgap.logs.tables.log_table import MOST_NUMBERS, LogTable, check_size
@@ -78,7 +78,7 @@ def _arrays_of(content: bytes, path: Path, unread: dict[str, str]) -> Iterator[t
         listed = whosmat(BytesIO(content))
     except TypeError:  # an object of a class has no size
         name, _, kind = next(iter(loadmat(BytesIO(content))["None"].tolist()))[:3]
-        unread[name.decode()] = f"a {kind.decode()} of MATLAB, which only MATLAB can read; save numbers or a struct"
+        unread[name.decode()] = only_for_matlab(kind.decode())
         return
     for name, shape, _ in listed:
         size = 1.0
