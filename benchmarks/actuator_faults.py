@@ -77,7 +77,8 @@ class DriveRig(Rig):
     def __init__(self, twin: Twin, fault: tuple[int, DriveCondition | Stalled] | None = None, begin: int = 0):
         self._twin, self._fault, self._begin = twin, fault, begin
         settings = emulated_settings(twin.sensor_model, ROBOT, RING)
-        self._motors, self._settings = (settings.motor_1, settings.motor_2), settings
+        self._motors = tuple(replace(motor, bus_voltage=()) for motor in (settings.motor_1, settings.motor_2))
+        self._settings = settings
         self.landing = ""
 
     @property

@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
 from stepgap.hardware.hopper.jog import FREQUENCY, LARGEST_TORQUE, MEASURED_TIME, HopperJog, jog_limits
-from stepgap.hardware.hopper.jog_findings import answer_of, hand_failure
+from stepgap.hardware.hopper.jog_findings import (
+    MOST_DELAY,
+    MOST_DRIVE_DELAY,
+    LinkAnswer,
+    answer_of,
+    hand_failure,
+)
 from stepgap.hardware.hopper.ring_rig import emulated_settings
 from stepgap.hardware.realtime.board import Board, Request
 from stepgap.hardware.realtime.loop import LOOP_UNITS, ControlLoop, LoopSettings
@@ -228,3 +234,34 @@ def test_a_link_that_was_turned_by_hand(motor: int, turned: tuple[float, float],
     failure = hand_failure(motor, (radians(turned[0]), radians(turned[1])))
     assert bool(failure) == bool(expected)
     assert failure.endswith(expected)
+
+
+def late_answer(link: float, drive: float) -> LinkAnswer:
+    """Answer of an inertia that follows the torque after a delay, and a drive that reports it after another one [s]."""
+
+    def own(time: float) -> float:
+        return -0.01 * sin(tau * FREQUENCY * (time - link))
+
+    ticks = ticks_of(own, lambda _: 0.0)
+    reported = [-31.0 * sin(tau * FREQUENCY * (time - drive)) for time in ticks["time"]]  # it counts backward
+    rows = np.column_stack([ticks.rows, reported])
+    return answer_of(TickTable({**ticks.units, "motor_1_torque": "rated torque / 1000"}, rows), 1)
+
+
+@pytest.mark.parametrize("link", [0.0, 0.001, 0.002, 0.003, 0.005, 0.008])
+@pytest.mark.parametrize("drive", [0.001, 0.003, 0.004, 0.006])
+def test_delays_of_link_and_drive_are_measured_and_refused_beyond_the_margin(link: float, drive: float) -> None:
+    answer = late_answer(link, drive)
+    assert answer.delay == pytest.approx(link, abs=1e-6)
+    assert answer.drive_delay == pytest.approx(drive, abs=1e-6)
+    if link > MOST_DELAY:
+        assert f"its link answers {1e3 * link:.1f} ms or more too late" in answer.lateness()
+    elif drive > MOST_DRIVE_DELAY:
+        assert f"its drive reports the commanded torque {1e3 * drive:.1f} ms later" in answer.lateness()
+    else:
+        assert answer.lateness() == ""
+
+
+@pytest.mark.parametrize("gap", GAPS)
+def test_a_healthy_robot_is_not_late(gap: str) -> None:
+    assert answer_of(jogged(1, gap=GAPS[gap])[0], 1).lateness() == ""

@@ -1,9 +1,10 @@
 """What a trial of one motor shows: whether the right link answers, in the right direction."""
 
 from dataclasses import dataclass
-from math import atan2, cos, degrees, hypot, radians, tau
+from math import atan2, cos, degrees, hypot, nan, pi, radians, tau
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.hardware.hopper.jog import FREQUENCY, MEASURED_TIME, link_angles
 from stepgap.plants.ticks.tick_table import TickTable
@@ -17,6 +18,19 @@ EXPECTED_LAG = radians(145.0)
 
 LARGEST_ERROR = radians(70.0)
 """Largest difference of the lag from that [rad]; with a wrong sign, the lag is 0° to 20°, or 270° to 290°."""
+
+MOST_DELAY = 0.0025
+"""Largest time by which a link may answer later than an inertia that friction cannot delay [s].
+
+Healthy twins of the family have −1.7 to 1.2 ms: friction makes the lag smaller, delays and lags of frame, drive and
+encoder, 1 to 4 ms together, make it larger. With 2 to 3 ms more, the loop that holds the leg in flight is unstable.
+"""
+
+AGAINST = radians(260.0)
+"""Lag from which the link moves against the torque rather than too late [rad]."""
+
+MOST_DRIVE_DELAY = 0.0035
+"""Largest delay of the torque that the drive reports after the command [s]; the frame takes 1 to 2 ms of it."""
 
 QUARTER = radians(45.0)
 """Angle by which a person turns each link by hand [rad]."""
@@ -37,6 +51,7 @@ class LinkAnswer:
         other: Amplitude of the other link [rad].
         largest_torque: Largest torque that was applied [N·m].
         largest_speed: Largest measured speed of a top link [rad/s].
+        drive_delay: Delay of the torque that the drive reports after the command [s]; NaN if it reports none.
     """
 
     motor: int
@@ -46,6 +61,12 @@ class LinkAnswer:
     other: float
     largest_torque: float
     largest_speed: float
+    drive_delay: float = nan
+
+    @property
+    def delay(self) -> float:
+        """Time by which the link answers later than an inertia without friction and delay, which lags by 180° [s]."""
+        return (self.lag - pi) / (tau * FREQUENCY)
 
     @property
     def inertia(self) -> float:
@@ -72,6 +93,22 @@ class LinkAnswer:
             )
         return ""
 
+    def lateness(self) -> str:
+        """What is late; empty if the link, and the torque that the drive reports, answer soon enough."""
+        motor = f"motor {self.motor}"
+        answers = self.amplitude >= max(LEAST_ANSWER, self.other)
+        if answers and pi + tau * FREQUENCY * MOST_DELAY < self.lag < AGAINST:
+            return (
+                f"{motor}: its link answers {1e3 * self.delay:.1f} ms or more too late, but at most "
+                f"{1e3 * MOST_DELAY:.1f} ms are allowed; look for a filter or a delay in the drive or its encoder"
+            )
+        if self.drive_delay > MOST_DRIVE_DELAY:
+            return (
+                f"{motor}: its drive reports the commanded torque {1e3 * self.drive_delay:.1f} ms later, but at most "
+                f"{1e3 * MOST_DRIVE_DELAY:.1f} ms are allowed; look for a filter or a ramp of its torque"
+            )
+        return ""
+
 
 def answer_of(ticks: TickTable, motor: int) -> LinkAnswer:
     """Measures the answer in the last part of the trial, in which the amplitude of the torque is constant.
@@ -95,8 +132,22 @@ def answer_of(ticks: TickTable, motor: int) -> LinkAnswer:
     lag = (atan2(*torque[::-1]) - atan2(*own[::-1])) % tau
     speed = np.nan_to_num(ticks["joint_speed"])
     return LinkAnswer(
-        motor, hypot(*torque), hypot(*own), lag, hypot(*other), float(np.abs(applied).max()), float(speed.max())
-    )
+        motor, hypot(*torque), hypot(*own), lag, hypot(*other), float(np.abs(applied).max()), float(speed.max()),
+        _drive_delay(ticks, chosen, motor, torque),
+    )  # fmt: skip
+
+
+def _drive_delay(ticks: TickTable, chosen: NDArray[np.bool_], motor: int, torque: tuple[float, float]) -> float:
+    """Delay of the torque that the drive reports after that which was applied [s]; NaN if it reports none.
+
+    It is known up to half a period, since the drive may count in the other direction.
+    """
+    name = f"motor_{motor}_torque"
+    if name not in ticks.units or not ticks[name][chosen].any():
+        return nan
+    reported = _oscillation(ticks["time"][chosen], np.nan_to_num(ticks[name][chosen]))
+    behind = (atan2(*torque[::-1]) - atan2(*reported[::-1])) % pi
+    return behind / (tau * FREQUENCY)
 
 
 def _oscillation(time: Array, signal: Array) -> tuple[float, float]:

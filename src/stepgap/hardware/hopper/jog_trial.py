@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from math import degrees
+from math import degrees, isnan
 from typing import Any
 
 from stepgap.hardware.commissioning.jog import limp_robot, ticks_of_step
@@ -84,11 +84,12 @@ def _try_motor(
     except (RigFault, ValueError) as fault:
         print(f"motor {motor}  not passed: {fault}")
         return {"failure": f"motor {motor}: {fault}"}
-    failure = answer.failure()
+    failure = answer.lateness() or answer.failure()
     print(
         f"motor {motor}  torque     {answer.torque:.2f} N·m at most; link {motor} answers by "
         f"{degrees(answer.amplitude):.2f}° with a lag of {degrees(answer.lag):.0f}°, the other one by "
         f"{degrees(answer.other):.2f}°; apparent inertia {1e3 * answer.inertia:.2f} g·m²"
+        + ("" if isnan(answer.drive_delay) else f"; the drive follows after {1e3 * answer.drive_delay:.1f} ms")
     )
     print(f"motor {motor}  {f'not passed: {failure}' if failure else 'passed'}  ({log})")
     return {**asdict(answer), "failure": failure, "log": str(log)}
