@@ -55,4 +55,4 @@ class TorqueWatch:
     def commanded(self) -> str:
         """The commands of that time, for messages."""
         least, most = min(self._sent), max(self._sent)
-        return f"{least:.0f}" if least == most else f"{least:.0f} to {most:.0f}"
+        return f"{least:.4g}" if least == most else f"{least:.4g} to {most:.4g}"

@@ -14,9 +14,11 @@ from hypothesis import strategies as st
 from stepgap.hardware.hopper.moteus import AuxContact, MoteusSettings, hopper_on_moteus
 from stepgap.hardware.hopper.twin_machine import TwinMachine
 from stepgap.hardware.moteus.can_bus import registers_of
+from stepgap.hardware.moteus.commanded import MOST_LIMITED
 from stepgap.hardware.moteus.joint import JointCommand, Scale
 from stepgap.hardware.moteus.moteus_rig import POSITION_COUNTS, MoteusRig
 from stepgap.hardware.moteus.moteus_settings import AuxEncoder, Controller
+from stepgap.hardware.torque_watch import MOST_WRONG
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.rigs.rig import Rig, RigFault, Torques
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
@@ -392,3 +394,27 @@ def test_the_twin_hops_with_the_controllers_as_without_them() -> None:
     np.testing.assert_allclose(through, direct, rtol=1e-12)
     assert len(ticks) == len(direct_ticks)
     np.testing.assert_allclose([tick.applied for tick in ticks], [tick.applied for tick in direct_ticks], atol=1e-9)
+
+
+def test_another_torque_than_commanded_is_a_fault_if_it_is_judged() -> None:
+    """The emulated controllers report no torque, as a dead motor does."""
+    settings = fresh()
+    judged = replace(settings, motor_1=replace(settings.motor_1, torque_tolerance=0.5))
+    with emulated(judged, Recorder()), hopper_on_moteus(judged, ROBOT) as rig:
+        ticks, message = ticks_until_fault(rig, 40)
+    assert ticks <= 5 + MOST_WRONG + 1
+    assert "controller 1: its torque is 0.0 N·m, commanded were 8 N·m" in message
+
+
+def test_a_controller_at_a_limit_for_long_is_warned_of() -> None:
+    settings = fresh()
+    with emulated(settings, Recorder()) as controllers, hopper_on_moteus(settings, ROBOT) as rig:
+        controllers.controllers[2].fault = 97
+        for _ in range(MOST_LIMITED - 1):
+            rig.write((0.0, 0.0))
+            rig.read()
+            assert rig.warning == ""
+        for _ in range(2):
+            rig.write((0.0, 0.0))
+            rig.read()
+        assert rig.warning == "controller 2 is at one of its limits (fault 96 to 103)"

@@ -10,6 +10,7 @@ from moteus import Mode, Register
 
 from stepgap.hardware.host_time import COMPUTER, HostTime
 from stepgap.hardware.moteus.can_bus import CanBus, Registers, registers_of
+from stepgap.hardware.moteus.commanded import LIMITING, CommandedTorques
 from stepgap.hardware.moteus.configuration import check_timeout
 from stepgap.hardware.moteus.joint import JointCommand, JointState
 from stepgap.hardware.moteus.moteus_settings import AuxEncoder, AuxForce, CanDevice, CanSettings, Controller
@@ -25,9 +26,6 @@ ANALOG_COUNTS = 4096
 
 REGISTER_MAP = 5
 """Version of the register map that this rig supports."""
-
-LIMITING = range(96, 104)
-"""Fault codes of a controller that works, but at a limit."""
 
 ANSWER_TIMEOUT = 1.0
 """Timeout of the first answers of the controllers, and of their getting ready [s]."""
@@ -91,6 +89,7 @@ class MoteusRig(Rig):
         self._fault, self._lost, self._written = "", 0, False
         self._reading = settings.reading((0.0,) * len(self._sensors))
         self._joints = (JointState(0, 0, 0),) * len(self._motors)
+        self._commanded = CommandedTorques(self._motors)
         self._supplies, self._remarks = (nan,) * (len(SUPPLY) * len(self._motors)), list[str]()
 
     @property
@@ -129,6 +128,11 @@ class MoteusRig(Rig):
         """Timeouts in the configuration of the controllers that other programs should know."""
         return tuple(self._remarks)
 
+    @property
+    def warning(self) -> str:
+        """Names a controller that has been at one of its limits for a while."""
+        return self._commanded.warning
+
     def connect(self) -> None:
         """Opens the bus, checks the controllers, and prepares them without torque.
 
@@ -150,6 +154,7 @@ class MoteusRig(Rig):
             self.close()
             raise
         self._lost, self._written = 0, False
+        self._commanded.restart()
 
     def read(self) -> Reading:
         """Reads counts and force of this tick, or repeats earlier ones if no more answers than allowed are lost.
@@ -185,6 +190,7 @@ class MoteusRig(Rig):
         limits = [motor.torque_limit for motor in self._motors]
         sent = tuple(min(max(torque, -most), most) for torque, most in zip(torques, limits, strict=True))
         self._command(bus, [LIMP._replace(tau=torque) for torque in sent])
+        self._commanded.command(sent)
         self._written = True
         return sent
 
@@ -274,6 +280,7 @@ class MoteusRig(Rig):
             for number, registers in replies.items():
                 if registers[Register.MODE] != Mode.POSITION or registers[Register.FAULT] not in (0, *LIMITING):
                     raise self._trip(f"{_state(number, registers)}: it no longer accepts torque commands")
+                self._commanded.note_fault(number, int(registers[Register.FAULT]))
             self._joints = tuple(self._joint(replies, motor) for motor in self._motors)
             self._supplies = tuple(replies[motor.id][key] for motor in self._motors for key, _ in SUPPLY.values())
             values = [sensor(replies) for sensor in self._sensors]
@@ -281,6 +288,8 @@ class MoteusRig(Rig):
             raise self._trip(f"a controller does not report register 0x{missing.args[0]:03X}") from None
         except ValueError as error:
             raise self._trip(str(error)) from None
+        if excess := self._commanded.excess(self._joints):
+            raise self._trip(excess)
         self._reading = self._settings.reading(values)
 
     @staticmethod

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite
 
 from stepgap.base.ranges import require
 from stepgap.hardware.moteus.joint import Scale
@@ -27,6 +27,8 @@ class Controller:
         zero: The controller's position at angle zero [turns].
         servo_kp: Its `servo.pid_position.kp` [N·m/turn].
         servo_kd: Its `servo.pid_position.kd` [N·m·s/turn].
+        torque_tolerance: Largest distance at the top link of the torque that it reports from the commands of the last
+            5 ticks [N·m]; infinite if it is not judged.
     """
 
     id: int
@@ -36,8 +38,10 @@ class Controller:
     zero: float = 0.0
     servo_kp: float = 4.0
     servo_kd: float = 0.05
+    torque_tolerance: float = inf
 
     def __post_init__(self) -> None:
+        require(self.torque_tolerance > 0, "torque_tolerance", self.torque_tolerance, "be positive")
         _require_id(self.id)
         for name in ("torque_limit", "gear", "servo_kp", "servo_kd"):
             value = getattr(self, name)
