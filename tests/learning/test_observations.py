@@ -98,9 +98,9 @@ def with_status(log: Steps, *statuses: tuple[int, StepStatus]) -> Steps:
 
 def test_a_step_with_a_doubtful_sensor_and_those_before_it_are_not_learned_from() -> None:
     """Those before only in the same deployment; the step is no failure that a controller avoids, either."""
-    marked = with_status(log_of(3, 19, 2), (3, StepStatus.DOUBTFUL), (21, StepStatus.DOUBTFUL))
-    assert np.flatnonzero(marked.doubtful).tolist() == [3, *range(21 - TAINTED[StepStatus.DOUBTFUL], 22)]
-    np.testing.assert_array_equal(observe(marked, NOMINAL).state, marked.state[[0, 1, 2, 4, 5, 22, 23]])
+    marked = with_status(log_of(3, 34, 2), (3, StepStatus.DOUBTFUL), (36, StepStatus.DOUBTFUL))
+    assert np.flatnonzero(marked.doubtful).tolist() == [3, *range(36 - TAINTED[StepStatus.DOUBTFUL], 37)]
+    np.testing.assert_array_equal(observe(marked, NOMINAL).state, marked.state[[0, 1, 2, 4, 5, 37, 38]])
     learner, last = Learner.start(NOMINAL, marked, LearningSettings(), 3), list(marked)[3]
     assert len(learner.failures) == 0
     assert len(learner.after(replace(last, iteration=3, step=1)).failures) == 0
