@@ -11,15 +11,21 @@
   const SHADES = {body: "#555", near: "#004a75", far: "#0072b2"};
   let motion = null, frame = 0, reach = 0.45, playing = false, before = 0, azimuth = -1.15, elevation = 0.22, drag = null;
 
-  function unpacked(source) {
+  async function unpacked(source) {
     const bytes = Uint8Array.from(atob(source.packed), (letter) => letter.charCodeAt(0));
-    const whole = new DataView(bytes.buffer), found = {frames: source.frames, rate: source.rate, deployment: source.deployment};
+    const inflated = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+    const whole = new DataView(await new Response(inflated).arrayBuffer());
+    const found = {frames: source.frames, rate: source.rate, deployment: source.deployment};
     let row = 0;
     const channels = source.ranges.map(([low, high]) => {
       const values = new Float64Array(source.frames).fill(low);
       if (high === low) return values;
-      for (let i = 0; i < source.frames; i++)
-        values[i] = low + (high - low) * whole.getUint16(2 * (row * source.frames + i), true) / data.levels;
+      let level = 0, change = 0;  // the levels are the sums of the sums of what is stored
+      for (let i = 0; i < source.frames; i++) {
+        change = change + whole.getUint16(2 * (row * source.frames + i), true) & 65535;
+        level = level + change & 65535;
+        values[i] = low + (high - low) * level / data.levels;
+      }
       row++;
       return values;
     });
@@ -45,6 +51,7 @@
   const above = (s, up) => (radius ? [radius * Math.sin(s), -radius * Math.cos(s), up] : [s, 0, up]);
 
   function draw() {
+    if (!motion) return;  // it is still being unpacked
     const wide = canvas.clientWidth, high = canvas.clientHeight, dots = window.devicePixelRatio || 1;
     if (canvas.width !== Math.round(wide * dots) || canvas.height !== Math.round(high * dots)) {
       canvas.width = Math.round(wide * dots);
@@ -223,8 +230,13 @@
     }).join(", ");
   }
 
-  function choose() {
-    motion = unpacked(data.motions[choice.selectedIndex]);
+  async function choose() {
+    const wanted = choice.selectedIndex;
+    const found = await unpacked(data.motions[wanted]).catch((error) => {
+      moment.textContent = `This browser cannot unpack the replay (${error.message}); one of 2023 or later can.`;
+    });
+    if (!found || choice.selectedIndex !== wanted) return;
+    motion = found;
     motion.limits = motion.signals.map((values) => [Math.min(...values), Math.max(...values)]);
     motion.last = Math.max(...motion.steps.keys());
     motion.middle = (motion.body[0][0] + motion.body[0][motion.frames - 1]) / 2;
@@ -234,6 +246,7 @@
   }
 
   function run(wanted) {
+    if (!motion) return;
     playing = wanted;
     play.textContent = playing ? "Pause" : "Play";
     if (!playing) return;
@@ -253,6 +266,7 @@
   }
 
   function go(to) {
+    if (!motion) return;
     frame = Math.max(0, Math.min(motion.frames - 1, to));
     draw();
   }

@@ -1,6 +1,7 @@
 """The replay on the page: a 3-D drawing that can be played, scrubbed and rotated, without a library."""
 
 import json
+import zlib
 from base64 import b64encode
 from importlib.resources import files
 from typing import Any, Final
@@ -89,7 +90,7 @@ def _described(quantity: Quantity) -> list[str | int]:
 
 
 def _packed(number: int, motion: Motion, scene: Scene, log: Steps) -> dict[str, Any]:
-    """JSON data of a motion: its channels as consecutive 16-bit integers, and its steps.
+    """JSON data of a motion: the bends of its channels as consecutive 16-bit integers, compressed, and its steps.
 
     The channels are the step, the position of the body, those of all points relative to it, the contacts and the
     signals. Of a channel that is constant, only the value is there.
@@ -99,12 +100,14 @@ def _packed(number: int, motion: Motion, scene: Scene, log: Steps) -> dict[str, 
     relative = (motion.positions - body[:, None]).reshape(len(body), -1)
     channels = np.column_stack([motion.step, body, relative, motion.touching, motion.signals])[::every].T
     ranges = [[float(channel.min()), float(channel.max())] for channel in channels]
-    packed = b"".join(_levels(channel).astype("<u2").tobytes() for channel in channels if np.ptp(channel))
+    frames = channels.shape[1]
+    levels = np.array([_levels(channel) for channel in channels if np.ptp(channel)], np.int64).reshape(-1, frames)
+    bends = np.diff(np.diff(levels, prepend=0), prepend=0)  # of a smooth motion they are small, and are packed densely
+    packed = zlib.compress((bends % (LEVELS + 1)).astype("<u2").tobytes(), 9)
     steps = [
         [logged.step, *map(_rounded, (logged.target, logged.record.next_state, logged.record.command))]
         for logged in log.of_iteration(number)
     ]
-    frames = channels.shape[1]
     return {
         "deployment": number,
         "rate": (frames - 1) / max(float(np.ptp(motion.time[::every])), 1e-9),

@@ -45,7 +45,7 @@ def state_error_figure(run: Run) -> "Figure":
         "markersize": 3,
         "markerfacecolor": "none",
         "markeredgewidth": 0.5,
-        "rasterized": len(steps) > MOST_VECTORS,
+        "rasterized": len(steps) * len(kinds) * len(rows) * len(columns) > MOST_VECTORS,
     }
     figure = new_figure(0.7 + (1.7 if len(rows) < 4 else 1.25) * len(rows))
     panels = figure.subplots(len(rows), len(columns), squeeze=False, sharex="col", sharey="row")

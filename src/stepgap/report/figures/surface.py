@@ -7,7 +7,7 @@ import numpy as np
 from stepgap.learning.residual import Residual
 from stepgap.records.missing import Missing
 from stepgap.report.analysis import Analysis, centre_of
-from stepgap.report.drawing import BLACK, axis_label, new_figure, unit_label
+from stepgap.report.drawing import BLACK, MOST_VECTORS, axis_label, new_figure, unit_label
 from stepgap.report.figures import RunFigure
 from stepgap.report.learned_residual import LearnedResidual
 from stepgap.step import Array, StepSpace
@@ -51,7 +51,8 @@ def surface_figure(space: StepSpace, learned: LearnedResidual, centre: Array) ->
         for panel, (title, values) in zip(panels, surfaces.items(), strict=True):
             filled = panel.contourf(x, y, values[..., row], levels=12, cmap="cividis")
             figure.colorbar(filled, ax=panel, format="%.3g")
-            dots = {"linestyle": "", "marker": ".", "markersize": 4, "markeredgecolor": "white"}
+            fast = {"rasterized": points.size > MOST_VECTORS}
+            dots = {"linestyle": "", "marker": ".", "markersize": 4, "markeredgecolor": "white", **fast}
             panel.plot(
                 points[:, across], points[:, up], **dots, markeredgewidth=0.3, color=BLACK, label="recorded step"
             )
