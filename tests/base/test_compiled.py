@@ -155,7 +155,7 @@ def test_the_versions_that_were_not_used_for_longest_are_removed(run: Run, packa
     for day in range(KEPT_VERSIONS + 3):
         old = cache / f"{day:016x}-{0:016x}"
         old.mkdir(parents=True)
-        os.utime(old, (1e9 + 86400 * day,) * 2)
+        os.utime(old, (1e9, 1e9 + 86400 * day))
     (cache / "notes").mkdir()
     assert run(CALL, package.parent) == "4.0 0"
     kept = {entry.name for entry in cache.iterdir()}

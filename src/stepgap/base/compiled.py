@@ -161,11 +161,12 @@ class ContentLocator:
 @lru_cache
 def _used(folder: Path) -> Path:
     """Notes that a version of the code is in use; before a new one, removes those that were not used for longest."""
-    if not folder.exists():
-        versions = (each for each in folder.parent.iterdir() if re.fullmatch("[0-9a-f]{16}-[0-9a-f]{16}", each.name))
-        for old in sorted(versions, key=lambda each: each.stat().st_mtime)[: 1 - KEPT_VERSIONS]:
-            shutil.rmtree(old, ignore_errors=True)
-    with suppress(OSError):  # another user's, or another process has just removed it
+    with suppress(OSError):  # another process has just removed one
+        if not folder.exists():
+            named = re.compile("[0-9a-f]{16}-[0-9a-f]{16}").fullmatch
+            versions = [(each.stat().st_mtime, each) for each in folder.parent.iterdir() if named(each.name)]
+            for _, old in sorted(versions)[: 1 - KEPT_VERSIONS]:
+                shutil.rmtree(old, ignore_errors=True)
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
     return folder
