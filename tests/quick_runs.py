@@ -34,7 +34,7 @@ def repeat_less(patch: pytest.MonkeyPatch) -> None:
 def leave_out_report(patch: pytest.MonkeyPatch) -> None:
     """A run writes an empty report."""
 
-    def write_report(run: Run) -> WrittenReport:
+    def write_report(run: Run, figures: bool = False) -> WrittenReport:
         (run.folder / "report.html").touch()
         return WrittenReport(run.folder / "report.html", ())
 
@@ -44,7 +44,7 @@ def leave_out_report(patch: pytest.MonkeyPatch) -> None:
 def leave_out_sweep_report(patch: pytest.MonkeyPatch) -> None:
     """A sweep writes its tables and an empty report."""
 
-    def report_sweep(folder: Path) -> WrittenReport:
+    def report_sweep(folder: Path, figures: bool = False) -> WrittenReport:
         (folder / "report.html").touch()
         return WrittenReport(folder / "report.html", ())
 

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -80,9 +81,7 @@ def copied(folder: Path, target: Path) -> Path:
 
 def test_a_run_folder_is_complete(finished: Path) -> None:
     names = set(contents(finished / "run"))
-    figures = {name for name in names if re.fullmatch(r"figures/[a-z_]+\.(pdf|png)", name)}
-    assert {"figures/tracking.png", "figures/gait.pdf"} < figures
-    assert names - figures == {
+    assert names == {
         "experiment.toml", "reference.csv", "steps.csv", "models/iteration_1.json", "summary.json", "report.html",
         "times.json", "replay/deployment_0.npz", "replay/deployment_1.npz",
     }  # fmt: skip
@@ -457,13 +456,25 @@ def test_a_full_disk_loses_nothing(finished: Path, stepgap: Command, file: str) 
     assert (folder / "steps.csv").read_bytes().startswith(before)
 
 
+def test_figures_are_written_on_demand_and_then_with_every_report(finished: Path, stepgap: Command) -> None:
+    shutil.copytree(finished / "run", "run")
+    assert stepgap("report", "run").code == 0
+    assert not Path("run/figures").exists()
+    assert stepgap("report", "run", "--figures").code == 0
+    assert {"tracking.png", "gait.pdf"} < {path.name for path in Path("run/figures").iterdir()}
+    Path("run/figures/gait.pdf").unlink()
+    assert stepgap("report", "run").code == 0
+    assert Path("run/figures/gait.pdf").exists(), "no file is that of an older report"
+    refused(stepgap("report", "run", "run", "--figures"), "--figures: those of one report")
+
+
 def test_the_error_of_a_full_disk_names_the_file_of_the_report(
     finished: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     copied(finished / "run", Path("run"))
     monkeypatch.setattr(drawing, "_saved", lambda figure, form: bytes(60_000))
     with largest_file(50_000):
-        result = stepgap("report", "run")
+        result = stepgap("report", "run", "--figures")
     assert result == CommandResult(2, "", f"stepgap: run/figures/tracking.png: {FILE_TOO_LARGE}\n")
 
 

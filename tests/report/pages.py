@@ -83,17 +83,9 @@ def check_alone(page: Page, pictures: int = 3) -> None:
     assert set(re.findall(r'(?:href="|url\()#([^")]+)', page.source)) <= set(names)
 
 
-def check_same_files(again: Path, written: Path, figures: int) -> None:
-    """Asserts that a folder has the files of another with the same bytes.
-
-    Args:
-        again: The folder; its files of figures that were left out are empty.
-        written: The other one, with all files of figures.
-        figures: Number of files of figures that were not left out.
-    """
+def check_same_files(again: Path, written: Path) -> None:
+    """Asserts that a folder has the files of another with the same bytes."""
     names = {path.relative_to(written) for path in written.rglob("*") if path.is_file()}
     assert {path.relative_to(again) for path in again.rglob("*") if path.is_file()} == names
-    drawn = [name for name in names if name.parts[0] == "figures" and (again / name).read_bytes()]
-    assert len(drawn) == figures
-    for name in (*drawn, *(name for name in names if name.parts[0] != "figures")):
+    for name in names:
         assert (again / name).read_bytes() == (written / name).read_bytes(), name

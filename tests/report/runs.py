@@ -141,5 +141,5 @@ TWIN: Given = {"plant": "simulated twin", "settings": Missing("the settings were
 
 
 def report_of(folder: Path, **given: Unpack[Given]) -> Path:
-    """Writes the report of a run folder, by default one on the twin, and returns the path of the page."""
-    return write_report(Run(folder, **{**TWIN, **given})).path
+    """Writes report and figures of a run folder, by default of a run on the twin; returns the path of the page."""
+    return write_report(Run(folder, **{**TWIN, **given}), figures=True).path

@@ -57,7 +57,7 @@ def test_the_settings_of_the_user_do_not_count(comment: bytes, tmp_path: Path) -
         "    FigureCanvasAgg(figure)\n"
         "    figure.text(0, 0, 'a_b')\n"
         "    return figure\n"
-        "sys.stdout.buffer.write(draw_figure(make, 'it').png)\n"
+        "sys.stdout.buffer.write(draw_figure(make, 'it').saved('png'))\n"
         "sys.stderr.write(os.environ.get('MPLBACKEND', ''))\n"
     )
 

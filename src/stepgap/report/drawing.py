@@ -7,6 +7,7 @@ without `pyplot`, so that none stays open.
 import json
 import re
 from collections.abc import Callable, Container, Mapping
+from functools import partial
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
@@ -72,19 +73,17 @@ MOST_VALUES: Final = 2000
 
 
 class Drawing(NamedTuple):
-    """A figure in the formats of its files.
+    """A figure that was drawn for a page.
 
     Attributes:
         svg: Vector graphic for a page.
-        png: Pixels.
-        pdf: Vector graphic for a document.
         hover: Values of its curves, as `hover_values` gives them.
+        saved: Function that draws it in another format, `png` or `pdf`; it takes as long as for the page.
     """
 
     svg: str
-    png: bytes
-    pdf: bytes
     hover: str
+    saved: Callable[[str], bytes]
 
 
 def draw_figure(make: Callable[[], Any], subject: str) -> Drawing | Missing:
@@ -116,8 +115,17 @@ def _drawn(make: Callable[[], Any]) -> Drawing:
     with own_style(LOOK):
         figure = make()
         _lay_out(figure)
-        saved = _saved(figure, "svg").decode(), _saved(figure, "png"), _saved(figure, "pdf")
-        return Drawing(*saved, hover_values(figure))
+        return Drawing(_saved(figure, "svg").decode(), hover_values(figure), partial(_saved_later, figure))
+
+
+def _saved_later(figure: Any, file_format: str) -> bytes:
+    with own_style(LOOK):
+        return _saved(figure, file_format)
+
+
+def has_figures(folder: Path) -> bool:
+    """Whether a folder has files of figures."""
+    return (folder / "figures").is_dir()
 
 
 def write_figures(folder: Path, drawings: Mapping[str, Drawing | Missing]) -> None:
@@ -130,8 +138,8 @@ def write_figures(folder: Path, drawings: Mapping[str, Drawing | Missing]) -> No
     for wanted, drawing in drawings.items():
         names.append(_file_name(wanted, names))
         if isinstance(drawing, Drawing):
-            write_whole(folder / "figures" / f"{names[-1]}.png", drawing.png)
-            write_whole(folder / "figures" / f"{names[-1]}.pdf", drawing.pdf)
+            for form in ("png", "pdf"):
+                write_whole(folder / "figures" / f"{names[-1]}.{form}", drawing.saved(form))
 
 
 def _file_name(wanted: str, taken: Container[str]) -> str:

@@ -18,11 +18,12 @@ def is_sweep(folder: Path) -> bool:
     return not (folder / "steps.csv").exists() and any((folder / name).exists() for name in (RESULTS, SWEEP_FILE))
 
 
-def report_sweep(folder: Path) -> WrittenReport:
+def report_sweep(folder: Path, figures: bool = False) -> WrittenReport:
     """Writes the report of a sweep with all available information.
 
     Args:
         folder: Folder of the sweep.
+        figures: Whether to write the files of the figures, too.
 
     Raises:
         InputError: The content of a file is wrong, or the report cannot be written.
@@ -30,7 +31,7 @@ def report_sweep(folder: Path) -> WrittenReport:
     if not (folder / RESULTS).is_file():
         raise InputError(f"{folder / RESULTS}: no such file; this makes it: stepgap sweep --out {folder} --resume")
     try:
-        return write_sweep_report(folder, _context(folder))
+        return write_sweep_report(folder, _context(folder), figures)
     except (ValueError, OSError) as error:
         raise InputError(message_of(error)) from None
 

@@ -11,7 +11,7 @@ from stepgap.base.files import write_whole
 from stepgap.experiment.settings import SettingsFile, read_settings_file
 from stepgap.records.missing import Missing
 from stepgap.report import WrittenReport
-from stepgap.report.drawing import Drawing, draw_figure, write_figures
+from stepgap.report.drawing import Drawing, draw_figure, has_figures, write_figures
 from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section
 from stepgap.report.settings_table import changed_settings
 from stepgap.report.text import capitalised
@@ -95,12 +95,13 @@ class _Sweep:
     shares: VarianceShares | Missing
 
 
-def write_sweep_report(folder: Path, context: SweepContext | None = None) -> WrittenReport:
-    """Writes `figures/*.png`, `figures/*.pdf` and `report.html` of a sweep, whether or not it is finished.
+def write_sweep_report(folder: Path, context: SweepContext | None = None, figures: bool = False) -> WrittenReport:
+    """Writes `report.html` of a sweep, finished or not, and on demand `figures/*.png` and `figures/*.pdf`.
 
     Args:
         folder: Folder of the sweep, with `results.csv`.
         context: Information that is not in the table.
+        figures: As of `write_report`.
 
     Raises:
         ValueError: The table or the settings are not valid.
@@ -110,7 +111,8 @@ def write_sweep_report(folder: Path, context: SweepContext | None = None) -> Wri
     sweep = _read(folder, context.state)
     settings = read_settings_file(folder / "experiment.toml")
     drawings = _drawings(sweep)
-    write_figures(folder, {_figure_name(name, sweep): drawing for name, drawing in drawings.items()})
+    if figures or has_figures(folder):
+        write_figures(folder, {_figure_name(name, sweep): drawing for name, drawing in drawings.items()})
     path = folder / "report.html"
     write_whole(path, _html(sweep, drawings, context, settings))
     missing = (f"settings ({settings.reason})",) if isinstance(settings, Missing) else ()
