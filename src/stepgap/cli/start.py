@@ -1,8 +1,8 @@
 """The entry point of the program `stepgap`: Ctrl-C is one line, wherever it arrives."""
 
+import signal
 import sys
-from _thread import interrupt_main
-from threading import Timer
+from threading import Timer, main_thread
 
 from stepgap.cli.terminal import STOPPED, warn
 
@@ -26,7 +26,8 @@ def start() -> None:
 def _repeat_interrupt(unraisable: "sys.UnraisableHookArgs") -> None:
     """Interrupts again if Ctrl-C arrived in a callback of C, as of the compiler, where Python would only print it."""
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
-        Timer(0.05, interrupt_main).start()  # after the callback
+        again = main_thread().ident, signal.SIGINT
+        Timer(0.05, signal.pthread_kill, again).start()  # after the callback; it also ends a call that waits
     else:
         sys.__unraisablehook__(unraisable)
 
