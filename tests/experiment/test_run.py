@@ -12,7 +12,7 @@ from stepgap.experiment.settings import SettingsFile
 from stepgap.records import steps_csv
 from stepgap.records.steps_csv import StepWriter, column_names, digest, space_of_header
 from stepgap.records.summary import parse_summary
-from stepgap.step import Quantity, StepSpace, StepStatus
+from stepgap.step import ContextQuantity, Quantity, StepSpace, StepStatus
 from tests.report.runs import logged, write_run, write_summary
 
 NAMES = ("speed", "tilt")
@@ -83,6 +83,24 @@ def test_header_gives_the_names_back(tmp_path: Path, state: tuple[str, ...], com
     else:
         found = space_of_header(path)
         assert (found.state_names, found.command_names) == (state, command)
+
+
+def test_a_long_header_gives_the_names_back(tmp_path: Path) -> None:
+    states, commands = (tuple(Quantity(f"{kind}_{i:057}", "", -1, 1) for i in range(100)) for kind in ("qd", "tq"))
+    context = tuple(ContextQuantity(f"marker_{number}", "") for number in range(100))
+    space = StepSpace(states, commands, context)
+    path = tmp_path / "steps.csv"
+    path.write_text(",".join(column_names(space)) + "\n", encoding="utf-8")
+    found = space_of_header(path)
+    assert (found.names, found.context_names) == (space.names, space.context_names)
+
+
+def test_a_long_header_of_no_step_log_is_refused(tmp_path: Path) -> None:
+    """With each number of coordinates tried beside each number of names that end in _after, it would take minutes."""
+    path, context = tmp_path / "steps.csv", [f"x{number}_after" for number in range(1400)]
+    path.write_text(",".join(["iteration", "step", *map("b{}".format, range(600)), *context, "status"]) + "\n")
+    with pytest.raises(ValueError, match="not the header of a step log"):
+        space_of_header(path)
 
 
 def test_no_unit_follows_from_a_name(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ import os
 from codecs import BOM_UTF8
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import product, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +20,8 @@ from stepgap.step import ContextQuantity, Quantity, StepRecord, StepSpace, StepS
 LARGEST_STEPS_FILE = 256 * 2**20
 """Largest `steps.csv` that is read [bytes]."""
 
-LONGEST_HEADER = 2**14
-"""Longest first line of `steps.csv` [bytes]."""
+LONGEST_HEADER = 2**18
+"""Longest first line of `steps.csv` [bytes]; that of 100 coordinates with names of 60 letters has 40 kB."""
 
 MOST_COORDINATES = 100
 """Largest number of state coordinates; each has its own figure."""
@@ -164,15 +163,13 @@ def space_of_header(path: Path) -> StepSpace:
     if header == [""]:
         raise ValueError(f"{path}: no step yet; it must have a header and at least one row below it")
     check_not_older(header, path)
-    names = [name.removesuffix(AFTER) for name in takewhile(lambda name: name.endswith(AFTER), header[-2:1:-1])]
-    for n, size in product(range(1, min(MOST_COORDINATES, len(header) // 6) + 1), range(len(names) + 1)):
-        m = (len(header) - 3 - size - 6 * n) // 3
-        state, command = header[2 : 2 + n], header[2 + 2 * n : 2 + 2 * n + m]
-        if not all(map(is_name, (*state, *command, *names[:size]))):
-            continue
-        context = tuple(ContextQuantity(name, "") for name in reversed(names[:size]))
-        space = StepSpace(tuple(map(_coordinate, state)), tuple(map(_coordinate, command)), context)
-        if m >= 0 and column_names(space) == header and len(set(header)) == len(header):
+    state = _names_before("target_", header[2:])
+    command = _names_before("requested_", header[2 + 2 * len(state) :])
+    context = [name.removesuffix(AFTER) for name in header[2 + 6 * len(state) + 3 * len(command) : -1]]
+    if 1 <= len(state) <= MOST_COORDINATES and all(map(is_name, (*state, *command, *context))):
+        named = tuple(ContextQuantity(name, "") for name in context)
+        space = StepSpace(tuple(map(_coordinate, state)), tuple(map(_coordinate, command)), named)
+        if column_names(space) == header and len(set(header)) == len(header):
             return space
     raise ValueError(
         f"{path}, line 1: not the header of a step log; it must be iteration, step, the state's names (at most "
@@ -180,6 +177,12 @@ def space_of_header(path: Path) -> StepSpace:
         "predicted_…, std_…, the context's names with _after, status, and names consist of letters, digits and "
         "underscores"
     )
+
+
+def _names_before(kind: str, columns: Sequence[str]) -> Sequence[str]:
+    """The names at the start of `columns`, which end before the first one is repeated after `kind`; else none."""
+    repeated = f"{kind}{columns[0]}" if columns else ""
+    return columns[: columns.index(repeated)] if repeated in columns else []
 
 
 def _coordinate(name: str) -> Quantity:
