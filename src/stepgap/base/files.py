@@ -90,7 +90,7 @@ def new_file(path: Path) -> Iterator[Path]:
         yield partial
         try:
             path.hardlink_to(partial)  # unlike a renamed file, it replaces no other one
-        except (PermissionError, NotImplementedError):  # a file system without links, such as FAT
+        except (OSError, NotImplementedError):  # a file system without links, such as FAT
             _check_absent(path)
             partial.rename(path)
         partial.unlink(missing_ok=True)
