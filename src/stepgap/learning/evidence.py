@@ -128,7 +128,7 @@ class MaximumLikelihood(Criterion):
 @final
 @dataclass(frozen=True)
 class MaximumAPosteriori(Criterion):
-    """Maximum a posteriori under the priors of `fit_gaussian_process`, with β integrated out (RW Eq. 2.45).
+    """Maximum a posteriori under the priors of `fit_hyper_parameters`, with β integrated out (RW Eq. 2.45).
 
     Attributes:
         value_scale: Scale of the signal's prior.

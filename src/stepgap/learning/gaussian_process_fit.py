@@ -6,7 +6,7 @@ Equations marked RW are those of Rasmussen and Williams, Gaussian Processes for 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, TypedDict
+from typing import Literal, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +25,7 @@ Basis = Literal["constant", "linear"]
 
 
 class Search(TypedDict, total=False):
-    """Options of a search for hyper-parameters; see `fit_gaussian_process`."""
+    """Options of a search for hyper-parameters; see `fit_hyper_parameters`, which has their defaults."""
 
     basis: Basis
     kernel: Kernel
@@ -61,13 +61,29 @@ def fit_gaussian_process(
     values: ArrayLike,
     input_scale: ArrayLike,
     value_scale: float | None = None,
+    **search: Unpack[Search],
+) -> ExactGaussianProcess:
+    """Fits a Gaussian process with the hyper-parameters of `fit_hyper_parameters`, whose arguments it has.
+
+    Raises:
+        ValueError: Data or scales are not finite, or their sizes do not fit.
+    """
+    found = fit_hyper_parameters(points, values, input_scale, value_scale, **search)
+    return condition(points, values, input_scale, found, search.get("kernel", MATERN_52))
+
+
+def fit_hyper_parameters(
+    points: ArrayLike,
+    values: ArrayLike,
+    input_scale: ArrayLike,
+    value_scale: float | None = None,
     *,
     basis: Basis = "constant",
     kernel: Kernel = MATERN_52,
     start: HyperParameters | None = None,
     last_length_scale: float | None = None,
-) -> ExactGaussianProcess:
-    """Fits a Gaussian process: the most probable hyper-parameters under weak priors, one length scale per input.
+) -> HyperParameters:
+    """Finds the most probable hyper-parameters under weak priors, with one length scale per input.
 
     A priori log(length scale) ~ N(log 3, 1) for each input, log(noise/signal) ~ N(log 0.5, 1), log(signal) ~
     N(log(value_scale/4), 1) and, with the linear basis, log(slopes/signal) ~ N(0, 1), while β is flat and
@@ -90,23 +106,6 @@ def fit_gaussian_process(
     Raises:
         ValueError: Data or scales are not finite, or their sizes do not fit.
     """
-    search: Search = {"basis": basis, "kernel": kernel, "start": start, "last_length_scale": last_length_scale}
-    found = fit_hyper_parameters(points, values, input_scale, value_scale, **search)
-    return condition(points, values, input_scale, found, kernel)
-
-
-def fit_hyper_parameters(
-    points: ArrayLike,
-    values: ArrayLike,
-    input_scale: ArrayLike,
-    value_scale: float | None = None,
-    *,
-    basis: Basis = "constant",
-    kernel: Kernel = MATERN_52,
-    start: HyperParameters | None = None,
-    last_length_scale: float | None = None,
-) -> HyperParameters:
-    """The hyper-parameters of `fit_gaussian_process`, whose arguments it has."""
     points, values, input_scale = checked_data(points, values, input_scale)
     if value_scale is None:
         value_scale = max(0.5 * float(np.ptp(values)), 1e-6 * float(np.abs(values).max()), 1e-12)

@@ -240,14 +240,14 @@ def fit_sparse(
     value_scale: float | None = None,
     **search: Unpack[Search],
 ) -> SparseGaussianProcess:
-    """Fits a sparse Gaussian process; its hyper-parameters are those of `fit_gaussian_process`.
+    """Fits a sparse Gaussian process; its hyper-parameters are those of `fit_hyper_parameters`.
 
     Args:
         points: Shape (N, d), N ≥ 1.
         values: Shape (N,).
         input_scale: Fixed size of each input, not taken from the data; shape (d,).
-        value_scale: As for `fit_gaussian_process`.
-        search: As for `fit_gaussian_process`.
+        value_scale: As for `fit_hyper_parameters`.
+        search: As for `fit_hyper_parameters`.
     """
     found = fit_hyper_parameters(points, values, input_scale, value_scale, **search)
     return condition_as_needed(points, values, input_scale, found, search.get("kernel", MATERN_52))
