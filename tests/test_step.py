@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stepgap.control.box_points import box_grid
 from stepgap.robots.hopper.parameters import CommandBounds
-from stepgap.step import ADVICE, ContextQuantity, Quantity, StepFailed, StepSpace, StepStatus, box_grid, ending_of
+from stepgap.step import ADVICE, ContextQuantity, Quantity, StepFailed, StepSpace, StepStatus, ending_of
 
 SPACE = StepSpace(
     state=(Quantity("speed", "m/s", 0.0, 0.4),),

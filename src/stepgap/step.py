@@ -267,11 +267,6 @@ def _check_words(name: str, unit: str) -> None:
     require(is_unit(unit), "unit", unit, UNIT_RULE)
 
 
-def box_grid(samples: int, k: int) -> Array:
-    """Even grid over |point| ≤ 1, its ends included; shape (samples, …, samples, k)."""
-    return np.stack(np.meshgrid(*[np.linspace(-1, 1, samples)] * k, indexing="ij"), axis=-1)
-
-
 def _read_only(numbers: Iterable[float]) -> Array:
     """Returns the numbers as a read-only array."""
     array = np.array(list(numbers), float)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from stepgap.control.box_points import box_points, composite_design, irrational_steps
-from stepgap.step import box_grid
+from stepgap.control.box_points import box_grid, box_points, composite_design, irrational_steps
 
 
 @pytest.mark.parametrize(("count", "k", "side"), [(81, 2, 9), (25, 2, 5), (1089, 2, 33), (81, 1, 81), (5, 2, 3)])

@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from stepgap.control import command_table
+from stepgap.control.box_points import box_grid
 from stepgap.control.command_table import CommandTable, build_table, measure_table
 from stepgap.control.command_table_file import KINDS, read_table, write_table
 from stepgap.control.step_controller import StepController
-from stepgap.step import Array, StepFailed, StepStatus, box_grid
+from stepgap.step import Array, StepFailed, StepStatus
 from tests.control.maps import FoldedMap, LossyHopper, NeverWorks, RedundantMap, StumblingHopper
 
 POINTS = 7

@@ -5,10 +5,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import lsq_linear
 
+from stepgap.control.box_points import box_grid
 from stepgap.control.gauss_newton import box_step, box_steps
 from stepgap.control.solve_many import solve_many
 from stepgap.control.step_controller import StepController
-from stepgap.step import Array, StepMap, StepStatus, box_grid
+from stepgap.step import Array, StepMap, StepStatus
 from tests.control.maps import (
     CountingMap,
     FoldedMap,

@@ -5,9 +5,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import lsq_linear
 
+from stepgap.control.box_points import box_grid
 from stepgap.control.gauss_newton import REACHED, box_step
 from stepgap.control.step_controller import StepController
-from stepgap.step import Array, StepFailed, StepMap, StepStatus, box_grid
+from stepgap.step import Array, StepFailed, StepMap, StepStatus
 from tests.control.maps import (
     CountingMap,
     FoldedMap,

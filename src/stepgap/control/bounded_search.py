@@ -38,9 +38,13 @@ def solve(function: Function, jacobian: Jacobian, start: Array) -> Solution:
 
 def _sample(function: Function, k: int) -> tuple[Array, Array]:
     """Points (N, k) and their distances (N,); the fine ones if the coarse ones have no value."""
-    coarse, fine = (box_points(count, k) for count in SEARCHED)
-    distance = norms(function(coarse))
-    return (coarse, distance) if np.isfinite(distance).any() else (fine, norms(function(fine)))
+    coarse, fine = SEARCHED
+    points = box_points(coarse, k)
+    distance = norms(function(points))
+    if not np.isfinite(distance).any():
+        points = box_points(fine, k)
+        distance = norms(function(points))
+    return points, distance
 
 
 def separate_starts(points: Array, distance: Array) -> NDArray[np.intp]:

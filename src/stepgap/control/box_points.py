@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stepgap.step import Array, box_grid
+from stepgap.step import Array
 
 
 def box_points(count: int, k: int) -> Array:
@@ -24,6 +24,11 @@ def box_points(count: int, k: int) -> Array:
     design = composite_design(k)
     scattered = np.outer(np.arange(1, max(count - len(design), 0) + 1), irrational_steps(k))
     return np.concatenate([design, 2 * np.mod(0.5 + scattered, 1.0) - 1])[:count]
+
+
+def box_grid(samples: int, k: int) -> Array:
+    """Even grid over |point| ≤ 1, its ends included; shape (samples, …, samples, k)."""
+    return np.stack(np.meshgrid(*[np.linspace(-1, 1, samples)] * k, indexing="ij"), axis=-1)
 
 
 def composite_design(k: int) -> Array:

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepgap.base.ranges import require
+from stepgap.control.box_points import box_grid
 from stepgap.control.solve_many import Answers, solve_many
 from stepgap.control.step_controller import StepPlan, as_vector
-from stepgap.step import Array, Codes, StepFailed, StepMap, StepSpace, StepStatus, box_grid
+from stepgap.step import Array, Codes, StepFailed, StepMap, StepSpace, StepStatus
 
 BATCH = 4096
 """Approximate number of nodes that are solved together; at least those of one state."""

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepgap.base.ranges import require
-from stepgap.control.box_points import box_points
+from stepgap.control.box_points import box_grid, box_points
 from stepgap.control.reach import within_noise
 from stepgap.control.step_controller import StepController, as_vector
-from stepgap.step import Array, Codes, StepMap, StepStatus, box_grid
+from stepgap.step import Array, Codes, StepMap, StepStatus
 
 
 @dataclass(frozen=True, eq=False)
