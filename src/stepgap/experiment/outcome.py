@@ -1,6 +1,7 @@
 """The outcome of a deployment: tracking errors, noise floor, cut commands, and targets that it did not hold."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.control.reach import reached_in_one_step
 from stepgap.control.reference import Reference
@@ -88,9 +89,14 @@ def count_cut(steps: Steps) -> int:
 
 
 def unreachable_targets(step_map: StepMap, reference: Reference) -> Array:
-    """Distinct targets that no command holds according to a map; shape (k, n)."""
-    targets = np.unique(reference.targets, axis=0)
-    return targets[~reached_in_one_step(step_map, targets, targets)]
+    """Distinct targets that no command holds according to a map, in ascending order; shape (k, n)."""
+    return reference.targets[unheld_steps(step_map, reference)]
+
+
+def unheld_steps(step_map: StepMap, reference: Reference) -> NDArray[np.intp]:
+    """First step, from 0 on, with each distinct target that no command holds according to a map; shape (k,)."""
+    distinct, first = np.unique(reference.targets, axis=0, return_index=True)
+    return first[~reached_in_one_step(step_map, distinct, distinct)]
 
 
 def missed_targets(steps: Steps, reference: Reference, unreachable: Array, floor: Array) -> Array:

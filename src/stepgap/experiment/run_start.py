@@ -8,15 +8,13 @@ from dataclasses import fields, replace
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
-
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import free_name
 from stepgap.base.ranges import format_value
-from stepgap.control.reach import reached_in_one_step
 from stepgap.control.reference import Reference
 from stepgap.experiment.inputs import load_known
 from stepgap.experiment.loop import Setup, is_finished
+from stepgap.experiment.outcome import unheld_steps
 from stepgap.experiment.plants import PlantRequest, choose_plants
 from stepgap.experiment.resume import check_no_step_is_lost
 from stepgap.experiment.run import Run
@@ -151,10 +149,9 @@ def extended(run: Run, redeployments: int) -> Experiment:
 
 def check_reach(nominal: StepMap, reference: Reference, name: str, robot: Robot) -> None:
     """Raises InputError if the nominal map of `robot` cannot hold one of the targets."""
-    distinct, steps = np.unique(reference.targets, axis=0, return_index=True)
-    missed = steps[~reached_in_one_step(nominal, distinct, distinct)]
-    if len(missed):
-        step, state = int(missed.min()), nominal.space.state
+    unheld = unheld_steps(nominal, reference)
+    if len(unheld):
+        step, state = int(unheld.min()), nominal.space.state
         values = zip(state, reference.targets[step], strict=True)
         wanted = ", ".join(f"{quantity.name} {value:g} {quantity.unit}" for quantity, value in values)
         raise InputError(
