@@ -35,7 +35,7 @@ MeasureNoiseFloor = Callable[[StepMap, np.random.Generator, Callable[[int, int],
 
 
 OnTime = Callable[[int, str, float], None]
-"""Is told for which deployment something was computed, what it was, and how long that took [s]."""
+"""Called with the deployment for which something was computed, what it was, and how long that took [s]."""
 
 
 def deployment_generator(seed: int, iteration: int) -> np.random.Generator:
@@ -217,7 +217,7 @@ def is_finished(deployments: Sequence[Deployment], scale: Array, learning: Learn
         scale: Half the range of use of each state coordinate; shape (n,).
         learning: Settings of learning.
     """
-    if len(deployments) > learning.iterations:  # deployment 0 and so many redeployments
+    if len(deployments) > learning.iterations:  # beside the redeployments there is deployment 0
         return True
     return learning.early_stop and not _still_improves(deployments, scale, learning.tolerance)
 

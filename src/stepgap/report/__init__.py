@@ -59,7 +59,7 @@ def write_report(run: Run, figures: bool = False) -> WrittenReport:
     Args:
         run: The run; the files are written into its folder.
         figures: Whether to write the files of the figures, which takes longer than the page; if the folder has those of
-            an earlier report, they are written anew.
+            an earlier report, they are replaced.
 
     Raises:
         InputError: A file of the run is not valid, or the given nominal map has another state or command than the run,

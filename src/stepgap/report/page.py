@@ -64,7 +64,6 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
     """
     run, gait = analysis.run, analysis.gait
     title = f"StepGap report: {run.folder.resolve().name}"
-    links = "".join(f'<a href="#{name}">{heading}</a>' for name, heading in CONTENTS.items())
     pictures = {
         name: [
             picture(each.drawing, each.prefix, each.caption, each is figures[0])
@@ -74,13 +73,7 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
         for name in CONTENTS
     }
     parts_by_name = {
-        "numbers": [
-            paragraph(_comparison_note(run)),
-            *map(paragraph, floor_sentences(run)),
-            *(error_table(run, row) for row in range(len(run.space.state))),
-            band_table(run),
-            times_table(run),
-        ],
+        "numbers": _numbers(run),
         "diagnosis": [
             bullets([*diagnosis_sentences(run), *([] if isinstance(gait, Missing) else reach_sentences(gait))])
         ],
@@ -89,33 +82,48 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
             bullets(learned_sentences(analysis)),
             learned_tables(run, analysis.learned),
             coverage_table(run),
-            *pictures.pop("learned"),
         ],
-        "gait": [
-            bullets(measured_sentences(analysis.loops)),
-            measured_table(analysis.loops),
-            absence("gait", gait),
-        ] if isinstance(gait, Missing) else [
-            bullets([*gait_sentences(gait), *measured_sentences(analysis.loops)]),
-            measured_table(analysis.loops),
-            *pictures.pop("gait"),
-            gait_table(gait),
-        ],
+        "gait": _gait(analysis, pictures.pop("gait")),
         "settings": [_settings(run)],
         "files": [_file_list(run)],
-    }  # fmt: skip
-    offsets = offset_sentences(run.steps.of_iteration(run.steps.iterations[-1]))
-    note = " ".join([recorded(run), *times_in_words(run)])
-    top = (
-        f'<h1>{safe(title)}</h1>\n<nav>{links}</nav>\n<p class="headline">{safe(headline(run))}</p>\n'
-        f"{summary_table(run)}{bullets([*sentences(run), *offsets, *growth_sentences(analysis.loops)])}"
-        f'<p class="note">{safe(note)}</p>'
-    )
+    }
     parts = [
         section(name, heading, *parts_by_name.get(name, []), *pictures.get(name, []))
         for name, heading in CONTENTS.items()
     ]
-    return page(title, [top, *parts], REPLAY_SCRIPT if not isinstance(analysis.replay, Missing) else "")
+    script = REPLAY_SCRIPT if not isinstance(analysis.replay, Missing) else ""
+    return page(title, [_top(analysis, title), *parts], script)
+
+
+def _top(analysis: Analysis, title: str) -> str:
+    """The first screen: the result in a sentence and a table."""
+    run = analysis.run
+    links = "".join(f'<a href="#{name}">{heading}</a>' for name, heading in CONTENTS.items())
+    offsets = offset_sentences(run.steps.of_iteration(run.steps.iterations[-1]))
+    note = " ".join([recorded(run), *times_in_words(run)])
+    return (
+        f'<h1>{safe(title)}</h1>\n<nav>{links}</nav>\n<p class="headline">{safe(headline(run))}</p>\n'
+        f"{summary_table(run)}{bullets([*sentences(run), *offsets, *growth_sentences(analysis.loops)])}"
+        f'<p class="note">{safe(note)}</p>'
+    )
+
+
+def _numbers(run: Run) -> list[str]:
+    return [
+        paragraph(_comparison_note(run)),
+        *map(paragraph, floor_sentences(run)),
+        *(error_table(run, row) for row in range(len(run.space.state))),
+        band_table(run),
+        times_table(run),
+    ]
+
+
+def _gait(analysis: Analysis, pictures: Sequence[str]) -> list[str]:
+    """Limit cycles as the maps have them, if they are known, and the motion around them as it was measured."""
+    gait, loops = analysis.gait, analysis.loops
+    cycles = [] if isinstance(gait, Missing) else gait_sentences(gait)
+    rest = [absence("gait", gait), *pictures] if isinstance(gait, Missing) else [*pictures, gait_table(gait)]
+    return [bullets([*cycles, *measured_sentences(loops)]), measured_table(loops), *rest]
 
 
 def missing_parts(analysis: Analysis) -> list[str]:

@@ -1,4 +1,4 @@
-"""Who may open the page, and what it may be told.
+"""Who may open the page, and which messages it accepts.
 
 A browser lets the page of every site send requests to this computer, and open WebSockets to it. A site may also give
 its own name the address of this computer (DNS rebinding). So a request is answered only if it names this computer, by a
@@ -10,7 +10,7 @@ import asyncio
 import socket
 import sys
 from collections.abc import Awaitable, Callable, Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http import HTTPStatus
 from ipaddress import ip_address
 from logging import NullHandler, getLogger
@@ -152,9 +152,8 @@ class _Guard:
 
         connection.recv = received
         try:
-            await self._handler(connection)
-        except ConnectionClosed:
-            pass
+            with suppress(ConnectionClosed):
+                await self._handler(connection)
         except Exception:
             self._say_once()
 
