@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from stepgap.experiment.run import Run
-from stepgap.plants.plant import Plant
 from stepgap.records.summary import NoiseFloor
 from stepgap.report import WrittenReport, drawing
+from stepgap.step import StepMap
 from stepgap.sweep.cases import processes
 
 EMPTY_SVG = b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"></svg>'
@@ -19,8 +19,8 @@ EMPTY_SVG = b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"></svg>'
 def leave_out_repeats(patch: pytest.MonkeyPatch) -> None:
     """Replaces the measurement of the noise floor, which takes as long as a deployment."""
 
-    def measure_noise_floor(plant: Plant, *_: object) -> NoiseFloor:
-        floor = np.full(len(plant.space.state), 0.01)
+    def measure_noise_floor(_: object, step_map: StepMap, *__: object) -> NoiseFloor:
+        floor = np.full(len(step_map.space.state), 0.01)
         return NoiseFloor(floor, floor)
 
     patch.setattr("stepgap.experiment.plants.measure_noise_floor", measure_noise_floor)

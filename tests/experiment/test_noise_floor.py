@@ -1,5 +1,6 @@
 """The noise floor, the standard deviation of repeated steps, on twins with known sources of noise."""
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -9,14 +10,17 @@ from stepgap.base.normal import std_interval_95
 from stepgap.control.reference import Reference
 from stepgap.experiment import noise_floor
 from stepgap.experiment.noise_floor import PHASES, REPEATS, _pooled, measure_noise_floor
+from stepgap.plants.model_plant import ModelPlant
 from stepgap.records.summary import NoiseFloor
 from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import CommandBounds, RobotParameters
 from stepgap.robots.hopper.robot import Hopper
+from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.simulation import TwinPlant
 from stepgap.robots.hopper.twin.twin import Twin
-from tests.control.maps import NeverWorks
+from stepgap.step import Array, StepRecord, StepStatus
+from tests.control.maps import LossyHopper, NeverWorks
 
 ROBOT, NOMINAL = RobotParameters(), ApexMap()
 REFERENCE = Reference.from_segments(("speed", "height"), [(1, (0.1, 0.55)), (5, (0.2, 0.58))], steps=9)
@@ -25,8 +29,12 @@ SILENT = replace(RealityGap(), torque_noise=0.0, ground_roughness=0.0, ground_sl
 
 
 def measured(gap: RealityGap, seed: int = 1, reference: Reference = REFERENCE) -> NoiseFloor:
-    twin = Twin(ROBOT, gap, np.random.default_rng(0))
-    return measure_noise_floor(TwinPlant(twin, Hopper().control()), NOMINAL, reference, np.random.default_rng(seed))
+    ground = GroundProfile(gap, ROBOT.boom_length, np.random.default_rng(0))
+
+    def make(rng: np.random.Generator) -> TwinPlant:
+        return TwinPlant(Twin(ROBOT, gap, rng, ground=ground), Hopper().control())
+
+    return measure_noise_floor(make, NOMINAL, reference, np.random.default_rng(seed))
 
 
 def test_a_twin_without_noise_on_an_even_floor_repeats_itself() -> None:
@@ -87,8 +95,64 @@ def test_the_noise_floor_is_proportional_to_the_noise() -> None:
 
 
 def test_a_robot_that_cannot_hop_has_no_noise_floor() -> None:
-    twin = Twin(ROBOT, SILENT, np.random.default_rng(0))
-    plant = TwinPlant(twin, Hopper(command=CommandBounds(fy_lower=-200, fy_upper=-190)).control())
-    found = measure_noise_floor(plant, NeverWorks(), REFERENCE, np.random.default_rng(0))
-    assert np.isnan([found.any_phase, found.same_phase]).all()
-    assert found.steps == 0
+    robot = Hopper(command=CommandBounds(fy_lower=-200, fy_upper=-190))
+
+    def make(rng: np.random.Generator) -> TwinPlant:
+        return TwinPlant(Twin(ROBOT, SILENT, rng), robot.control())
+
+    for maker in (make, lambda rng: None):
+        found = measure_noise_floor(maker, NeverWorks(), REFERENCE, np.random.default_rng(0))
+        assert np.isnan([found.any_phase, found.same_phase]).all()
+        assert found.steps == 0
+
+
+STAIRS = Reference.from_segments(("speed", "height"), [(k, (0.05 * k, 0.55)) for k in range(1, 9)], steps=8)
+
+
+class Stumbling(ModelPlant):
+    """Falls at one of the targets."""
+
+    def take_step(self, command: Array) -> StepRecord:
+        record = super().take_step(command)
+        return replace(record, status=StepStatus.FELL) if abs(record.next_state[0] - 0.3) < 0.02 else record
+
+
+def test_any_number_of_threads_gives_the_same_and_a_fall_costs_one_target() -> None:
+    robot, told = LossyHopper(), list[tuple[int, int]]()
+
+    def measured_by(threads: int) -> NoiseFloor:
+        return measure_noise_floor(
+            lambda rng: Stumbling(robot, (0.0, 0.55), noise=0.001, rng=rng),
+            robot,
+            STAIRS,
+            np.random.default_rng(0),
+            lambda done, total: told.append((done, total)),
+            threads=threads,
+        )
+
+    one, three = measured_by(1), measured_by(3)
+    assert one.any_phase.tolist() == three.any_phase.tolist()
+    assert told == 2 * [(done, 8) for done in range(9)]
+    assert one.steps == 7 * PHASES * REPEATS
+    np.testing.assert_allclose(one.any_phase, 0.001, rtol=0.3)
+
+
+def test_threads_end_when_the_measurement_is_interrupted() -> None:
+    robot, begun, interrupted = LossyHopper(), list[object](), threading.Event()
+
+    def make(rng: np.random.Generator) -> ModelPlant:
+        begun.append(rng)
+        if len(begun) > 1:
+            interrupted.wait()
+        return ModelPlant(robot, (0.0, 0.55), noise=0.001, rng=rng)
+
+    def stop(done: int, total: int) -> None:
+        if done:
+            interrupted.set()
+            raise KeyboardInterrupt
+
+    threads = threading.active_count()
+    with pytest.raises(KeyboardInterrupt):
+        measure_noise_floor(make, robot, STAIRS, np.random.default_rng(0), stop, threads=2)
+    assert threading.active_count() == threads
+    assert len(begun) < len(STAIRS)

@@ -4,7 +4,9 @@ A controller that knows neither the noise nor the phase cannot track better on a
 disturbance (`learning.disturbance`) can, but not better than the standard deviation at one phase.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from math import tau
 
 import numpy as np
@@ -20,8 +22,9 @@ from stepgap.step import Array, StepMap, StepStatus
 REPEATED_TARGETS = 20
 """Largest number of targets of the reference at which a step is repeated; they are spread evenly."""
 
-SETTLING = 6
-"""Number of steps towards a target before the repeated one."""
+SETTLING = 4
+"""Number of steps from the start towards a target before the repeated one. The hopper and the quadruped are at their
+noise floor after two and three."""
 
 PHASES = 6
 """Number of phases of the periodic context, such as angles on a circle, at which a step is repeated."""
@@ -29,18 +32,24 @@ PHASES = 6
 REPEATS = 2
 """Number of repetitions at each phase, which differ in noise only."""
 
+MakePlant = Callable[[np.random.Generator], RepeatablePlant | None]
+"""Makes a plant that draws everything random from a generator; None where no plant can repeat a step."""
+
 EXACT = ControlSettings(cautious=False, viability=False, avoid_failures=False, evaluations=10**6)
 """Settings with which Eq. 13 is solved as it is: no rule restricts the command, and no budget the search."""
 
 
 def measure_noise_floor(
-    plant: RepeatablePlant,
+    make_plant: MakePlant,
     step_map: StepMap,
     reference: Reference,
     rng: np.random.Generator,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    threads: int = 1,
 ) -> NoiseFloor:
     """Pooled standard deviations of the next state when a plant repeats a step [state units].
+
+    Each target has a plant and a random stream of its own, so the result is the same with any number of threads.
 
     The repetitions have the same command, the same true motion at the beginning of the step, and the same memory of the
     control, hence the same measured state. The noise, including its present value, is drawn again for each of them. The
@@ -49,12 +58,13 @@ def measure_noise_floor(
     analysis of variance with random effects (Searle, Casella, McCulloch, Variance Components, ch. 3).
 
     Args:
-        plant: The plant.
+        make_plant: Makes the plant of a target.
         step_map: Map whose commands lead to the targets by Eq. 13, without the rules of a deployment, and each found
             from the middle of the bounds.
         reference: Reference whose targets are held.
-        rng: Draws noise and phase of the repeated steps.
+        rng: Its children draw the noise of the plants, and the phase of the repeated steps.
         progress: Called with the numbers of finished and of all targets.
+        threads: Number of targets that are measured at once.
 
     Returns:
         NaN where no step could be repeated at two phases.
@@ -63,21 +73,48 @@ def measure_noise_floor(
     chosen = starts[np.unique(np.linspace(0, len(starts) - 1, REPEATED_TARGETS).round().astype(int))]
     size, groups = len(reference.names), list[Array]()
     no_failures = np.empty((0, size + len(step_map.space.command)))
-    controller = CautiousController(step_map, step_map, no_failures, EXACT)
+    repeated = partial(_repeated, make_plant, CautiousController(step_map, step_map, no_failures, EXACT))
+    jobs = zip(reference.targets[chosen], rng.spawn(len(chosen)), strict=True)
+    progress(0, len(chosen))
+    for found in _side_by_side(repeated, jobs, threads):
+        groups.append(found)
+        progress(len(groups), len(chosen))
+    return _pooled(groups, size)
+
+
+def _side_by_side(
+    repeated: Callable[[tuple[Array, np.random.Generator]], Array],
+    jobs: Iterable[tuple[Array, np.random.Generator]],
+    threads: int,
+) -> Iterator[Array]:
+    """Repeated steps of one target after another; if the caller stops, threads end with the target they are at."""
+    if threads == 1:  # not in a thread, since a plant of somebody's own may need the main one
+        yield from map(repeated, jobs)
+        return
+    pool = ThreadPoolExecutor(threads)
+    try:
+        yield from pool.map(repeated, jobs)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _repeated(make_plant: MakePlant, controller: CautiousController, job: tuple[Array, np.random.Generator]) -> Array:
+    """Next states of a step that is repeated at a target; shape (phases, repeats, n), no phases where steps fail."""
+    (target, rng), nothing = job, np.empty((0, REPEATS, len(controller.step_map.space.state)))
+    plant = make_plant(rng)
+    if plant is None:
+        return nothing
     with plant:
         state = plant.start()
-        for number, target in enumerate(reference.targets[chosen]):
-            progress(number, len(chosen))
-            for _ in range(SETTLING):
-                record = plant.take_step(tracking_plan(controller, state, target, None).command)
-                state = record.next_state
-                if record.status != StepStatus.OK:
-                    return _pooled(groups, size)
-            command = tracking_plan(controller, state, target, None).command
-            phases = rng.uniform(0, tau, PHASES)
-            found = np.array([[plant.repeated(command, rng, phase) for _ in range(REPEATS)] for phase in phases])
-            groups.append(found[np.isfinite(found).all(axis=(1, 2))])
-    return _pooled(groups, size)
+        for _ in range(SETTLING):
+            record = plant.take_step(tracking_plan(controller, state, target, None).command)
+            state = record.next_state
+            if record.status != StepStatus.OK:
+                return nothing
+        command = tracking_plan(controller, state, target, None).command
+        phases = rng.uniform(0, tau, PHASES)
+        found = np.array([[plant.repeated(command, rng, phase) for _ in range(REPEATS)] for phase in phases])
+    return found[np.isfinite(found).all(axis=(1, 2))]
 
 
 def _pooled(groups: Sequence[Array], size: int) -> NoiseFloor:

@@ -12,6 +12,7 @@ import numpy as np
 from stepgap.base.errors import InputError
 from stepgap.base.plugins import load_plugin, plugin_names
 from stepgap.base.random_streams import random_stream
+from stepgap.base.start_method import usable_cores
 from stepgap.control.reference import Reference
 from stepgap.experiment.loop import Plants
 from stepgap.experiment.noise_floor import measure_noise_floor
@@ -86,9 +87,10 @@ def _simulated(request: PlantRequest) -> Plants:
     simulation = simulation_of(request.settings)
 
     def measure(step_map: StepMap, rng: np.random.Generator, progress: Callable[[int, int], None]) -> NoiseFloor:
-        plant = simulation.repeatable_plant(rng)
-        unknown = NoiseFloor.unknown(len(step_map.space.state))
-        return measure_noise_floor(plant, step_map, request.reference, rng, progress) if plant else unknown
+        threads = usable_cores() if simulation.unlocked else 1
+        return measure_noise_floor(
+            simulation.repeatable_plant, step_map, request.reference, rng, progress, threads=threads
+        )
 
     return Plants(lambda rng: simulation.plant(rng, request.on_ticks), True, measure)
 

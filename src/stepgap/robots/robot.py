@@ -17,7 +17,13 @@ from stepgap.step import StepMap, StepSpace
 
 
 class Simulation(ABC):
-    """A simulated plant in one world, such as one floor, which is the same in all deployments of a run."""
+    """A simulated plant in one world, such as one floor, which is the same in all deployments of a run.
+
+    Attributes:
+        unlocked: Whether its plants step without Python's lock, so that several in threads are faster than one.
+    """
+
+    unlocked: ClassVar[bool] = False
 
     @abstractmethod
     def plant(self, rng: np.random.Generator, on_ticks: OnTicks | None = None) -> Plant:
@@ -39,7 +45,10 @@ class Simulation(ABC):
         return self.plant(rng, thinned(on_ticks, every))
 
     def repeatable_plant(self, rng: np.random.Generator) -> RepeatablePlant | None:  # noqa: ARG002  (others use it)
-        """Makes a plant that can repeat a step, for the noise floor; None if there is none."""
+        """Makes a plant that can repeat a step, for the noise floor; None if there is none.
+
+        It is called for every target at which a step is repeated; if `unlocked`, in several threads at once.
+        """
         return None
 
 

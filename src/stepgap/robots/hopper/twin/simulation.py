@@ -5,6 +5,7 @@ from collections.abc import Callable
 from copy import deepcopy
 from functools import partial
 from math import tau
+from typing import ClassVar
 
 import numpy as np
 
@@ -53,6 +54,8 @@ class HopperSimulation(Simulation):
     Raises:
         InputError: No twin can be made with these settings.
     """
+
+    unlocked: ClassVar[bool] = True
 
     def __init__(
         self,
