@@ -127,6 +127,7 @@ def run(
     """
     from stepgap.base.signals import terminated_as_interrupted
     from stepgap.experiment.inputs import load_reference, write_experiment
+    from stepgap.experiment.plant_compilation import plant_compiled_beside
     from stepgap.experiment.plants import PlantRequest
     from stepgap.experiment.run_start import folder_to_continue, load_setup, run_folder, start_folder
 
@@ -147,7 +148,8 @@ def run(
     with run_folder(out) as folder:
         settings = _settings(experiment, folder, changes, continued, extend)
         reference = load_reference(settings, settings.robot.space)
-        nominal = _load_nominal(settings)
+        with plant_compiled_beside(settings):
+            nominal = _load_nominal(settings)
         recorder, live = _watchers(settings, folder, display)
         on_ticks = _all_of(recorder.on_ticks, live)
         request = PlantRequest(settings, reference, folder, arm, on_ticks, program or [])
