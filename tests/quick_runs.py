@@ -19,7 +19,7 @@ EMPTY_SVG = b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"></svg>'
 def leave_out_repeats(patch: pytest.MonkeyPatch) -> None:
     """Replaces the measurement of the noise floor, which takes as long as a deployment."""
 
-    def measure_noise_floor(_: object, step_map: StepMap, *__: object) -> NoiseFloor:
+    def measure_noise_floor(_: object, step_map: StepMap, *__: object, **___: object) -> NoiseFloor:
         floor = np.full(len(step_map.space.state), 0.01)
         return NoiseFloor(floor, floor)
 

@@ -98,7 +98,8 @@ def test_values_are_shown_at_the_pointer(fallen: Path, watched_page: Watched) ->
     figure = page.locator("figure[data-hover]").first
     figure.scroll_into_view_if_needed()
     (panel, *_) = json.loads(figure.get_attribute("data-hover") or "")
-    label, steps, speeds = next(curve for curve in panel["curves"] if curve[0].startswith("deployment 1"))
+    label, *values = next(curve for curve in panel["curves"] if curve[0].startswith("deployment 1"))
+    steps, speeds = map(str.split, values)
     (left, top, right, bottom), frame = panel["box"], figure.locator("svg").bounding_box()
     assert frame is not None
     across, up = (

@@ -12,7 +12,7 @@ import pytest
 
 from stepgap.experiment.run import Run
 from stepgap.records.motion_file import INTERVAL, Replay
-from stepgap.report.replay_view import LEVELS, MOST_FRAMES, replay_view
+from stepgap.report.replay_view import COARSE_LEVELS, LEVELS, MOST_FRAMES, replay_view
 from tests.control.maps import LossyHopper
 from tests.report.pages import Page, check_alone
 from tests.report.runs import SCENE, make_run, motion, report_of
@@ -38,13 +38,13 @@ def test_channels_are_read_back(folder: Path, frames: int) -> None:
     assert entry["frames"] == -(-frames // every)
     if frames > 1:
         assert entry["rate"] == pytest.approx(1 / INTERVAL / every)
-    changing = [low < high for low, high in entry["ranges"]]
+    changing = [low < high for low, high, _ in entry["ranges"]]
     bends = np.frombuffer(zlib.decompress(b64decode(entry["packed"])), "<u2").reshape(sum(changing), entry["frames"])
     packed = iter(bends.astype(np.int64).cumsum(axis=1).cumsum(axis=1) % (LEVELS + 1))
     channels = []
-    for (low, high), changes in zip(entry["ranges"], changing, strict=True):
+    for (low, high, end), changes in zip(entry["ranges"], changing, strict=True):
         levels = next(packed) if changes else 0
-        channels.append(np.full(entry["frames"], low) + (high - low) * np.asarray(levels) / LEVELS)
+        channels.append(np.full(entry["frames"], low) + (high - low) * np.asarray(levels) / end)
     step, *rest = channels
     near = {"rtol": 0, "atol": 1e-4}
     np.testing.assert_allclose(step, shown.step[::every], rtol=0, atol=0.01 + frames / LEVELS / 80)
@@ -52,7 +52,8 @@ def test_channels_are_read_back(folder: Path, frames: int) -> None:
     np.testing.assert_allclose(relative[:, 0], 0, **near)
     np.testing.assert_allclose(body[:, None] + relative, shown.positions[::every], **near)
     np.testing.assert_allclose(touching, shown.touching[::every, 0], **near)
-    np.testing.assert_allclose(np.array(rest[10:]).T, shown.signals[::every], rtol=0, atol=1e-3)
+    half_a_level = 0.501 * np.ptp(shown.signals) / COARSE_LEVELS
+    np.testing.assert_allclose(np.array(rest[10:]).T, shown.signals[::every], rtol=0, atol=half_a_level)
     assert data["signals"] == [["leg length", "m"], ["torque", "N·m"]]
     assert [step[0] for step in entry["steps"]] == list(range(1, 41))
 

@@ -42,6 +42,7 @@
 
   for (const figure of document.querySelectorAll("figure[data-hover]")) {
     const panels = JSON.parse(figure.dataset.hover);
+    for (const panel of panels) panel.curves = panel.curves.map(([label, xs, ys]) => [label, xs.split(" "), ys.split(" ")]);
     figure.addEventListener("pointermove", (event) => show(figure, panels, event));
     figure.addEventListener("pointerdown", (event) => show(figure, panels, event));
     figure.addEventListener("pointerleave", hide);

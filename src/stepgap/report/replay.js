@@ -17,14 +17,14 @@
     const whole = new DataView(await new Response(inflated).arrayBuffer());
     const found = {frames: source.frames, rate: source.rate, deployment: source.deployment};
     let row = 0;
-    const channels = source.ranges.map(([low, high]) => {
+    const channels = source.ranges.map(([low, high, levels]) => {
       const values = new Float64Array(source.frames).fill(low);
       if (high === low) return values;
       let level = 0, change = 0;  // the levels are the sums of the sums of what is stored
       for (let i = 0; i < source.frames; i++) {
         change = change + whole.getUint16(2 * (row * source.frames + i), true) & 65535;
         level = level + change & 65535;
-        values[i] = low + (high - low) * level / data.levels;
+        values[i] = low + (high - low) * level / levels;
       }
       row++;
       return values;

@@ -21,7 +21,10 @@ REPLAY_SCRIPT: Final = files("stepgap.report").joinpath("replay.js").read_text(e
 """Script that draws the replay; its data are in the page."""
 
 LEVELS: Final = 65535
-"""Number of levels into which the range of a channel is divided."""
+"""Number of levels into which the ranges of step and position are divided, which may grow with the run."""
+
+COARSE_LEVELS: Final = 8191
+"""The same of the other channels, such as points relative to the body: 0.1 mm in 0.8 m. They need half the bytes."""
 
 MOST_FRAMES: Final = 60_000
 """Largest number of frames of a motion on the page; a longer motion is thinned."""
@@ -48,7 +51,6 @@ def replay_view(run: Run, replay: Replay | Missing) -> str:
     scene, space = replay.scene, run.steps.space
     names, known = list(scene.points), scene.height in space.state_names
     data = {
-        "levels": LEVELS,
         "points": list(scene.points.values()),
         "links": [[names.index(link.start), names.index(link.end), link.radius, link.shade] for link in scene.links],
         "body": names.index(scene.body),
@@ -99,9 +101,11 @@ def _packed(number: int, motion: Motion, scene: Scene, log: Steps) -> dict[str, 
     body = motion.positions[:, scene.index(scene.body), :]
     relative = (motion.positions - body[:, None]).reshape(len(body), -1)
     channels = np.column_stack([motion.step, body, relative, motion.touching, motion.signals])[::every].T
-    ranges = [[float(channel.min()), float(channel.max())] for channel in channels]
+    ends = (1 + len(body.T)) * [LEVELS] + (len(channels) - 1 - len(body.T)) * [COARSE_LEVELS]
+    ranges = [[float(each.min()), float(each.max()), end] for each, end in zip(channels, ends, strict=True)]
+    scaled = [_levels(channel, end) for channel, end in zip(channels, ends, strict=True) if np.ptp(channel)]
     frames = channels.shape[1]
-    levels = np.array([_levels(channel) for channel in channels if np.ptp(channel)], np.int64).reshape(-1, frames)
+    levels = np.array(scaled, np.int64).reshape(-1, frames)
     bends = np.diff(np.diff(levels, prepend=0), prepend=0)  # of a smooth motion they are small, and are packed densely
     packed = zlib.compress((bends % (LEVELS + 1)).astype("<u2").tobytes(), 9)
     steps = [
@@ -118,9 +122,9 @@ def _packed(number: int, motion: Motion, scene: Scene, log: Steps) -> dict[str, 
     }
 
 
-def _levels(channel: Array) -> Array:
-    """The channel scaled from 0 at its smallest to `LEVELS` at its largest value."""
-    return np.round((channel - channel.min()) / np.ptp(channel) * LEVELS)
+def _levels(channel: Array, end: int) -> Array:
+    """The channel scaled from 0 at its smallest to `end` at its largest value."""
+    return np.round((channel - channel.min()) / np.ptp(channel) * end)
 
 
 def _rounded(values: Array) -> list[float | None]:

@@ -48,7 +48,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         leave_out_report(patch)
         floor = NoiseFloor(np.array([0.01, np.nan]), np.array([0.01, np.nan]))
-        patch.setattr("stepgap.experiment.plants.measure_noise_floor", lambda *_: floor)
+        patch.setattr("stepgap.experiment.plants.measure_noise_floor", lambda *_, **__: floor)
         paths = ["--reference", str(folder / "targets.csv"), "--out", str(folder / "run")]
         main(["run", *paths, "--iterations", "1", "--seed", "5", "--quiet"])
     return folder / "run"
