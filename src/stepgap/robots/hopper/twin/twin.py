@@ -39,10 +39,12 @@ from stepgap.robots.mujoco_callbacks import set_mujoco_callbacks
 from stepgap.step import Array
 
 LONGEST_STEP = 2.5e-4
-"""Longest physics step [s]. It is part of what the twin is, like its stiffness: contact and friction converge slowly. From
-the start to the first apex, over 500 random starts of the preset `paper`, the speed differs from that with a quarter of
-this step by 2.5 mm/s RMS and the height by 1.2 mm; with half of it by 1.1 mm/s and 0.7 mm, with twice by 2.3 mm/s and 2.5
-mm. A repeated step scatters by 8 mm/s and 1.1 mm."""
+"""Longest physics step [s]. It is part of what the twin is, like its stiffness: contact and friction converge slowly.
+
+From the start to the first apex, over 500 random starts of the preset `paper`, speed and height differ by 2.5 mm/s and
+1.2 mm RMS from those with a quarter of this step; with half of it by 1.1 mm/s and 0.7 mm, with twice by 2.3 mm/s and
+2.5 mm. A repeated step scatters by 8 mm/s and 1.1 mm.
+"""
 
 FEWEST_STEPS = 4
 """Smallest number of physics steps in a tick."""
