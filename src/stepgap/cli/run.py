@@ -153,7 +153,10 @@ def run(
         recorder, live = _watchers(settings, folder, display)
         on_ticks = _all_of(recorder.on_ticks, live)
         request = PlantRequest(settings, reference, folder, arm, on_ticks, program or [])
-        setup = load_setup(request, nominal.map)
+        try:
+            setup = load_setup(request, nominal.map)
+        except InputError as error:
+            raise InputError(f"{error}{_kept(nominal)}") from error
         write = partial(write_experiment, folder, settings, reference, setup.known, nominal.surrogate)
         if not continued:
             start_folder(folder, write)
@@ -168,6 +171,21 @@ def run(
             if is_output_error(error):
                 warn(f"the run was stopped; {_how_to_resume(folder, arm, program)}")
             raise
+
+
+def _kept(nominal: "Nominal") -> str:
+    """Keeps a surrogate that was fitted for a run that does not start, and says where; empty if there is none."""
+    from stepgap.base.files import write_whole
+    from stepgap.base.output_files import free_name
+
+    if not nominal.surrogate:
+        return ""
+    path = free_name(Path("nominal_map.json"))
+    try:
+        write_whole(path, nominal.surrogate)
+    except OSError:
+        return ""  # the reason why the run does not start is more important
+    return f" (its simulated steps are kept: --nominal.file {path})"
 
 
 def _how_to_resume(folder: Path, arm: bool, program: Sequence[str] | None) -> str:
@@ -203,6 +221,7 @@ def _settings(
 def _load_nominal(settings: "Experiment") -> "Nominal":
     """The nominal map; says how far the fit of a surrogate has come, and what may be wrong with the map."""
     from stepgap.experiment.nominal import load_nominal, slowness
+    from stepgap.experiment.run_start import check_surrogate
 
     def on_samples(count: int, error: "Array") -> None:
         errors = ", ".join(
@@ -212,6 +231,8 @@ def _load_nominal(settings: "Experiment") -> "Nominal":
         print(f"nominal map: {count} simulated steps, error of the surrogate: {errors}", file=sys.stderr)
 
     nominal = load_nominal(settings, on_samples)
+    if nominal.surrogate:  # it was fitted now
+        check_surrogate(nominal.map)
     for sentence in (*nominal.warnings, slowness(settings.nominal.kind, nominal.map, settings.control.evaluations)):
         if sentence:
             warn(sentence)

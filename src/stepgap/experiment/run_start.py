@@ -8,6 +8,8 @@ from dataclasses import fields, replace
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
+
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import free_name
 from stepgap.base.ranges import format_value
@@ -20,8 +22,12 @@ from stepgap.experiment.resume import check_no_step_is_lost
 from stepgap.experiment.run import Run
 from stepgap.experiment.settings import Experiment
 from stepgap.robots.gap import Gap
+from stepgap.robots.nominal_maps.surrogate_map import SurrogateMap
 from stepgap.robots.robot import Robot
-from stepgap.step import StepMap
+from stepgap.step import StepMap, StepStatus
+
+USELESS = 0.5
+"""Error of a surrogate from which on it predicts no better than the middle of the range of use [half ranges]."""
 
 
 def dated_folder(home: str = "runs") -> Path:
@@ -65,12 +71,15 @@ def load_setup(request: PlantRequest, nominal: StepMap) -> Setup:
         nominal: Nominal map of the settings.
 
     Raises:
-        InputError: The map cannot hold a target, the known steps are not valid, or no plant can be made.
+        InputError: The map cannot hold a target, a table of commands is wanted but some targets are missing, the known
+            steps are not valid, or no plant can be made.
     """
     settings = request.settings
     path = Path(settings.reference)
     name = path.name if path.parent == request.folder else settings.reference
     check_reach(nominal, request.reference, name, settings.robot)
+    if settings.control.table and np.isnan(request.reference.targets).any():
+        raise InputError("control.table: a table needs a target of every state coordinate at every step; set it to 0")
     known = load_known(settings, settings.robot.space)
     plants = choose_plants(request)
     return Setup(nominal, plants, request.reference, settings.learning, settings.control, settings.seed, known)
@@ -141,7 +150,7 @@ def extended(run: Run, redeployments: int) -> Experiment:
     done = len(run.deployments)
     if len(run.steps.iterations) > done:
         raise InputError(f"{run.folder}: the run was interrupted in deployment {done}; {remedy}")
-    if not is_finished(run.deployments, run.space.state_scale, settings.learning):
+    if not is_finished(run.deployments, run.space.error_scale, settings.learning):
         raise InputError(f"{run.folder}: the run was interrupted before deployment {done}; {remedy}")
     learning = replace(settings.learning, iterations=done - 1 + redeployments, early_stop=False)
     return replace(settings, learning=learning)
@@ -153,10 +162,30 @@ def check_reach(nominal: StepMap, reference: Reference, name: str, robot: Robot)
     if len(unheld):
         step, state = int(unheld.min()), nominal.space.state
         values = zip(state, reference.targets[step], strict=True)
-        wanted = ", ".join(f"{quantity.name} {value:g} {quantity.unit}" for quantity, value in values)
+        wanted = ", ".join(f"{each.name} {value:g} {each.unit}" for each, value in values if value == value)
         raise InputError(
             f"reference {name}, step {step + 1}: {wanted} is out of reach: the model cannot hold it within the "
             f"command bounds{_changes(robot)}; `stepgap gait` shows its range"
+        )
+
+
+def check_surrogate(nominal: StepMap) -> None:
+    """Raises InputError if a map is a surrogate whose error is that of a guess."""
+    if not isinstance(nominal, SurrogateMap):
+        return
+    parts = nominal.error / nominal.space.state_scale
+    wrong = [
+        f"{quantity.name} {part:.2g}"
+        for quantity, part in zip(nominal.space.state, parts, strict=True)
+        if part > USELESS
+    ]
+    if wrong:
+        failed = np.count_nonzero(nominal.samples.status != StepStatus.OK)
+        raise InputError(
+            f"the surrogate of the simulator predicts {', '.join(wrong)} half ranges wrongly (leave-one-out; at most "
+            f"{USELESS:g} is permitted), and {failed} of its {len(nominal.samples.status)} simulated steps failed: the "
+            "ranges of use contain states from which the robot does not step. Narrow them to states of its gait, or "
+            "fit the map to recorded steps: nominal.kind = log"
         )
 
 
