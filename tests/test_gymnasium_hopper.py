@@ -75,4 +75,4 @@ def test_it_learns_in_a_few_steps(robot: Any, monkeypatch: pytest.MonkeyPatch) -
         log += steps
         error = np.array([logged.record.next_state - logged.predicted for logged in steps]) / robot.space.state_scale
         errors.append(np.sqrt(np.mean(error**2)))
-    assert errors[1] < 0.6 * errors[0]
+    assert errors[1] < 0.7 * errors[0]

@@ -195,7 +195,7 @@ def test_learning_reduces_the_error_without_the_hopper() -> None:
     assert outcome.returncode == 0, outcome.stderr
     *lines, modules = outcome.stdout.splitlines()
     errors = np.array([re.findall(r"\d+\.\d+", line) for line in lines], float)
-    assert (errors[-1] < errors[0] / 4).all()
+    assert (errors[-1] < errors[0] / 3).all()
     assert "stepgap.experiment.loop" in modules.split()
     assert "mujoco" not in modules.split()
     assert not [name for name in modules.split() if re.match(HOPPER, name)]

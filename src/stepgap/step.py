@@ -99,21 +99,26 @@ class Quantity:
         unit: SI unit, for example `m/s`; empty if it is unknown.
         lower: Lower end of the range of use; for a command, a hard bound.
         upper: Upper end of the range of use; for a command, a hard bound.
+        weight: How much the squared error of a state coordinate [half ranges] counts against those of the others. 0: it
+            is predicted, but not tracked, so it has no target.
 
     Raises:
-        ValueError: The name is no identifier, the unit has a character that no unit has, or the range is empty.
+        ValueError: The name is no identifier, the unit has a character that no unit has, the range is empty, or the
+            weight is not a finite number from 0 on.
     """
 
     name: str
     unit: str
     lower: float
     upper: float
+    weight: float = 1.0
 
     def __post_init__(self) -> None:
         _check_words(self.name, self.unit)
         require(isfinite(self.lower), "lower", self.lower, f"be finite ({self.name})")
         rule = f"be finite and exceed lower = {self.lower:g} ({self.name})"
         require(self.lower < self.upper < inf, "upper", self.upper, rule)
+        require(0 <= self.weight < inf, "weight", self.weight, f"be a finite number from 0 on ({self.name})")
 
 
 @dataclass(frozen=True)
@@ -154,7 +159,7 @@ class StepSpace:
         advice: What the robot advises after a step that failed, by its status, instead of `ADVICE`.
 
     Raises:
-        ValueError: Several quantities of the context have a period.
+        ValueError: Several quantities of the context have a period, or no state coordinate is tracked.
     """
 
     state: tuple[Quantity, ...]
@@ -165,6 +170,8 @@ class StepSpace:
     def __post_init__(self) -> None:
         periodic = [each.name for each in self.context if isfinite(each.period)]
         require(len(periodic) <= 1, "context", periodic, "have at most one quantity with a period")
+        weights = [each.weight for each in self.state]
+        require(any(weights) or not weights, "state", weights, "have a weight above 0 of at least one coordinate")
 
     @cached_property
     def periodic(self) -> ContextQuantity | None:
@@ -214,6 +221,24 @@ class StepSpace:
         return _read_only((quantity.upper - quantity.lower) / 2 for quantity in self.state)
 
     @cached_property
+    def error_scale(self) -> Array:
+        """Error of each state coordinate that counts as one: half its range of use / √weight; shape (n,).
+
+        Infinite where it is not tracked.
+        """
+        weights = np.sqrt([quantity.weight for quantity in self.state])
+        return _read_only(np.divide(self.state_scale, weights, out=np.full(len(weights), inf), where=weights > 0))
+
+    @cached_property
+    def tracked(self) -> NDArray[np.bool_]:
+        """Which state coordinates are tracked; shape (n,)."""
+        return np.isfinite(self.error_scale)
+
+    def has_target(self, target: Array) -> NDArray[np.bool_]:
+        """In which tracked coordinates a target (…, n) wants something; it is NaN in the others; shape (…, n)."""
+        return self.tracked & np.isfinite(target)
+
+    @cached_property
     def state_lower(self) -> Array:
         """Lower ends of the ranges of use of the state coordinates; shape (n,)."""
         return _read_only(quantity.lower for quantity in self.state)
@@ -257,8 +282,8 @@ class StepSpace:
         return (state - self.state_centre) / self.state_scale
 
     def scaled_jacobian(self, by_command: Array) -> Array:
-        """∂(scaled next state)/∂point from ∂(next state)/∂command; shape (…, n, m)."""
-        return by_command * self.command_scale / self.state_scale[:, None]
+        """∂(next state / `error_scale`)/∂point from ∂(next state)/∂command; shape (…, n, m)."""
+        return by_command * self.command_scale / self.error_scale[:, None]
 
 
 def _check_words(name: str, unit: str) -> None:

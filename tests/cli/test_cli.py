@@ -220,7 +220,7 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("run --reference none.csv", ["none.csv: No such file or directory; reference must be 'paper' or"]),
         ("run --reference far.csv", ["reference far.csv, step 2: speed 3 m/s, height 0.55 m is out of reach"]),
         ("run --reference deep.csv", ["reference deep.csv, step 1: speed 0.1 m/s, height -1 m is out of reach"]),
-        ("run --reference nan.csv", ["nan.csv, line 2, column 'speed': 'nan'; it must be a finite number"]),
+        ("run --reference inf.csv", ["inf.csv, line 2, column 'speed': 'inf'; it must be a finite number"]),
         ("run --reference empty.csv", ["empty.csv, line 1: the header is ''; it must be 'speed,height'"]),
         ("run --out file/below", ["file/below: cannot be written: Not a directory; choose another --out"]),
         ("run --out file", ["file: cannot be written"]),
@@ -276,7 +276,7 @@ def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, part
     Path("used/reference.csv").write_text("speed,height\n0.1,0.55\n")
     Path("far.csv").write_text("speed,height\n0.1,0.55\n3,0.55\n")
     Path("deep.csv").write_text("speed,height\n0.1,-1\n")
-    Path("nan.csv").write_text("speed,height\nnan,0.55\n")
+    Path("inf.csv").write_text("speed,height\ninf,0.55\n")
     Path("empty.csv").write_bytes(b"")
     Path("rig.toml").write_bytes(RIG.read_bytes())
     before = contents(Path())

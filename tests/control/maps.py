@@ -83,6 +83,28 @@ class LossyHopper(ClosedFormMap):
 
 
 @dataclass(frozen=True)
+class PitchingHopper(LossyHopper):
+    """The same with a pitch and its rate, which are predicted but not tracked: more states than commands.
+
+    The pitch obeys damped linear dynamics that speed and fx excite, and it changes the speed.
+    """
+
+    lean: float = 0.15
+
+    @property
+    def space(self) -> StepSpace:
+        pitch = Quantity("pitch", "rad", -0.4, 0.4, weight=0), Quantity("pitch_rate", "rad/s", -2.0, 2.0, weight=0)
+        return StepSpace((SPEED, HEIGHT, *pitch), (FX, FY))
+
+    def next_state(self, state: Array, command: Array) -> Array:
+        pitch, rate = state[..., 2], state[..., 3]
+        hop = super().next_state(state[..., :2], command) + np.stack([self.lean * pitch, 0 * pitch], axis=-1)
+        next_pitch = 0.5 * pitch + 0.08 * rate + 0.2 * state[..., 0]
+        next_rate = -0.6 * pitch + 0.3 * rate + 0.02 * command[..., 0]
+        return np.concatenate([hop, np.stack(np.broadcast_arrays(next_pitch, next_rate), axis=-1)], axis=-1)
+
+
+@dataclass(frozen=True)
 class StumblingHopper(LossyHopper):
     """The same, coupled and nonlinear; it falls beyond an oblique line and does not take off below a force."""
 

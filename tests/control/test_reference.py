@@ -3,9 +3,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.control.reference import Reference, parse_reference, read_reference
+from stepgap.control.reference import Reference, parse_reference, read_reference, reference_text
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.parameters import CommandBounds
+from tests.control.maps import PitchingHopper
 
 SPACE = CommandBounds().space()
 
@@ -57,14 +58,63 @@ def test_wrong_shape_is_refused(targets):
         Reference(("speed", "height"), targets)
 
 
-def test_target_that_is_not_finite_is_named():
-    with pytest.raises(ValueError, match="height at step 2 must be a finite number"):
-        Reference(("speed", "height"), np.array([[0, 0.5], [0, np.nan]]))
+def test_an_infinite_target_is_named_and_some_target_is_needed():
+    with pytest.raises(ValueError, match="height at step 2 must be a finite number, or NaN for none"):
+        Reference(("speed", "height"), np.array([[0, 0.5], [0, np.inf]]))
+    with pytest.raises(ValueError, match="there is no target"):
+        Reference(("speed", "height"), np.full((2, 2), np.nan))
 
 
-def test_reference_for_another_space_is_refused():
-    with pytest.raises(ValueError, match="reference is for height,speed, the map for speed,height"):
-        Reference(("height", "speed"), np.zeros((1, 2))).check(SPACE)
+def test_a_reference_of_some_coordinates_in_any_order_is_that_of_a_space():
+    some = Reference(("height",), np.array([[0.5], [0.6]])).of(SPACE)
+    assert some.names == ("speed", "height")
+    np.testing.assert_array_equal(some.targets, [[np.nan, 0.5], [np.nan, 0.6]])
+    turned = Reference(("height", "speed"), np.array([[0.5, 0.1]])).of(SPACE)
+    assert turned.targets.tolist() == [[0.1, 0.5]]
+    empty = Reference(("speed", "pitch"), np.array([[0.1, np.nan]])).of(SPACE)
+    np.testing.assert_array_equal(empty.targets, [[0.1, np.nan]])
+
+
+def test_targets_of_what_is_not_tracked_are_refused():
+    with pytest.raises(ValueError, match="the reference has targets of pace; the robot tracks speed,height"):
+        Reference(("pace", "height"), np.zeros((1, 2))).of(SPACE)
+    robot = PitchingHopper().space
+    with pytest.raises(ValueError, match="targets of pitch,pitch_rate; the robot tracks speed,height"):
+        Reference(robot.state_names, np.zeros((1, 4))).of(robot)
+    with pytest.raises(ValueError, match="the header is 'speed,pitch'; it must be 'speed,height', or some of them"):
+        parse_reference("speed,pitch\n0,0\n", robot)
+
+
+def test_steps_without_a_target_are_changes_like_others():
+    none = np.nan
+    reference = Reference(("x", "y"), np.array([[0, none], [0, none], [none, none], [none, none], [0, none], [0, 1.0]]))
+    assert reference.changes.tolist() == [2, 4, 5]
+    first, number = reference.distinct
+    np.testing.assert_array_equal(reference.targets[first][number], reference.targets)
+    assert len(first) == 3
+    paper = paper_reference()
+    first, number = paper.distinct
+    distinct, expected = np.unique(paper.targets, axis=0, return_index=True)
+    assert first.tolist() == expected.tolist()
+    assert distinct[number].tolist() == paper.targets.tolist()
+
+
+@pytest.mark.parametrize(
+    ("text", "targets"),
+    [
+        ("height\n0.5\n0.6\n", [[np.nan, 0.5], [np.nan, 0.6]]),
+        ("speed,height\n0.1,0.5\n,\n , \n", [[0.1, 0.5]]),
+        ("speed,height\n0.1,\n ,0.6\n,\nnan,0.5\n", [[0.1, np.nan], [np.nan, 0.6], [np.nan, np.nan], [np.nan, 0.5]]),
+        ("height\n0.5\nnan\nNaN\n0.6\n", [[np.nan, 0.5], [np.nan, np.nan], [np.nan, np.nan], [np.nan, 0.6]]),
+    ],
+)
+def test_missing_columns_and_empty_cells_have_no_target_and_survive_writing(text: str, targets: list[list[float]]):
+    for space in (SPACE, PitchingHopper().space):
+        reference = parse_reference(text, space)
+        np.testing.assert_array_equal(reference.targets[:, :2], targets)
+        assert np.isnan(reference.targets[:, 2:]).all()
+        again = parse_reference(reference_text(reference), space)
+        np.testing.assert_array_equal(again.targets, reference.targets)
 
 
 def test_csv_returns_what_was_written(tmp_path: Path):
@@ -92,8 +142,8 @@ def test_csv_columns_come_in_any_order_with_blanks_and_a_byte_order_mark(tmp_pat
         ("speed,height\n0,0.5\n0.1\n", "plan.csv, line 3: 1 values; it must have 2, one for each of speed,height"),
         ("speed,height\n0,0.5,7\n", "plan.csv, line 2: 3 values"),
         ("speed,height\n0,1\n\n0,high\n", "plan.csv, line 4, column 'height': 'high'; .* finite number in m, .* 0.58"),
-        ("height,speed\n0.5,\n", "plan.csv, line 2, column 'speed': ''; it must be a finite number in m/s, .* 0.2"),
-        ("speed,height\nnan,0.5\n", "plan.csv, line 2, column 'speed': 'nan'"),
+        ("height,speed\n0.5,-\n", "plan.csv, line 2, column 'speed': '-'; it must be a finite number in m/s, .* 0.2"),
+        ("speed,height\n,\n,nan\n", "plan.csv: there is no target; it must have a number in at least one row"),
         ("speed,height\n0,inf\n", "plan.csv, line 2, column 'height': 'inf'"),
     ],
 )

@@ -44,8 +44,9 @@ def test_the_controller_gives_the_recorded_commands_and_predictions(folder: Path
     assert run.steps.iterations == [0, 1]
     assert len(run.known) == 5
     controller = run.controller(iteration)
-    for logged in run.steps.of_iteration(iteration):
-        plan = controller.plan(logged.record.state, logged.target)
+    steps = run.steps.of_iteration(iteration)
+    for logged in steps:
+        plan = controller.plan(logged.record.state, logged.target, steps.target[logged.step :])
         np.testing.assert_allclose(plan.command, logged.record.command, rtol=0, atol=1e-9)
         np.testing.assert_allclose(plan.predicted, logged.predicted, rtol=0, atol=1e-9)
         np.testing.assert_allclose(plan.std, logged.std, rtol=0, atol=1e-9)

@@ -758,6 +758,6 @@ def test_an_error_anywhere_stops_the_plant_at_once(tmp_path: Path, monkeypatch: 
 
 def test_a_reference_for_another_map_is_refused(tmp_path: Path) -> None:
     reference = Reference(("pace", "height"), REFERENCE.targets)
-    with pytest.raises(ValueError, match="the reference is for pace,height"):
+    with pytest.raises(ValueError, match="the reference has targets of pace"):
         run_experiment(Setup(NOMINAL, Plants(plant_of(REALITY)), reference, ALWAYS), tmp_path)
     assert not contents(tmp_path)

@@ -297,8 +297,8 @@ def test_any_text_is_settings_or_refused(tmp_path_factory: pytest.TempPathFactor
     [
         (b"", "line 1: the header is ''"),
         (b"speed,height\n", "line 2: there is no step"),
-        (b"speed\n0.1\n", "line 1: the header is 'speed'"),
-        (b"speed,height\n0.1,nan\n", "line 2, column 'height': 'nan'"),
+        (b"pace\n0.1\n", "line 1: the header is 'pace'"),
+        (b"speed,height\n0.1,inf\n", "line 2, column 'height': 'inf'"),
         (b"speed,height\n0.1\n", "line 2: 1 values"),
         (b"\xff\xfe\x01\n", "not text"),
         (b"speed,height\n" + b"1" * 200_000 + b",1\n", "it must be CSV"),

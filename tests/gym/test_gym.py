@@ -166,8 +166,21 @@ def test_a_reset_takes_another_reference_once() -> None:
         env.reset(options={"targets": other})
     with pytest.raises(ValueError, match="must be a stepgap Reference, not list"):
         env.reset(options={"reference": [START]})
-    with pytest.raises(ValueError, match="the reference is for height,speed"):
-        env.reset(options={"reference": Reference(("height", "speed"), other.targets)})
+    with pytest.raises(ValueError, match="the reference has targets of pace"):
+        env.reset(options={"reference": Reference(("pace", "height"), other.targets)})
+
+
+def test_a_target_that_is_missing_costs_nothing_and_is_observed_as_the_middle() -> None:
+    env = model_env()
+    height_only = Reference(("height",), np.array([[0.6]]))
+    observation, _ = env.reset(seed=0, options={"reference": height_only})
+    centre = env.unwrapped.space.state_centre
+    np.testing.assert_array_equal(observation, [*START, centre[0], 0.6])
+    (state, _), reward = np.split(env.step(holding(env))[0], 2), 0.0
+    env.reset(seed=0, options={"reference": height_only})
+    reward = env.step(holding(env))[1]
+    error = (state[1] - 0.6) / env.unwrapped.space.state_scale[1]
+    assert reward == pytest.approx(-(error**2))
 
 
 @pytest.mark.parametrize(
@@ -186,7 +199,7 @@ def test_a_reset_takes_another_reference_once() -> None:
             {"plant": "model", "noise": (-0.1, 0.0)},
             "noise = (-0.1, 0.0), but it must be numbers that are not negative, for speed",
         ),
-        ({"reference": Reference(("height", "speed"), np.zeros((1, 2)))}, "the reference is for height,speed"),
+        ({"reference": Reference(("pace",), np.zeros((1, 1)))}, "the reference has targets of pace"),
     ],
 )
 def test_wrong_arguments_are_named(wrong: dict[str, Any], message: str) -> None:

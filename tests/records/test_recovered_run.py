@@ -92,7 +92,7 @@ def test_a_truncated_model_is_named_and_left_out(whole: Path, tmp_path: Path) ->
     [
         ("experiment.toml", b"seed = ", "not TOML"),
         ("experiment.toml", b"\xff", "this is not text"),
-        ("reference.csv", b"speed\n0.1\n", "line 1: the header is"),
+        ("reference.csv", b"pace\n0.1\n", "line 1: the header is"),
         ("warm_start.csv", b"speed\n0.1\n", "line 1: the columns must be"),
         ("nominal_map.json", b"{", "Expecting property name"),
     ],

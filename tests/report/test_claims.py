@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.control.reach import whole_states
 from stepgap.control.reference import Reference
 from stepgap.experiment.loop import Plants, Setup, run_experiment
 from stepgap.experiment.run import Run
@@ -16,7 +17,7 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.step import Array, Quantity, StepMap, StepRecord, StepSpace
-from tests.control.maps import ClosedFormMap, LossyHopper
+from tests.control.maps import ClosedFormMap, LossyHopper, PitchingHopper
 from tests.report.pages import Page
 from tests.report.runs import REAL, TARGETS, report_of
 
@@ -59,6 +60,7 @@ KINDS = {
     "warm": Kind(LossyHopper(), REAL, TARGETS, replace(OFFLINE, iterations=0), warm=True),
     "at its floor": Kind(REAL, REAL, TARGETS, OFFLINE),
     "without noise": Kind(Bouncer(), Bouncer(0.03), LEVELS, OFFLINE, noise=0.0),
+    "pitching": Kind(PitchingHopper(), PitchingHopper(mass=1.8, loss=0.45, keep=0.6), TARGETS, OFFLINE),
 }
 
 
@@ -71,7 +73,8 @@ def text_of(tmp_path_factory: pytest.TempPathFactory):
         kind = KINDS[name]
         folder = tmp_path_factory.mktemp("claims") / "run"
         folder.mkdir()
-        plant = partial(ModelPlant, kind.real, kind.reference.targets[0], kind.noise * kind.real.space.state_scale)
+        (start,) = whole_states(kind.real, kind.reference.of(kind.real.space).targets[:1])
+        plant = partial(ModelPlant, kind.real, start, kind.noise * kind.real.space.state_scale)
         known = None
         if kind.warm:
             first = folder.parent / "first"
@@ -128,6 +131,16 @@ def test_at_the_floor_nothing_is_called_smaller_or_larger(text_of) -> None:
     assert "near the noise floor from the beginning" in text
     assert text.count("no clear change") == 2
     assert not any(word in text for word in ("times smaller", "times larger"))
+
+
+def test_what_is_not_tracked_is_shown_and_not_judged(text_of) -> None:
+    text = text_of("pitching")
+    assert "It tracked: the last deployment made all its 40 steps without a fall" in text
+    assert "every tracking error is smaller than in deployment 0." in text
+    assert text.count("times smaller") == 2
+    assert "Error of pitch" not in text
+    assert "Map of pitch." in text
+    assert "nan" not in text
 
 
 def test_a_plant_without_noise_has_no_floor_to_be_compared_with(text_of) -> None:

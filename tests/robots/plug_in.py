@@ -11,11 +11,48 @@ _PAGE = (_DOCS / "own_robot.md").read_text("utf-8")
 PYPROJECT, CUSTOM_TOML, TEMPLATE_TOML = re.findall(r"```toml\n(.*?)```", _PAGE, re.DOTALL)
 
 
+PITCHING = """
+from dataclasses import dataclass, field
+
+from stepgap import MapSimulation, Robot
+from tests.control.maps import PitchingHopper
+
+
+@dataclass(frozen=True)
+class Gap:
+    mass: float = 0.25
+    lean: float = 0.1
+
+
+@dataclass(frozen=True)
+class PitchingRobot(Robot):
+    name = "pitching"
+
+    gap: Gap = field(default_factory=Gap)
+
+    @property
+    def space(self):
+        return PitchingHopper().space
+
+    def nominal_maps(self):
+        return {"equations": PitchingHopper}
+
+    def simulations(self):
+        nominal = PitchingHopper()
+        real = PitchingHopper(mass=nominal.mass + self.gap.mass, lean=nominal.lean + self.gap.lean)
+        noise = [0.002, 0.0005, 0.004, 0.02]
+        return {"heavier": lambda world: MapSimulation(real, start=[0.2, 0.58, 0.0, 0.0], noise=noise)}
+"""
+"""A robot with more states than commands: pitch and pitch rate are predicted, but not tracked."""
+
+
 def install(folder: Path) -> None:
     """Makes the files of the packages of these pages in a folder, which is to be on the search path."""
     robots = tomllib.loads(PYPROJECT)["project"]
     robots["entry-points"]["stepgap.robots"]["spring_hopper"] = "spring_hopper:SpringHopper"
-    install_package(folder, robots, ball_robot=module_of("own_robot.md"), spring_hopper=module_of("mujoco_robot.md"))
+    robots["entry-points"]["stepgap.robots"]["pitching"] = "pitching_robot:PitchingRobot"
+    modules = {"ball_robot": module_of("own_robot.md"), "spring_hopper": module_of("mujoco_robot.md")}
+    install_package(folder, robots, **modules, pitching_robot=PITCHING)
     for page in ("own_verb.md", "own_plant.md"):
         install_page(folder, page)
 

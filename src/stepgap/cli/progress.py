@@ -61,7 +61,7 @@ class RunProgress:
         self._description = ""
         self._last = 0
         self._deployments: list[Deployment] = []
-        self._squares, self._completed = np.zeros(len(space.state)), 0
+        self._squares, self._counted = np.zeros((2, len(space.state)))
         self._executed: list[LoggedStep] = []
 
     @property
@@ -83,9 +83,12 @@ class RunProgress:
 
     def _on_step(self, logged: LoggedStep) -> None:
         if logged.record.status == StepStatus.OK:
-            self._squares += np.square(logged.record.next_state - logged.target)
-            self._completed += 1
-        error = self._describe(np.sqrt(self._squares / self._completed)) if self._completed else ""
+            squares = np.square(logged.record.next_state - logged.target)
+            known = np.isfinite(squares)
+            self._squares[known] += squares[known]
+            self._counted += known
+        unknown = np.full_like(self._squares, np.nan)
+        error = self._describe(np.sqrt(np.divide(self._squares, self._counted, out=unknown, where=self._counted > 0)))
         self._executed.append(logged)
         description = f"deployment {logged.iteration} of {self._iterations}"
         self._show(description, len(self._executed), self._steps, error)
@@ -104,12 +107,12 @@ class RunProgress:
             for sentence in offset_sentences(Steps(self._space, self._executed)):
                 warn(sentence)
         status = self._executed[-1].record.status if self._executed else StepStatus.OK
-        self._executed, self._squares, self._completed = [], np.zeros_like(self._squares), 0
+        self._executed, (self._squares, self._counted) = [], np.zeros((2, len(self._squares)))
         self._last = deployment.iteration
         self._deployments.append(deployment)
         if not self._quiet:
             end = f", then it {ending_of(status)}" if deployment.failed_steps else ""
-            error = "" if np.isnan(deployment.rmse).any() else f", RMSE {self._describe(deployment.rmse)}"
+            error = "" if np.isnan(deployment.rmse).all() else f", RMSE {self._describe(deployment.rmse)}"
             self._console.print(
                 f"deployment {deployment.iteration} of {self._iterations} ({deployment.residual}): "
                 f"{deployment.steps} {'step' if deployment.steps == 1 else 'steps'}{end}{error}",
@@ -134,9 +137,11 @@ class RunProgress:
         self._bars.update(self._task, completed=done, total=total or None, error=error)
 
     def _describe(self, rmse: np.ndarray) -> str:
+        """The errors that are known, with their units."""
         return ", ".join(
             f"{quantity.name} {decimal(value)}{unit_suffix(quantity)}"
             for quantity, value in zip(self._space.state, rmse, strict=True)
+            if np.isfinite(value)
         )
 
 

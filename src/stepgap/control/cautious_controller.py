@@ -19,6 +19,7 @@ from stepgap.control.box_points import box_points, composite_design
 from stepgap.control.command_table import CommandTable
 from stepgap.control.evaluation_budget import BudgetedMap, EvaluationBudget
 from stepgap.control.gauss_newton import minimise
+from stepgap.control.horizon import plan_ahead
 from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.control.step_controller import StepController, as_vector
 from stepgap.step import Array, StepFailed, StepMap, StepStatus
@@ -68,26 +69,35 @@ class CautiousController:
     settings: ControlSettings = ALL_RULES
     table: CommandTable | None = None
 
-    def __call__(self, state: ArrayLike, target: ArrayLike, guess: ArrayLike | None = None) -> CautiousPlan:
+    def __call__(
+        self, state: ArrayLike, target: ArrayLike, guess: ArrayLike | None = None, ahead: ArrayLike = ()
+    ) -> CautiousPlan:
         """Plans one step.
 
         Args:
             state: State at this section; shape (n,).
-            target: State wanted at the next section; shape (n,).
+            target: State wanted at the next section, NaN in coordinates without a target; shape (n,).
             guess: Command to start from; the middle of the bounds if none. Shape (m,).
+            ahead: Targets of the steps after it, which are planned together with it where the map is certain; shape
+                (k, n).
 
         Raises:
             StepFailed: No command that was searched makes a step.
-            ValueError: State, target or guess has the wrong size, or the target or guess is not finite.
+            ValueError: State, target or guess has the wrong size, a target is infinite, or the guess is not finite.
         """
         searching, checking = self._with_half_the_budget(), self._with_half_the_budget()
         exact = (self.table or StepController(searching.step_map))(state, target, guess)
-        map_std, noise_std = self.step_map.std(state, exact.command), self.step_map.noise_std
-        step_std = np.hypot(map_std, noise_std)
-        # Where the map's error is smaller than the scatter of a measured step, all commands have the same variance.
-        certain = not self.settings.cautious or (map_std <= noise_std).all()
-        if certain and checking._is_viable(state, exact.command, exact.predicted, step_std):
-            return CautiousPlan(exact.command, exact.predicted, step_std)
+        plans = [exact]
+        if np.size(ahead):
+            joint = plan_ahead(searching.step_map, np.asarray(state, float), np.vstack([target, ahead]), exact)
+            plans = list(dict.fromkeys([joint, exact]))
+        for plan in plans:
+            map_std, noise_std = self.step_map.std(state, plan.command), self.step_map.noise_std
+            step_std = np.hypot(map_std, noise_std)
+            # Where the map's error is smaller than the scatter of a measured step, all commands have the same variance.
+            certain = not self.settings.cautious or (map_std <= noise_std)[self.step_map.space.tracked].all()
+            if certain and checking._is_viable(state, plan.command, plan.predicted, step_std):
+                return CautiousPlan(plan.command, plan.predicted, step_std)
         state, target = np.asarray(state, float), as_vector("target", target, len(self.step_map.space.state))
         commands = np.array([exact.command, *searching._cautious_commands(state, target, exact.command)])
         best = checking._best(state, target, commands)
@@ -127,19 +137,20 @@ class CautiousController:
         return [*commands, self._local_minimum(state, target, better)]
 
     def _local_minimum(self, state: Array, target: Array, start: Array) -> Array:
-        """The command of least expected squared distance that is found from `start`; shape (m,)."""
+        """The command of least expected squared distance from what is wanted that is found from `start`; shape (m,)."""
         space, n = self.step_map.space, len(target)
-        scale = np.concatenate([space.state_scale, space.state_scale])
+        wanted = space.has_target(target)
+        rows = slice(None) if wanted.all() else np.flatnonzero(wanted)
 
         def deviations(point: Array) -> Array:
             command = space.command_at(point)
-            mean = self.step_map.evaluate(state, command).next_state
-            return np.concatenate([mean - target, self.step_map.std(state, command)], axis=-1) / scale
+            parts = self.step_map.evaluate(state, command).next_state - target, self.step_map.std(state, command)
+            return np.concatenate([(part / space.error_scale)[..., rows] for part in parts], axis=-1)
 
         def jacobian(point: Array) -> Array:
             command = space.command_at(point)
             parts = self.step_map.jacobian(state, command), self.step_map.std_gradient(state, command)
-            return np.concatenate([space.scaled_jacobian(part[:, n:]) for part in parts])
+            return np.concatenate([space.scaled_jacobian(part[:, n:])[rows] for part in parts])
 
         return space.command_at(minimise(deviations, jacobian, space.point_of(start), improvement=IMPROVEMENT).point)
 
@@ -153,8 +164,9 @@ class CautiousController:
     def _expected_squares(self, state: Array, target: Array, commands: Array) -> Array:
         """Expected squared distance from the target for commands (k, m), in half ranges; NaN where the step fails."""
         mean, variance = self.step_map.evaluate(state, commands).next_state, self.step_map.std(state, commands) ** 2
+        wanted = self.step_map.space.has_target(target)
         squares = (mean - target) ** 2 + (variance if self.settings.cautious else 0.0)
-        return np.sum(squares / self.step_map.space.state_scale**2, axis=-1)
+        return np.sum(np.where(wanted, squares, 0.0 * mean) / self.step_map.space.error_scale**2, axis=-1)
 
     def is_safe(self, state: ArrayLike, command: Array) -> bool:
         """Whether the step has a next state, this is viable despite the errors, and it resembles no failure."""

@@ -16,7 +16,8 @@ AT_BOUND = 1e-6
 def step_controller_gain(step_map: StepMap, point: FixedPoint) -> Array:
     """∂command/∂state of the step controller of a map at a state that it holds, with this state as the target.
 
-    The command is the least-squares solution of map(state, command) = target, in half ranges (`StepController`). Its
+    The command is the least-squares solution of map(state, command) = target in the coordinates with a target, scaled
+    as in `StepController`; where several solve it, the nearest one. Its
     error is zero at the point, so the derivative is that of linear least squares, −B⁺ A. A command on its bound stays
     there.
 
@@ -29,9 +30,10 @@ def step_controller_gain(step_map: StepMap, point: FixedPoint) -> Array:
     """
     space = step_map.space
     n, m = len(space.state), len(space.command)
-    jacobian = step_map.jacobian(point.state, point.command) / space.state_scale[:, None]
+    jacobian = step_map.jacobian(point.state, point.command) / space.error_scale[:, None]
     if not np.isfinite(jacobian).all():
         return np.full((m, n), np.nan)
+    jacobian = jacobian[point.wanted]
     free = np.abs(space.point_of(point.command)) < 1 - AT_BOUND
     gain = np.zeros((m, n))
     gain[free] = -np.linalg.pinv((jacobian[:, n:] * space.command_scale)[:, free]) @ jacobian[:, :n]

@@ -11,6 +11,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stepgap.base.errors import InputError
 from stepgap.base.ranges import require
 from stepgap.control.box_points import box_grid
 from stepgap.control.solve_many import Answers, solve_many
@@ -90,7 +91,7 @@ class CommandTable:
         found = self.interpolate(state, target)
         if found.status != StepStatus.OK:
             raise StepFailed(StepStatus(int(found.status)), self.space)
-        distance = float(np.linalg.norm((found.predicted - target) / self.space.state_scale))
+        distance = float(np.linalg.norm((found.predicted - target) / self.space.error_scale))
         return StepPlan(found.command, found.predicted, bool(found.reached), distance)
 
     def interpolate(self, states: ArrayLike, targets: ArrayLike) -> Answers:
@@ -141,7 +142,12 @@ def build_table(
 
     Raises:
         ValueError: There are fewer than 2 points.
+        InputError: Some state coordinate is not tracked, or has a weight of its own.
     """
+    if others := [quantity.name for quantity in step_map.space.state if quantity.weight != 1]:
+        raise InputError(
+            f"a table of commands needs a weight of 1 of every state coordinate; {others[0]} has another one"
+        )
     require(points >= 2, "points", points, "be at least 2: both ends of each axis")
     space, n = step_map.space, len(step_map.space.state)
     states = (space.state_lower + space.state_scale * (1 + box_grid(points, n))).reshape(-1, n)

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepgap.base.ranges import require
 from stepgap.control.box_points import box_grid, box_points
-from stepgap.control.reach import within_noise
+from stepgap.control.reach import whole_states, within_noise
 from stepgap.control.step_controller import StepController, as_vector
 from stepgap.step import Array, Codes, StepMap, StepStatus
 
@@ -20,6 +20,7 @@ class FixedPoint:
         state: X₀; shape (n,).
         command: U₀; shape (m,).
         next_state: map(X₀, U₀), equal to X₀ if held, else the closest to it; shape (n,).
+        wanted: Which coordinates of X₀ are targets, and not only completed; shape (n,).
         held: Whether the next state is the state, up to the noise of one step in each coordinate.
         distance: From `state` to `next_state` in half ranges, Euclidean.
         floquet_multipliers: Eigenvalues of the Poincaré map's derivative ∂next/∂state at the fixed command, the largest
@@ -30,6 +31,7 @@ class FixedPoint:
     state: Array
     command: Array
     next_state: Array
+    wanted: NDArray[np.bool_]
     held: bool
     distance: float
     floquet_multipliers: NDArray[np.complex128]
@@ -75,18 +77,20 @@ def fixed_point(step_map: StepMap, target: ArrayLike, guess: ArrayLike | None = 
 
     Args:
         step_map: The map.
-        target: The state X₀ to hold; shape (n,).
+        target: The state X₀ to hold, completed by `whole_states` in coordinates without a target; shape (n,).
         guess: Command to start from; shape (m,).
 
     Raises:
         StepFailed: From this state no command that was searched makes a step.
     """
-    state = as_vector("target", target, len(step_map.space.state))
+    target = as_vector("target", target, len(step_map.space.state))
+    (state,) = whole_states(step_map, target[None])
     plan = StepController(step_map)(state, state, guess)
     return FixedPoint(
         state,
         plan.command,
         plan.predicted,
+        step_map.space.has_target(target),
         bool(within_noise(step_map, state, plan.predicted)),
         plan.distance,
         floquet_multipliers(step_map, state, plan.command),

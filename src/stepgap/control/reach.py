@@ -1,7 +1,8 @@
 """What commands can do: which targets one step reaches, in how many independent directions, and after how many steps.
 
 A target is *reached* if some command within the bounds leads to it, up to the noise of one step in each coordinate. It
-is *held* if it is reached from itself. All that StepGap says of targets uses this one notion.
+is *held* if it is reached from itself. All that StepGap says of targets uses this one notion. Where a target wants
+nothing in some coordinates, they are found: those of a state that some command repeats.
 """
 
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from stepgap.control.bounded_search import solve
 from stepgap.control.gauss_newton import REACHED
 from stepgap.control.solve_many import solve_many
 from stepgap.step import Array, StepMap, StepSpace, StepStatus
@@ -21,11 +23,50 @@ SMALL_PART: Final = 0.01
 def within_noise(step_map: StepMap, target: Array, next_state: Array) -> NDArray[np.bool_]:
     """Whether next states are targets, up to the noise of one step in each coordinate; (…, n) and (…, n) to (…)."""
     limit = np.maximum(step_map.noise_std, REACHED * step_map.space.state_scale)
-    return np.all(np.abs(next_state - target) <= limit, axis=-1)
+    return np.all((np.abs(next_state - target) <= limit) | ~step_map.space.has_target(target), axis=-1)
+
+
+def whole_states(step_map: StepMap, targets: Array) -> Array:
+    """Targets (k, n) completed to states, each as near as possible to one that some command repeats; shape (k, n).
+
+    The coordinates without a target are searched within their ranges of use, from the middle of them.
+    """
+    wanted = step_map.space.has_target(targets)
+    return np.array(
+        [
+            target if known.all() else _whole_state(step_map, target, known)
+            for target, known in zip(targets, wanted, strict=True)
+        ]
+    ).reshape(targets.shape)
+
+
+def _whole_state(step_map: StepMap, target: Array, known: NDArray[np.bool_]) -> Array:
+    """A target (n,) completed in the coordinates that are not known, by a zero of next state − state."""
+    space = step_map.space
+    n, free = len(space.state), np.flatnonzero(~known)
+    scale, columns = space.state_scale, np.r_[free, n : n + len(space.command)]
+    by_point = np.concatenate([scale[free], space.command_scale])
+
+    def state_at(point: Array) -> Array:
+        state = np.broadcast_to(np.where(known, target, space.state_centre), (*point.shape[:-1], n)).copy()
+        state[..., free] += point[..., : len(free)] * scale[free]
+        return state
+
+    def change(point: Array) -> Array:
+        state = state_at(point)
+        return (step_map.evaluate(state, space.command_at(point[..., len(free) :])).next_state - state) / scale
+
+    def jacobian(point: Array) -> Array:
+        matrix = step_map.jacobian(state_at(point), space.command_at(point[len(free) :])) - np.eye(
+            n, n + len(space.command)
+        )
+        return matrix[:, columns] * by_point / scale[:, None]
+
+    return state_at(solve(change, jacobian, np.zeros(len(columns))).point)
 
 
 def reached_in_one_step(step_map: StepMap, states: Array, targets: Array) -> NDArray[np.bool_]:
-    """Whether some command leads from each state (k, n) to its target (k, n); shape (k,)."""
+    """Whether some command leads from each state (k, n) to its target (k, n), NaN where there is none; shape (k,)."""
     if not len(states):
         return np.zeros(0, bool)
     found = solve_many(step_map, states, targets[:, None])
@@ -38,8 +79,8 @@ class CommandEffect:
     """How far the commands move the next states, to first order.
 
     Attributes:
-        sizes: Lengths of the axes of the ellipsoid that the commands between their bounds fill, the largest first
-            (singular values), in units of the state that the caller chose; shape (min(n, m),).
+        sizes: Lengths of the axes of the ellipsoid that the commands between their bounds fill in the tracked
+            coordinates, the largest first (singular values), in units of the state that the caller chose.
         delays: Number of steps until a command moves each coordinate by at least one unit, 1 for the next state; 0 if
             it does not within n steps; shape (n,).
     """
@@ -49,7 +90,7 @@ class CommandEffect:
 
     @property
     def rank(self) -> int:
-        """Number of independent directions in which the commands move the next state by at least one unit."""
+        """Number of independent directions in which the commands move what is tracked by at least one unit."""
         return int(np.count_nonzero(self.sizes >= 1))
 
 
@@ -69,4 +110,4 @@ def command_effect(space: StepSpace, jacobian: Array, unit: Array) -> CommandEff
         moves = np.abs(moved).sum(axis=1) >= 1
         delays[moves & (delays == 0)] = steps
         moved = by_state @ moved
-    return CommandEffect(np.asarray(np.linalg.svd(by_command, compute_uv=False), float), delays)
+    return CommandEffect(np.asarray(np.linalg.svd(by_command[space.tracked], compute_uv=False), float), delays)

@@ -1,8 +1,9 @@
-"""The reference: the desired state at each step (Fig. 4)."""
+"""The reference: the desired state at each step (Fig. 4), or the desired coordinates of it."""
 
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from io import StringIO
 from pathlib import Path
 from typing import Self
@@ -29,7 +30,11 @@ class Reference:
 
     Attributes:
         names: Names of the state coordinates; n of them.
-        targets: State wanted at the end of each step, read-only; shape (steps, n), SI units.
+        targets: State wanted at the end of each step, NaN in coordinates in which nothing is wanted, read-only; shape
+            (steps, n), SI units.
+
+    Raises:
+        ValueError: There is no step or no target at all, the shape is wrong, or a target is infinite.
     """
 
     names: tuple[str, ...]
@@ -39,9 +44,13 @@ class Reference:
         targets = np.array(self.targets, float)
         if targets.ndim != 2 or targets.shape[0] == 0 or targets.shape[1] != len(self.names):
             raise ValueError(f"targets have shape {targets.shape}; it must be (steps, {len(self.names)}), steps ≥ 1")
-        if not np.isfinite(targets).all():
-            row, column = np.argwhere(~np.isfinite(targets))[0]
-            raise ValueError(f"target of {self.names[column]} at step {row + 1} must be a finite number")
+        if np.isinf(targets).any():
+            row, column = np.argwhere(np.isinf(targets))[0]
+            raise ValueError(
+                f"target of {self.names[column]} at step {row + 1} must be a finite number, or NaN for none"
+            )
+        if np.isnan(targets).all():
+            raise ValueError("there is no target; at least one number must be wanted")
         targets.flags.writeable = False
         object.__setattr__(self, "targets", targets)
 
@@ -69,15 +78,34 @@ class Reference:
     def __len__(self) -> int:
         return len(self.targets)
 
-    def check(self, space: StepSpace) -> None:
-        """Raises ValueError unless the reference has the state names of `space`."""
-        if self.names != space.state_names:
-            raise ValueError(f"the reference is for {','.join(self.names)}, the map for {','.join(space.state_names)}")
+    def of(self, space: StepSpace) -> Self:
+        """This reference with all state coordinates of a space: those that it lacks have no target.
+
+        Raises:
+            ValueError: It has a target of a coordinate that the space does not have, or does not track.
+        """
+        known = tuple(quantity.name for quantity in space.state if quantity.weight)
+        wanted = [name for name, column in zip(self.names, self.targets.T, strict=True) if np.isfinite(column).any()]
+        if others := sorted({*wanted} - {*known}):
+            raise ValueError(f"the reference has targets of {','.join(others)}; the robot tracks {','.join(known)}")
+        if self.names == space.state_names:
+            return self
+        targets = np.full((len(self), len(space.state)), np.nan)
+        for name in wanted:
+            targets[:, space.state_names.index(name)] = self.targets[:, self.names.index(name)]
+        return type(self)(space.state_names, targets)
 
     @property
     def changes(self) -> Indices:
         """Steps whose target differs from that of the step before."""
-        return np.flatnonzero((np.diff(self.targets, axis=0) != 0).any(axis=1)) + 1
+        return np.flatnonzero(~same_target(self.targets[1:], self.targets[:-1])) + 1
+
+    @cached_property
+    def distinct(self) -> tuple[Indices, Indices]:
+        """First step with each distinct target, in ascending order of the targets, and which of them each step has."""
+        comparable = np.where(np.isnan(self.targets), np.inf, self.targets)
+        _, first, number = np.unique(comparable, axis=0, return_index=True, return_inverse=True)
+        return first, number.reshape(-1)
 
     @property
     def transient(self) -> Indices:
@@ -101,6 +129,11 @@ class Reference:
         return np.where(count > 0, steps - np.append(0, changes)[count], -1)
 
 
+def same_target(one: Array, other: Array) -> NDArray[np.bool_]:
+    """Whether targets are the same, also in that they want nothing; (…, n) and (…, n) to (…)."""
+    return np.all((one == other) | (np.isnan(one) & np.isnan(other)), axis=-1)
+
+
 def read_reference(path: str | Path, space: StepSpace) -> Reference:
     """Reads a CSV file in the form that `parse_reference` takes.
 
@@ -116,26 +149,35 @@ def read_reference(path: str | Path, space: StepSpace) -> Reference:
 
 
 def parse_reference(text: str, space: StepSpace, source: str = "reference") -> Reference:
-    """Parses CSV text: a header of state names in any order, then one row per step, SI units.
+    """Parses CSV text: a header of names of tracked coordinates, then one row per step, SI units.
+
+    A coordinate without a column, and a step with an empty cell or nan in it, have no target. At the end, rows without
+    any target are no steps.
 
     Args:
         text: The content.
-        space: Its state coordinates are the columns.
+        space: Its tracked coordinates may be columns, in any order.
         source: Name of the text in messages, usually its file name.
 
     Raises:
         ValueError: The message names the source, line and column, and states what is valid.
     """
-    return Reference(space.state_names, parse_rows(text, space.state, source, "step"))
+    tracked = [quantity for quantity in space.state if quantity.weight]
+    rows = parse_rows(text, tracked, source, "step", may_lack=True)
+    if np.isnan(rows).all():
+        raise ValueError(f"{source}: there is no target; it must have a number in at least one row")
+    last = np.flatnonzero(np.isfinite(rows).any(axis=1))[-1]  # spreadsheets end with rows of empty cells
+    return Reference(tuple(quantity.name for quantity in tracked), rows[: last + 1]).of(space)
 
 
 def reference_text(reference: Reference) -> str:
     """Formats a reference as the CSV text that `parse_reference` reads; numbers are exact to the bit."""
-    rows = [",".join(reference.names), *(",".join(map(repr, target)) for target in reference.targets.tolist())]
-    return "\n".join(rows) + "\n"
+    columns = np.flatnonzero(np.isfinite(reference.targets).any(axis=0))
+    rows = [",".join(map(repr, target)) for target in reference.targets[:, columns].tolist()]
+    return "\n".join([",".join(reference.names[column] for column in columns), *rows]) + "\n"
 
 
-def parse_rows(text: str, quantities: Sequence[Quantity], source: str, item: str) -> Array:
+def parse_rows(text: str, quantities: Sequence[Quantity], source: str, item: str, may_lack: bool = False) -> Array:
     """Parses CSV text: a header of the names of quantities in any order, then rows of their numbers, SI units.
 
     Args:
@@ -143,6 +185,7 @@ def parse_rows(text: str, quantities: Sequence[Quantity], source: str, item: str
         quantities: The columns.
         source: Name of the text in messages.
         item: What a row is, for messages.
+        may_lack: Whether columns and numbers may be missing; they are NaN.
 
     Returns:
         Shape (rows, columns), in the order of the quantities.
@@ -154,27 +197,36 @@ def parse_rows(text: str, quantities: Sequence[Quantity], source: str, item: str
     rows = csv.reader(StringIO(text, newline=""), strict=True)
     try:
         header = [cell.strip() for cell in next(rows, [])]
-        if sorted(header) != sorted(names):
+        complete = sorted(header) == sorted(names)
+        if not complete and not (may_lack and header and {*header} <= {*names} and len({*header}) == len(header)):
+            some = "or some of them, " if may_lack and len(names) > 1 else ""
             raise ValueError(
-                f"{source}, line 1: the header is {','.join(header)!r:.80}; it must be {','.join(names)!r}, separated "
-                "by commas"
+                f"{source}, line 1: the header is {','.join(header)!r:.80}; it must be {','.join(names)!r}, {some}"
+                "separated by commas"
             )
         columns = [quantities[names.index(name)] for name in header]
         numbers = [
-            _numbers_in_row(row, columns, f"{source}, line {rows.line_num}") for row in rows if any(map(str.strip, row))
+            _numbers_in_row(row, columns, f"{source}, line {rows.line_num}", may_lack)
+            for row in rows
+            if any(map(str.strip, row)) or (may_lack and len(row) > 1)
         ]
     except csv.Error as error:
         raise ValueError(f"{source}, line {rows.line_num}: {error}; it must be CSV") from None
     if not numbers:
         raise ValueError(f"{source}, line 2: there is no {item}; it must have at least one row below the header")
-    return np.array(numbers)[:, [header.index(name) for name in names]]
+    found = np.full((len(numbers), len(names)), np.nan)
+    found[:, [names.index(name) for name in header]] = numbers
+    return found
 
 
-def _numbers_in_row(row: Sequence[str], quantities: Sequence[Quantity], source: str) -> list[float]:
+def _numbers_in_row(row: Sequence[str], quantities: Sequence[Quantity], source: str, may_lack: bool) -> list[float]:
     if len(row) != len(quantities):
         names = ",".join(quantity.name for quantity in quantities)
         raise ValueError(f"{source}: {len(row)} values; it must have {len(quantities)}, one for each of {names}")
-    return [_number(cell, quantity, source) for cell, quantity in zip(row, quantities, strict=True)]
+    return [
+        np.nan if may_lack and cell.strip().lower() in ("", "nan") else _number(cell, quantity, source)
+        for cell, quantity in zip(row, quantities, strict=True)
+    ]
 
 
 def _number(cell: str, quantity: Quantity, source: str) -> float:

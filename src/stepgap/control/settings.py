@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 from stepgap.base.ranges import require
 
+LONGEST_HORIZON = 10
+"""Largest number of steps that are planned together."""
+
 
 @dataclass(frozen=True)
 class ControlSettings:
@@ -17,6 +20,9 @@ class ControlSettings:
         evaluations: Largest number of steps that the maps evaluate for the choice of one command, half of them in the
             search, which then ends with the best command so far, and half in the checks of its commands. A lower number
             bounds the time that a command takes on a slow nominal map. A Jacobian counts as its central differences.
+        horizon: Number of steps whose commands are chosen together, with the targets that the reference has for them,
+            where single steps do not reach them: the robot begins early with a change that takes several steps. Where
+            the corrected map is uncertain, and with 1, each command is chosen for its own step alone, as in the paper.
         table: Points along each axis of a look-up table of commands that is computed before every deployment and used
             in place of solving (the paper, Sec. 6); 0 for none. Its prediction is interpolated, too. It covers the
             range of use of state and target: for a state outside, the command is that of the nearest state inside.
@@ -27,9 +33,11 @@ class ControlSettings:
     avoid_failures: bool = True
     evaluations: int = 2000
     table: int = 0
+    horizon: int = 2
 
     def __post_init__(self) -> None:
         require(self.evaluations >= 20, "evaluations", self.evaluations, "be at least 20")
+        require(1 <= self.horizon <= LONGEST_HORIZON, "horizon", self.horizon, f"lie between 1 and {LONGEST_HORIZON}")
         require(self.table == 0 or 2 <= self.table <= 41, "table", self.table, "be 0, or lie between 2 and 41")
 
 

@@ -2,8 +2,8 @@
 
 A node is a state with one of its targets. All nodes take their Gauss–Newton steps together, so that a map evaluates few
 large batches instead of many single points. A coarse sample of the command bounds, shared by all targets of a state,
-gives each node its starts; nodes that do not converge from them are solved by `StepController`. Points are scaled: the
-command bounds are -1 and 1, and errors are divided by half ranges of the state.
+gives each node its starts; nodes that do not converge from them are solved by `StepController`. Points and errors are
+scaled as there; the error is zero in coordinates without a target.
 """
 
 from dataclasses import dataclass
@@ -50,11 +50,13 @@ class _Problem:
     states: Array
     targets: Array
 
+    wanted: NDArray[np.bool_]
+
     def errors(self, nodes: Nodes, chosen: Nodes, points: Array) -> Array:
         """Scaled errors (k, n) of `nodes[chosen]` (k,) at scaled points (k, m), NaN where the step fails."""
         nodes = nodes[chosen]
         next_state, status = self.step_map.evaluate(self.states[nodes], self.space.command_at(points))
-        value = (next_state - self.targets[nodes]) / self.space.state_scale
+        value = np.where(self.wanted[nodes], (next_state - self.targets[nodes]) / self.space.error_scale, 0.0)
         return np.where((status == StepStatus.OK)[:, None], value, np.nan)
 
 
@@ -64,27 +66,32 @@ def solve_many(step_map: StepMap, states: ArrayLike, targets: ArrayLike) -> Answ
     Args:
         step_map: The map.
         states: Shape (S, n).
-        targets: Shape (S, T, n), or (T, n) if all states have the same targets.
+        targets: Shape (S, T, n), or (T, n) if all states have the same targets; NaN in coordinates without one.
 
     Raises:
-        ValueError: A size does not fit the map, or a number is not finite.
+        ValueError: A size does not fit the map, a state is not finite, or a target is infinite.
     """
     space = step_map.space
     n, m = len(space.state), len(space.command)
     states, targets = np.asarray(states, float), np.asarray(targets, float)
     if states.ndim != 2 or targets.ndim not in (2, 3) or states.shape[1] != n or targets.shape[-1] != n:
         raise ValueError(f"states {states.shape} and targets {targets.shape}; they must be (S, {n}) and (S, T, {n})")
-    if not (np.isfinite(states).all() and np.isfinite(targets).all()):
-        raise ValueError("states and targets must be finite numbers")
+    if not np.isfinite(states).all() or np.isinf(targets).any():
+        raise ValueError("states and targets must be finite numbers, or a target NaN where there is none")
     targets = np.broadcast_to(targets, (len(states), *targets.shape[-2:]))
     count = targets.shape[1]
-    problem = _Problem(step_map, space, np.repeat(states, count, axis=0), targets.reshape(-1, n))
+    wanted = space.has_target(targets).reshape(-1, n)
+    problem = _Problem(step_map, space, np.repeat(states, count, axis=0), targets.reshape(-1, n), wanted)
     points, values, converged = _solve(problem, states, count)
-    commands, predicted = space.command_at(points), problem.targets + values * space.state_scale
+    commands = space.command_at(points)
+    if wanted.all():
+        predicted = problem.targets + values * space.error_scale
+    else:
+        predicted = step_map.evaluate(problem.states, commands).next_state
     reached = norms(values) <= REACHED
     status = np.full(len(points), int(StepStatus.OK))
     free = (np.abs(points) < 1).sum(axis=1)
-    doubtful = (m > n) | (
+    doubtful = (m > wanted.sum(axis=1)) | (
         free >= min(2, m)
     )  # Broyden's updates give the derivative along one free direction, not along all
     unsolved = np.flatnonzero(~reached & (~converged | doubtful))
@@ -103,7 +110,10 @@ def _solve(problem: _Problem, states: Array, count: int) -> tuple[Array, Array, 
     next_states, status = problem.step_map.evaluate(states[:, None], space.command_at(sample))
     next_states = np.where((status == StepStatus.OK)[..., None], next_states, np.nan)[:, None]
     targets = problem.targets.reshape(len(states), count, 1, n)
-    sampled = ((next_states - targets) / space.state_scale).reshape(-1, len(sample), n)
+    errors = np.where(
+        problem.wanted.reshape(targets.shape), (next_states - targets) / space.error_scale, 0 * next_states
+    )
+    sampled = errors.reshape(-1, len(sample), n)
     ranks = separate_starts(sample, norms(sampled))
     best, at = sampled[np.arange(len(ranks)), ranks[:, 0]], sample[ranks[:, 0]]
     converged = np.zeros(len(ranks), bool)
@@ -112,6 +122,7 @@ def _solve(problem: _Problem, states: Array, count: int) -> tuple[Array, Array, 
     for choice in ranks.T:
         nodes = np.flatnonzero((choice >= 0) & (norms(best) > REACHED))
         matrices = _jacobians(problem, states, nodes // count, sample, choice[nodes])
+        matrices = np.where(problem.wanted[nodes, :, None], matrices, 0.0 * matrices)
         starts = sample[choice[nodes]], sampled[nodes, choice[nodes]], matrices
         points, values, ended = minimise_many(partial(problem.errors, nodes), *starts)
         closer = norms(values) <= norms(best[nodes])

@@ -6,7 +6,9 @@ points (`bounded_search`). In a run, `DeploymentController` (`experiment.deploym
 calls this controller, and departs from its command where the map is uncertain or a fall is possible.
 
 The search works on scaled quantities: a *point* is a command scaled so that its bounds are -1 and 1, and errors of the
-state are divided by half the range of each coordinate (`StepSpace.state_scale`).
+state are divided by half the range of each coordinate over the root of its weight (`StepSpace.error_scale`). Where
+nothing is wanted of a coordinate, its target is NaN. Of several commands that reach a target, the search finds one near
+its start.
 """
 
 from dataclasses import dataclass
@@ -27,7 +29,8 @@ class StepPlan:
         command: Command within the bounds; shape (m,).
         predicted: Predicted next state; shape (n,).
         reached: Whether `predicted` is the target: `distance` is at most `gauss_newton.REACHED`, 1e-6.
-        distance: Euclidean distance from `predicted` to the target, each coordinate divided by half its range.
+        distance: Euclidean distance from `predicted` to the target, each coordinate divided by half its range over the
+            root of its weight.
     """
 
     command: Array
@@ -51,43 +54,45 @@ class StepController:
 
         Args:
             state: State at this section; shape (n,).
-            target: State wanted at the next section; shape (n,).
+            target: State wanted at the next section, NaN in coordinates without a target; shape (n,).
             guess: Command at which the search starts, such as the previous one; shape (m,). None: the middle of the
                 bounds.
 
         Raises:
             StepFailed: The state is not finite, or the search found no command that leads to a next state.
-            ValueError: State, target or guess has the wrong size, or target or guess is not finite.
+            ValueError: State, target or guess has the wrong size, a target is infinite, or the guess is not finite.
         """
         space = self.step_map.space
         n, m = len(space.state), len(space.command)
-        state_scale, command_at = space.state_scale, space.command_at
+        command_at = space.command_at
         state, target = as_vector("state", state, n), as_vector("target", target, n)
         start = space.command_centre if guess is None else as_vector("guess", guess, m)
         if not np.isfinite(state).all():
             raise StepFailed(StepStatus.INVALID, space)
-        if not (np.isfinite(target).all() and np.isfinite(start).all()):
-            raise ValueError(f"target {target} and guess {start} must be finite numbers")
+        if np.isinf(target).any() or not np.isfinite(start).all():
+            raise ValueError(f"target {target} and guess {start} must be finite numbers, or NaN for no target")
+        wanted = space.has_target(target)
+        rows = slice(None) if wanted.all() else np.flatnonzero(wanted)
 
         next_states: dict[bytes, Array] = {}  # by point, so that the solution is not evaluated again
 
         def error(point: Array) -> Array:
-            """Scaled errors at points (…, m); shape (…, n). Keeps the next states."""
+            """Scaled errors at points (…, m); shape (…, k) for k targets. Keeps the next states."""
             found = self.step_map.evaluate(state, command_at(point)).next_state
             known = zip(point.reshape(-1, m), found.reshape(-1, n), strict=True)
             next_states.update((at.tobytes(), next_state) for at, next_state in known if np.isfinite(next_state).all())
-            return (found - target) / state_scale
+            return ((found - target) / space.error_scale)[..., rows]
 
         def jacobian(point: Array) -> Array:
-            """∂error/∂point; shape (n, m)."""
-            return space.scaled_jacobian(self.step_map.jacobian(state, command_at(point))[:, n:])
+            """∂error/∂point; shape (k, m)."""
+            return space.scaled_jacobian(self.step_map.jacobian(state, command_at(point))[:, n:])[rows]
 
         solution = solve(error, jacobian, space.point_of(start))
         command = command_at(solution.point)
         predicted = next_states.get(solution.point.tobytes())
         if predicted is None:
             predicted = self.step_map(state, command)
-        distance = float(np.linalg.norm((predicted - target) / state_scale))
+        distance = float(np.linalg.norm(((predicted - target) / space.error_scale)[rows]))
         return StepPlan(command, predicted, distance <= REACHED, distance)
 
 

@@ -28,7 +28,8 @@ def steps_to_band(errors: Array, band: Array) -> int | None:
     """
     if len(errors) < WINDOW:
         return None
-    inside = np.all(window_errors(errors) <= band, axis=1)
+    tracked = np.isfinite(errors).any(axis=0)
+    inside = np.all(window_errors(errors[:, tracked]) <= band[tracked], axis=1)
     outside = np.flatnonzero(np.logical_not(inside))
     first = int(outside[-1]) + 1 if len(outside) else 0
     return first + WINDOW if first < len(inside) else None
@@ -54,9 +55,19 @@ def executed_steps_to_band(deployments: Sequence[Steps], band: Array) -> int | N
 
 
 def window_errors(errors: Array) -> Array:
-    """Root-mean-square error of all sequences of 20 consecutive steps; (N, n) to (N − 19, n)."""
-    squares = np.cumsum(np.vstack([np.zeros(errors.shape[1]), errors**2]), axis=0)
+    """Root-mean-square error of all sequences of 20 consecutive steps; (N, n) to (N − 19, n).
+
+    NaN counts as no error: in a step without a target every state is right.
+    """
+    squares = np.cumsum(np.vstack([np.zeros(errors.shape[1]), np.nan_to_num(errors) ** 2]), axis=0)
     return np.sqrt(np.maximum(squares[WINDOW:] - squares[:-WINDOW], 0) / WINDOW)
+
+
+def mean_of_known(errors: Array) -> Array:
+    """Means over the steps that have a target, and whose end is known; (N, n) to (n,), NaN where there are none."""
+    known = np.isfinite(errors)
+    count, total = known.sum(axis=0), np.where(known, errors, 0.0).sum(axis=0)
+    return np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
 
 
 def interval_coverage(steps: Steps) -> tuple[Codes, Codes]:
@@ -82,11 +93,16 @@ def rms_interval(errors: Array) -> Array:
     94 % of cases for independent errors, and in 91 % for errors with a correlation of 0.5 from step to step.
 
     Args:
-        errors: Errors of consecutive steps; shape (N, n).
+        errors: Errors of consecutive steps, NaN where there are none; shape (N, n).
 
     Returns:
-        Lower and upper ends [units of the errors], NaN for fewer than `FEWEST_TRACKED` steps; shape (2, n).
+        Lower and upper ends [units of the errors], NaN for fewer than `FEWEST_TRACKED` errors; shape (2, n).
     """
+    known = np.isfinite(errors)
+    if not known.all():
+        return np.hstack(
+            [rms_interval(column[there][:, None]) for column, there in zip(errors.T, known.T, strict=True)]
+        )
     squares = errors**2
     count, size = squares.shape
     if count < FEWEST_TRACKED:

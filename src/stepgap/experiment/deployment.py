@@ -6,6 +6,7 @@ from time import perf_counter
 from typing import Protocol, Self, final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stepgap.base.errors import StepGapError
 from stepgap.base.ranges import format_value
@@ -92,17 +93,20 @@ class DeploymentController:
         learner = self.learner
         return CautiousController(learner.step_map(), learner.nominal, learner.failures, self.settings, self.table)
 
-    def plan(self, state: Array, target: Array) -> CautiousPlan:
+    def plan(self, state: Array, target: Array, ahead: ArrayLike = ()) -> CautiousPlan:
         """Plans the next step; the middle of the bounds where the map has no command that makes a step.
 
         Args:
             state: Measured state; shape (n,).
             target: State wanted after the step; shape (n,).
+            ahead: Targets of the steps after it, of which the first `horizon` − 1 are planned together with it;
+                shape (k, n).
 
         Raises:
             ResidualError: The learned residual has no finite prediction of the step.
         """
-        return tracking_plan(self.step_controller, state, target, self.command)
+        ahead = np.asarray(ahead)[: self.settings.horizon - 1]
+        return tracking_plan(self.step_controller, state, target, self.command, ahead)
 
     def after(self, logged: LoggedStep) -> Self:
         """Returns the controller after a step that was executed."""
@@ -141,7 +145,7 @@ def deploy(
             if number < 1:
                 plan = _explored(controller, reference, state)
             else:
-                plan = controller.plan(state, reference.targets[number - 1])
+                plan = controller.plan(state, reference.targets[number - 1], reference.targets[number:])
             on_time("planning", perf_counter() - begin)
             background.compute(controller.learner.pending)  # after the command, so that it causes no delay
             record = plant.take_step(plan.command)
@@ -173,14 +177,16 @@ def _checked_start(state: Array, space: StepSpace) -> Array:
     return state
 
 
-def tracking_plan(controller: CautiousController, state: Array, target: Array, guess: Array | None) -> CautiousPlan:
+def tracking_plan(
+    controller: CautiousController, state: Array, target: Array, guess: Array | None, ahead: ArrayLike = ()
+) -> CautiousPlan:
     """The command for a target; the middle of the bounds where the map has no command that makes a step.
 
     Raises:
         ResidualError: The residual that corrects the map has no finite prediction of the step.
     """
     try:
-        plan = controller(state, target, guess=guess)
+        plan = controller(state, target, guess, ahead)
     except StepFailed:
         command = controller.step_map.space.command_centre
         plan = CautiousPlan(command, np.full_like(target, np.nan), controller.step_std(state, command))

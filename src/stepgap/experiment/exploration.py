@@ -11,6 +11,7 @@ import numpy as np
 
 from stepgap.control.box_points import box_points
 from stepgap.control.cautious_controller import CautiousController, CautiousPlan
+from stepgap.control.reach import whole_states
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
 from stepgap.learning.residual import Residual
@@ -46,8 +47,10 @@ class Goals:
 
 def goals_of(reference: Reference, step_map: StepMap) -> Goals:
     """Steps that the reference needs, each from target to target, with their commands by the map."""
-    before = np.concatenate([reference.targets[:1], reference.targets[:-1]])
-    steps, counts = np.unique(np.stack([before, reference.targets], axis=1), axis=0, return_counts=True)
+    first, number = reference.distinct
+    targets = whole_states(step_map, reference.targets[first])[number]
+    before = np.concatenate([targets[:1], targets[:-1]])
+    steps, counts = np.unique(np.stack([before, targets], axis=1), axis=0, return_counts=True)
     points, weights, controller = [], [], StepController(step_map)
     for (state, target), count in zip(steps, counts, strict=True):
         try:

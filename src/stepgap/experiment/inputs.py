@@ -27,7 +27,7 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
     """
     built_in = experiment.robot.references()
     if experiment.reference in built_in:
-        return built_in[experiment.reference]()
+        return built_in[experiment.reference]().of(space)
     names = " or ".join(f"'{name}'" for name in built_in)
     path, wanted = Path(experiment.reference), f"reference must be {names} or a CSV file of targets"
     try:

@@ -127,9 +127,10 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
         RecordError: The record in the folder belongs to another experiment, another process is writing it, or a step
             cannot be recorded.
     """
-    nominal, plants, reference, seed = setup.nominal, setup.plants, setup.reference, setup.seed
-    reference.check(nominal.space)
-    past, scale = as_past(setup.known or Steps(nominal.space)), nominal.space.state_scale
+    nominal, plants, seed = setup.nominal, setup.plants, setup.seed
+    reference = setup.reference.of(nominal.space)
+    setup = replace(setup, reference=reference)
+    past, scale = as_past(setup.known or Steps(nominal.space)), nominal.space.error_scale
     deployments = list[Deployment]()
     with one_blas_thread(), Recording(folder, nominal.space, seed, past, plants.replays) as recording:
         log = Steps(recording.space)
@@ -214,7 +215,7 @@ def is_finished(deployments: Sequence[Deployment], scale: Array, learning: Learn
 
     Args:
         deployments: The finished ones.
-        scale: Half the range of use of each state coordinate; shape (n,).
+        scale: Error of each state coordinate that counts as one (`StepSpace.error_scale`); shape (n,).
         learning: Settings of learning.
     """
     if len(deployments) > learning.iterations:  # beside the redeployments there is deployment 0
@@ -225,7 +226,7 @@ def is_finished(deployments: Sequence[Deployment], scale: Array, learning: Learn
 def _still_improves(deployments: Sequence[Deployment], scale: Array, tolerance: float) -> bool:
     """Whether to deploy again: fewer than three deployments, the last one failed later, or an error still falling."""
     errors = [
-        inf if deployment.failed_steps else float(np.linalg.norm(deployment.rmse / scale)) for deployment in deployments
+        inf if each.failed_steps else float(np.linalg.norm(np.nan_to_num(each.rmse / scale))) for each in deployments
     ]
     if len(errors) < 3:
         return True

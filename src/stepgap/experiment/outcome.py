@@ -3,8 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from stepgap.control.reach import reached_in_one_step
-from stepgap.control.reference import Reference
+from stepgap.control.reach import reached_in_one_step, whole_states
+from stepgap.control.reference import Reference, same_target
+from stepgap.experiment.bands import mean_of_known
 from stepgap.learning.steps import Steps
 from stepgap.records.summary import Deployment, NoiseFloor
 from stepgap.step import Array, StepMap
@@ -42,20 +43,17 @@ def summarise(
 
     floor = estimate_noise_floor(steps, reference).any_phase if floor is None else floor
 
-    def rms(rows: Array) -> Array:
-        return np.sqrt(np.mean(rows**2, axis=0)) if len(rows) else np.full(error.shape[1], np.nan)
-
     return Deployment(
         iteration=steps.iterations[0],
         residual=residual,
         steps=len(steps),
         failed_steps=steps.failed_steps,
-        rmse=rms(error),
-        mae=np.mean(np.abs(error), axis=0) if len(error) else rms(error),
-        bias=np.mean(error, axis=0) if len(error) else rms(error),
-        steady_rmse=rms(error[np.isin(numbers, reference.steady)]),
-        transient_rmse=rms(error[np.isin(numbers, reference.transient)]),
-        true_rmse=rms(true_error),
+        rmse=np.sqrt(mean_of_known(error**2)),
+        mae=mean_of_known(np.abs(error)),
+        bias=mean_of_known(error),
+        steady_rmse=np.sqrt(mean_of_known(error[np.isin(numbers, reference.steady)] ** 2)),
+        transient_rmse=np.sqrt(mean_of_known(error[np.isin(numbers, reference.transient)] ** 2)),
+        true_rmse=np.sqrt(mean_of_known(true_error**2)),
         cut=count_cut(steps),
         unreachable=unreachable,
         missed=missed_targets(steps, reference, unreachable, floor),
@@ -95,8 +93,9 @@ def unreachable_targets(step_map: StepMap, reference: Reference) -> Array:
 
 def unheld_steps(step_map: StepMap, reference: Reference) -> NDArray[np.intp]:
     """First step, from 0 on, with each distinct target that no command holds according to a map; shape (k,)."""
-    distinct, first = np.unique(reference.targets, axis=0, return_index=True)
-    return first[~reached_in_one_step(step_map, distinct, distinct)]
+    first, _ = reference.distinct
+    targets = reference.targets[first]
+    return first[~reached_in_one_step(step_map, whole_states(step_map, targets), targets)]
 
 
 def missed_targets(steps: Steps, reference: Reference, unreachable: Array, floor: Array) -> Array:
@@ -107,10 +106,10 @@ def missed_targets(steps: Steps, reference: Reference, unreachable: Array, floor
     """
     steady, missed = _steady(steps, reference), []
     limit = np.maximum(TRACKED * floor, NEARLY_ZERO * steps.space.state_scale)
-    for target in np.unique(steady.target, axis=0):
-        here = (steady.target == target).all(axis=1)
-        rmse = np.sqrt(np.mean((steady.next_state[here] - target) ** 2, axis=0))
-        if (rmse > limit).any() and not (unreachable == target).all(axis=1).any():
+    for target in reference.targets[reference.distinct[0]]:
+        here = same_target(steady.target, target)
+        rmse = np.sqrt(mean_of_known((steady.next_state[here] - target) ** 2))
+        if (rmse > limit).any() and not same_target(unreachable, target).any():
             missed.append(target)
     return np.array(missed).reshape(-1, len(reference.names))
 

@@ -13,6 +13,7 @@ from stepgap.base.blas import one_blas_thread
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.json_data import LARGEST_NUMBER
 from stepgap.base.normal import std_interval_95
+from stepgap.experiment.bands import mean_of_known
 from stepgap.experiment.deployment import DeploymentController
 from stepgap.experiment.inputs import load_known
 from stepgap.experiment.nominal import load_nominal
@@ -289,7 +290,9 @@ class Run:
         return self.learner(iteration).step_map()
 
     def controller(self, iteration: int | None = None) -> DeploymentController:
-        """The controller at the start of a deployment; with the steps of the run it gives the recorded commands.
+        """The controller at the start of a deployment.
+
+        With the steps of the run, and the targets ahead of each of them, it gives the recorded commands.
 
         Args:
             iteration: As of `learner`.
@@ -429,7 +432,7 @@ def _check_rmse(deployment: Deployment, steps: Steps, path: Path) -> None:
     errors = steps.of_iteration(deployment.iteration).tracking_errors()
     if not len(errors):
         return
-    found = np.sqrt(np.mean(errors**2, axis=0))
+    found = np.sqrt(mean_of_known(errors**2))
     for name, error, computed in zip(steps.space.state_names, deployment.rmse, found, strict=True):
         if isfinite(error) and not isclose(error, computed, rel_tol=1e-6):
             raise InputError(

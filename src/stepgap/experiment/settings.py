@@ -55,7 +55,7 @@ PAPER_LEARNING = LearningSettings(
     reject_outliers=False,
     monitor=False,
 )
-PAPER_CONTROL = ControlSettings(cautious=False, viability=False, avoid_failures=False)
+PAPER_CONTROL = ControlSettings(cautious=False, viability=False, avoid_failures=False, horizon=1)
 METHODS: Mapping[str, tuple[LearningSettings, ControlSettings]] = {
     "default": (LearningSettings(), ControlSettings()),
     "paper": (PAPER_LEARNING, PAPER_CONTROL),

@@ -19,6 +19,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from stepgap.base.plugins import one_of
+from stepgap.control.reach import whole_states
 from stepgap.control.reference import Reference
 from stepgap.experiment.inputs import load_reference
 from stepgap.experiment.nominal import load_nominal
@@ -82,7 +83,7 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         render_mode: str | None = None,
         camera: Camera | None = None,
     ):
-        reference.check(nominal.space)
+        reference = reference.of(nominal.space)
         _check_render_mode(render_mode, camera)
         self.render_mode, self._camera = render_mode, camera
         rate = FRAMES_PER_SECOND if render_mode == "rgb_array_list" else STEPS_PER_SECOND
@@ -103,8 +104,7 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         """
         super().reset(seed=seed)
         self.close()
-        self._tracked = _reference_of(options or {}, self.reference)
-        self._tracked.check(self.space)
+        self._tracked = _reference_of(options or {}, self.reference).of(self.space)
         self._plant, self._done = self._make_plant(self.np_random), 0
         self._state = self._plant.start()
         if self._camera:
@@ -134,7 +134,7 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         if failed:
             reward = -LARGEST_COST * remaining
         else:
-            squared = float(np.sum(((record.next_state - target) / self.space.state_scale) ** 2))
+            squared = float(np.nansum(((record.next_state - target) / self.space.error_scale) ** 2))
             reward = -min(squared, LARGEST_COST)
             self._state, self._done = record.next_state, self._done + 1
         if self._camera:
@@ -167,13 +167,14 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         rows = [f"step {self._done} of {len(self._tracked)}"]
         target = self._tracked.targets[max(self._done - 1, 0)]
         for quantity, value, wanted in zip(self.space.state, self._state, target, strict=True):
-            numbers = f"{in_scale(value, quantity)}, target {in_scale(wanted, quantity)}"
+            numbers = in_scale(value, quantity) + (f", target {in_scale(wanted, quantity)}" if isfinite(wanted) else "")
             rows.append(f"{quantity.name} {numbers}{unit_suffix(quantity)}")
         return "\n".join(rows)
 
     def _observation(self) -> Array:
-        """State and next target; shape (2 n,)."""
+        """State and next target, the middle of the range of use where there is none; shape (2 n,)."""
         target = self._tracked.targets[min(self._done, len(self._tracked) - 1)]
+        target = np.where(np.isnan(target), self.space.state_centre, target)
         box = self.observation_space
         assert isinstance(box, Box)
         return np.clip(np.concatenate([self._state, target]), box.low, box.high)
@@ -212,7 +213,8 @@ def robot_env(
         if std.shape != chosen.space.state_scale.shape or not (np.isfinite(std) & (std >= 0)).all():
             names = ", ".join(f"{quantity.name} [{quantity.unit}]" for quantity in chosen.space.state)
             raise ValueError(f"noise = {noise}, but it must be numbers that are not negative, for {names}")
-        return StepEnv(partial(ModelPlant, nominal, reference.targets[0], std), nominal, reference, render_mode, camera)
+        (start,) = whole_states(nominal, reference.of(nominal.space).targets[:1])
+        return StepEnv(partial(ModelPlant, nominal, start, std), nominal, reference, render_mode, camera)
     simulations = simulations_of(chosen)
     if settings.plant not in simulations:
         known = (*simulations, MODEL)

@@ -178,9 +178,14 @@ class Steps:
         return self.selected(self.status == StepStatus.OK)
 
     def tracking_errors(self) -> Array:
-        """Next state − target of the completed steps that tracked the reference; shape (k, n)."""
+        """Next state − target of the completed steps that tracked the reference, NaN without a target; shape (k, n)."""
         tracked = self.tracking().completed()
         return tracked.next_state - tracked.target
+
+    @property
+    def tracked(self) -> list[int]:
+        """Numbers of the state coordinates, from 0, that have a target in some of the steps."""
+        return np.flatnonzero(np.isfinite(self.target).any(axis=0)).tolist()
 
     @property
     def failed_steps(self) -> int:

@@ -252,7 +252,8 @@ def _difference(recorded: Array, here: Array, space: StepSpace) -> str:
     same = np.isclose(recorded, here, rtol=0, atol=np.where(np.isfinite(allowed), allowed, 0.0), equal_nan=True)
     if same.all():
         return ""
-    excess = np.abs(recorded - here) / allowed
+    with np.errstate(over="ignore"):  # a recorded number may be anything
+        excess = np.abs(recorded - here) / allowed
     row, column = np.unravel_index(np.argmax(np.where(same, -1.0, np.nan_to_num(excess, nan=np.inf))), same.shape)
     point = zip(space.names, np.hstack([part[row] for part in _points(space)]), strict=True)
     quantity, number = space.state[column], f".{DIGITS}g"

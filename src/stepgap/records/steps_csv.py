@@ -121,7 +121,7 @@ def _check_numbers(logged: LoggedStep, space: StepSpace) -> None:
     completed = record.status == StepStatus.OK
     numbers = (
         ("state of the plant", record.state, n, True),
-        ("target of the reference", logged.target, n, True),
+        ("target of the reference", np.where(np.isnan(logged.target), 0.0, logged.target), n, True),
         ("command of the plant", record.command, m, True),
         ("requested command of the plant", record.requested, m, True),
         ("applied command of the plant", record.applied, m, completed),

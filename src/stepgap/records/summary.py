@@ -37,7 +37,7 @@ class OtherSchema(StepGapError, ValueError):
 class Deployment:
     """Tracking errors of one deployment, next state − target, over the steps that ended at their section.
 
-    An error is NaN where there are no such steps.
+    An error is NaN where there are no such steps, or no targets.
 
     Attributes:
         iteration: Number of the deployment, from 0.
@@ -52,7 +52,8 @@ class Deployment:
         transient_rmse: RMSE over `Reference.transient`; shape (n,).
         true_rmse: RMSE of the true next state, NaN where it is not known, as on hardware; shape (n,).
         cut: Number of commands that limits cut.
-        unreachable: Targets that no command holds according to the map with which it began; shape (k, n).
+        unreachable: Targets that no command holds according to the map with which it began, NaN in coordinates
+            without a target; shape (k, n).
         missed: Other targets whose steady error exceeds three noise floors; shape (k, n).
     """
 
@@ -172,9 +173,17 @@ def deployment_entry(deployment: Deployment, names: Sequence[str]) -> dict[str, 
         "falls": deployment.failed_steps,
         **{measure: _by_name(names, error) for measure, error in deployment.errors.items()},
         "cut": deployment.cut,
-        "unreachable": deployment.unreachable.tolist(),
-        "missed": deployment.missed.tolist(),
+        "unreachable": _with_null(deployment.unreachable),
+        "missed": _with_null(deployment.missed),
     }
+
+
+def _is_target(value: Any) -> bool:
+    return value is None or is_measurement(value)
+
+
+def _with_null(targets: Array) -> list[list[float | None]]:
+    return [[value if value == value else None for value in target] for target in targets.tolist()]
 
 
 def _by_name(names: Sequence[str], values: Array) -> dict[str, float | None]:
@@ -313,11 +322,12 @@ def _noise_floor(fields: Mapping[str, Any], names: tuple[str, ...], source: str)
 
 
 def _targets(fields: Mapping[str, Any], key: str, names: tuple[str, ...], source: str) -> Array:
-    """A list of targets, each a list with one number for each state coordinate; shape (k, n)."""
+    """A list of targets, each a list with a number, or null for none, for each state coordinate; shape (k, n)."""
     values = fields.get(key)
     rows = values if isinstance(values, list) else [None]
-    if not all(isinstance(row, list) and len(row) == len(names) and all(map(is_measurement, row)) for row in rows):
-        raise ValueError(
-            f"{source}: {key} is {describe_value(values)}, but it must be a list of targets [{', '.join(names)}]"
-        )
+    for row in rows:
+        if not isinstance(row, list) or len(row) != len(names) or not all(map(_is_target, row)):
+            raise ValueError(
+                f"{source}: {key} is {describe_value(values)}, but it must be a list of targets [{', '.join(names)}]"
+            )
     return np.array(rows, float).reshape(-1, len(names))

@@ -149,7 +149,12 @@ def same_reference(runs: Sequence[Run]) -> bool:
     """Whether the runs tracked the same reference, as far as all of them tracked it."""
     targets = [run.steps.of_iteration(run.shown_iterations[0]).tracking().target for run in runs]
     shortest = min(map(len, targets))
-    return all(np.array_equal(each[:shortest], targets[0][:shortest]) for each in targets)
+    return all(np.array_equal(each[:shortest], targets[0][:shortest], equal_nan=True) for each in targets)
+
+
+def _tracked(runs: Sequence[Run]) -> list[int]:
+    """Numbers of the state coordinates, from 0, that have targets in some run."""
+    return sorted({row for run in runs for row in run.steps.tracking().tracked})
 
 
 def _references(runs: Sequence[Run]) -> str:
@@ -164,7 +169,7 @@ def _tables(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
     entries = [{entry.iteration: entry for entry in run.deployments} for run in runs]
     found = []
     for measure, label in COMPARED.items():
-        for index, quantity in enumerate(runs[0].space.state):
+        for index in _tracked(runs):
             rows = [
                 [
                     str(number),
@@ -172,7 +177,8 @@ def _tables(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
                 ]
                 for number in numbers
             ]
-            found.append(table(f"{label} of {with_unit(quantity)}", ["deployment", *names], rows))
+            title = f"{label} of {with_unit(runs[0].space.state[index])}"
+            found.append(table(title, ["deployment", *names], rows))
     rows = [
         [
             str(number),
@@ -219,7 +225,7 @@ def spread_tables(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
     return [
         _spread_table([runs[row] for row in group], [names[row] for row in group], index)
         for group in seed_groups(runs)
-        for index in range(len(runs[0].space.state))
+        for index in _tracked(runs)
     ]
 
 
@@ -262,21 +268,21 @@ def _spread(errors: Array) -> list[str]:
 
 
 def comparison_figure(runs: Sequence[Run], names: Sequence[str]) -> "Figure":
-    """RMSE of the state coordinates by deployment, with a curve for each run."""
-    state = runs[0].space.state
-    figure, panels = step_panels(len(state))
+    """RMSE of the tracked coordinates by deployment, with a curve for each run."""
+    rows = _tracked(runs)
+    figure, panels = step_panels(len(rows))
     for row, (run, name) in enumerate(zip(runs, names, strict=True)):
         numbers = [deployment.iteration for deployment in run.deployments]
         look: dict[str, Any] = {
             "color": RUN_COLOURS[row % len(RUN_COLOURS)],
             "marker": RUN_MARKERS[row % len(RUN_MARKERS)],
         }
-        for index, panel in enumerate(panels):
+        for index, panel in zip(rows, panels, strict=True):
             values = [deployment.errors["rmse"][index] for deployment in run.deployments]
             if np.isfinite(values).any():
                 panel.plot(numbers, values, **look, linestyle=RUN_LINES[row % len(RUN_LINES)], label=plain(name))
-    for panel, quantity in zip(panels, state, strict=True):
-        panel.set_ylabel(f"RMSE of\n{axis_label(quantity, capital=False)}")
+    for panel, index in zip(panels, rows, strict=True):
+        panel.set_ylabel(f"RMSE of\n{axis_label(runs[0].space.state[index], capital=False)}")
         log_scale(panel, drawn_values(panel))
         if not panel.lines:
             write_note(panel, "There is no error yet.")

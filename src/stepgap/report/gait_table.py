@@ -55,14 +55,15 @@ def _measured_row(found: MeasuredLoop) -> list[str]:
 
 def gait_table(gait: ReferenceGait) -> str:
     """Table of command and Floquet multipliers of the limit cycle at each target, map by map."""
-    state, command = [[with_unit(each) for each in part] for part in (gait.space.state, gait.space.command)]
-    heads = list(state)
+    tracked = np.flatnonzero(np.isfinite(gait.targets).any(axis=0)).tolist()
+    state, command = [gait.space.state[row] for row in tracked], [with_unit(each) for each in gait.space.command]
+    heads = [with_unit(each) for each in state]
     for each in gait.maps:
         heads += [f"{each.name} {name}" for name in [*command, "open-loop |λ|"]]
         heads += ["95 % interval of the largest", "closed-loop |λ|, 95 % interval"] if each.multipliers else []
     rows = [
         [
-            *(trimmed(in_scale(value, one)) for value, one in zip(target, gait.space.state, strict=True)),
+            *(trimmed(in_scale(value, one)) for value, one in zip(target[tracked], state, strict=True)),
             *(cell for each in gait.maps for cell in _cells(each, row, gait.space)),
         ]
         for row, target in enumerate(gait.targets)

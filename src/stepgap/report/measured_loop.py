@@ -1,12 +1,13 @@
 """Floquet multipliers of the closed loop from recorded steps: how an error evolves under the controller as deployed.
 
-While the target stays the same, the error e = state − target follows e⁺ = M e + c + noise, with the closed loop's
-derivative M and an offset c for each visit to a target. M is found by least squares from the errors less their means
-over each visit. Such an estimate is biased by about −(1 + M) / T for visits of T steps (Nickell, Biases in Dynamic
-Models with Fixed Effects, 1981), and the largest magnitude of several multipliers is biased upwards. A bootstrap, which
-continues each visit from its first error with resampled noise, estimates the bias and the interval together (the basic
-bootstrap interval; Davison and Hinkley, Bootstrap Methods and Their Application, 1997, secs. 5.2 and 8.2). If all
-multipliers are nearly zero, the magnitudes are those of the estimation errors, so lower ends near zero are too high.
+While the target stays the same, the error e = state − target (the state itself, where there is no target) follows
+e⁺ = M e + c + noise, with the closed loop's derivative M and an offset c for each visit to a target. M is found by
+least squares from the errors less their means over each visit. Such an estimate is biased by about −(1 + M) / T for
+visits of T steps (Nickell, Biases in Dynamic Models with Fixed Effects, 1981), and the largest magnitude of several
+multipliers is biased upwards. A bootstrap, which continues each visit from its first error with resampled noise,
+estimates the bias and the interval together (the basic bootstrap interval; Davison and Hinkley, Bootstrap Methods and
+Their Application, 1997, secs. 5.2 and 8.2). If all multipliers are nearly zero, the magnitudes are those of the
+estimation errors, so lower ends near zero are too high.
 """
 
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.control.closed_loop import largest_multiplier
+from stepgap.control.reference import same_target
 from stepgap.learning.steps import Steps
 from stepgap.step import Array
 
@@ -77,8 +79,9 @@ def measured_loop(steps: Steps) -> MeasuredLoop | None:
 def _visits(steps: Steps) -> list[Array]:
     """Errors of consecutive states at an unchanged target, without that which the change left; shapes (T + 1, n)."""
     steps = steps.tracking()
-    error, after = steps.state - steps.target, steps.next_state - steps.target
-    same = np.r_[False, (np.diff(steps.target, axis=0) == 0).all(axis=1)] & steps.follows
+    target = np.nan_to_num(steps.target)
+    error, after = steps.state - target, steps.next_state - target
+    same = np.r_[False, same_target(steps.target[1:], steps.target[:-1])] & steps.follows
     used = same & np.isfinite(error).all(axis=1) & np.isfinite(after).all(axis=1)
     visits, previous = list[list[Array]](), False
     for row, is_used in enumerate(used):

@@ -112,7 +112,7 @@ def _numbers(run: Run) -> list[str]:
     return [
         paragraph(_comparison_note(run)),
         *map(paragraph, floor_sentences(run)),
-        *(error_table(run, row) for row in range(len(run.space.state))),
+        *(error_table(run, row) for row in run.steps.tracking().tracked),
         band_table(run),
         times_table(run),
     ]

@@ -26,11 +26,12 @@ def effect_sentences(space: StepSpace, effect: CommandEffect, by_map: str, unit:
         unit: The unit of the effect, in the plural.
     """
     n, rank = len(space.state), effect.rank
+    tracked = [quantity.name for quantity in space.state if quantity.weight]
     sizes = listed([decimal(size, 2) for size in effect.sizes])
     directions = f"{rank or 'no'} independent direction{'' if rank == 1 else 's'}"
     few = (
-        f". So one step does not reach every combination of {listed(space.state_names)}, even if it reaches each one"
-        if rank < n
+        f". So one step does not reach every combination of {listed(tracked)}, even if it reaches each one"
+        if rank < len(tracked)
         else ""
     )
     found = [

@@ -11,7 +11,8 @@ from stepgap.base.errors import InputError
 from stepgap.control.closed_loop import largest_multiplier, step_controller_gain
 from stepgap.control.gauss_newton import REACHED
 from stepgap.control.limit_cycle import FixedPoint, ReachableSet, fixed_point, reachable_set
-from stepgap.control.reach import SMALL_PART, CommandEffect, command_effect, reached_in_one_step
+from stepgap.control.reach import SMALL_PART, CommandEffect, command_effect, reached_in_one_step, whole_states
+from stepgap.control.reference import same_target
 from stepgap.experiment.run import Run
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gradient_samples import gradient_samples
@@ -98,7 +99,7 @@ class ReferenceGait:
     @property
     def centre_point(self) -> FixedPoint | None:
         """Limit cycle at the target `centre` on the last map, or the closest point; None if no command makes a step."""
-        (row, *_) = np.flatnonzero((self.targets == self.centre).all(axis=1))
+        (row, *_) = np.flatnonzero(same_target(self.targets, self.centre))
         return self.maps[-1].points[row]
 
     @property
@@ -122,8 +123,8 @@ def reference_gait(run: Run, nominal: StepMap, learned: LearnedResidual | Missin
         names = nominal.space.state_names, nominal.space.command_names
         raise InputError(f"{run.folder}: the nominal map has {names}, which differ from the run's state and command")
     steps = run.steps.of_iteration(run.shown_iterations[-1]).tracking()
-    distinct = list(dict.fromkeys(tuple(logged.target.tolist()) for logged in steps))
-    targets = np.array(distinct[:MOST_GAITS])
+    distinct = _distinct(steps.target[np.isfinite(steps.target).any(axis=1)])
+    targets = distinct[:MOST_GAITS]
     centre = central_target(targets, nominal.space.state_scale)
     maps = {"nominal": nominal}
     if isinstance(learned, LearnedResidual):
@@ -147,20 +148,32 @@ def effect_unit(run: Run) -> tuple[Array, bool]:
 def _changes(targets: Array) -> Array:
     """Distinct pairs of consecutive targets (N, n) that differ; shape (c, 2, n)."""
     pairs = np.stack([targets[:-1], targets[1:]], axis=1)
-    changing = pairs[(pairs[:, 0] != pairs[:, 1]).any(axis=1)]
-    distinct = list(dict.fromkeys(tuple(pair.ravel().tolist()) for pair in changing))
-    return np.array(distinct[:MOST_GAITS]).reshape(-1, 2, targets.shape[1])
+    changed = ~same_target(pairs[:, 0], pairs[:, 1]) & np.isfinite(pairs[:, 1]).any(axis=1)
+    changing = pairs[changed].reshape(-1, 2 * targets.shape[1])
+    return _distinct(changing)[:MOST_GAITS].reshape(-1, 2, targets.shape[1])
+
+
+def _distinct(rows: Array) -> Array:
+    """Distinct rows in their order, of which NaN equals NaN; (N, k) to (d, k)."""
+    first = dict[tuple[float | None, ...], int]()
+    for number, row in enumerate(rows.tolist()):
+        first.setdefault(tuple(None if value != value else value for value in row), number)
+    return rows[list(first.values())]
 
 
 def central_target(targets: Array, scale: Array) -> Array:
     """The target nearest to the median of all, which a single target far from the others hardly moves; shape (n,).
 
+    It is one of those that want most.
+
     Args:
         targets: Distinct targets; shape (k, n).
         scale: Half range of each coordinate; shape (n,).
     """
-    away = (targets - np.median(targets, axis=0)) / scale
-    return targets[np.argmin(np.sum(away**2, axis=1))]
+    tracked = np.isfinite(targets).any(axis=0)
+    away = (targets[:, tracked] - np.nanmedian(targets[:, tracked], axis=0)) / scale[tracked]
+    missing = np.isnan(away).sum(axis=1)
+    return targets[np.argmin(np.where(missing == missing.min(), np.nansum(away**2, axis=1), np.inf))]
 
 
 def _gait(name: str, step_map: StepMap, targets: Array, centre: Array, changes: Array, unit: Array) -> MapGait:
@@ -173,9 +186,10 @@ def _gait(name: str, step_map: StepMap, targets: Array, centre: Array, changes: 
             point = None
         points.append(point)
     possible = _multipliers(step_map, points) if isinstance(step_map, CorrectedMap) else None
-    reached = reached_in_one_step(step_map, changes[:, 0], changes[:, 1])
+    reached = reached_in_one_step(step_map, whole_states(step_map, changes[:, 0]), changes[:, 1])
+    (start,) = whole_states(step_map, centre[None])
     return MapGait(
-        name, tuple(points), reachable_set(step_map, centre), reached, _effect(step_map, points, unit), possible
+        name, tuple(points), reachable_set(step_map, start), reached, _effect(step_map, points, unit), possible
     )
 
 

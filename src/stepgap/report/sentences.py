@@ -30,7 +30,7 @@ def headline(run: Run) -> str:
         ratios = {run.space.state[row].name: f"{decimal(ratio, 2)} noise floors" for row, ratio in far.items()}
         errors = [f"the error of {name} is {ratio}" for name, ratio in ratios.items()]
         verdict = f"It did not track: {listed(errors)}. But {to_end}"
-    elif np.isfinite(found.floor).all():
+    elif np.isfinite(found.floor[found.rows]).all():
         verdict = f"It tracked: {to_end}"
     else:
         verdict = capitalised(to_end)
@@ -76,14 +76,14 @@ def _compared(found: Achievement) -> str:
 
 def _changes(found: Achievement) -> str:
     """Phrase on which errors are smaller and larger than before; it begins with a comma."""
-    changes, names = found.changes(), found.run.space.state_names
+    changes, names = found.changes(), [found.run.space.state_names[row] for row in found.rows]
     than = "that of the nominal map's predictions" if found.predicted else f"in deployment {found.first.iteration}"
     if np.isnan(changes).any():
         return f", but not every error is known, so that none is compared with {than.removeprefix('in ')}"
     if all(change < 0 for change in changes):
         return f", and every tracking error is smaller than {than}"
     if not any(changes):
-        at_floor = (found.before <= NEAR_FLOOR * found.floor).all()
+        at_floor = (found.before <= NEAR_FLOOR * found.floor)[found.rows].all()
         reason = ": all were near the noise floor from the beginning" if at_floor else ""
         return f", and no tracking error is clearly smaller or larger than {than}{reason}"
     words = {"smaller": -1, "larger": 1, "not clearly changed": 0}

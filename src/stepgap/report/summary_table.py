@@ -10,7 +10,10 @@ from stepgap.step import Array
 
 
 def summary_table(run: Run) -> str:
-    """HTML of the table; empty if no deployment is finished. Columns without any number are left out."""
+    """HTML of the table, with a row for each coordinate that has targets; empty if no deployment is finished.
+
+    Columns without any number are left out.
+    """
     if not run.deployments:
         return ""
     found = Achievement(run)
@@ -27,6 +30,7 @@ def summary_table(run: Run) -> str:
         **({} if found.is_without_noise else _noise_alone(run)),
         "verdict": [found.verdict_in_words(row) for row in range(len(found.after))],
     }
+    columns = {head: [cells[row] for row in found.rows] for head, cells in columns.items()}
     known = {head: cells for head, cells in columns.items() if set(cells) != {"–"}}
     return table("", list(known), list(zip(*known.values(), strict=True)))
 

@@ -43,8 +43,8 @@ def decimals_of(quantity: Quantity, digits: int = 4) -> int:
 
 
 def in_words(quantities: Sequence[Quantity], values: Iterable[float]) -> str:
-    """Coordinates with their names, values and units, such as "speed 0.3 m/s, height 0.7 m"."""
-    pairs = zip(quantities, values, strict=True)
+    """Coordinates with their names, values and units, such as "speed 0.3 m/s, height 0.7 m"; NaN is left out."""
+    pairs = [(one, value) for one, value in zip(quantities, values, strict=True) if value == value]
     return ", ".join(f"{one.name} {trimmed(in_scale(value, one))}{unit_suffix(one)}" for one, value in pairs)
 
 

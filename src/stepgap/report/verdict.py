@@ -12,7 +12,7 @@ from typing import Final, final
 import numpy as np
 
 from stepgap.control.gauss_newton import REACHED
-from stepgap.experiment.bands import executed_steps_to_band, rms_interval, rmse_interval
+from stepgap.experiment.bands import executed_steps_to_band, mean_of_known, rms_interval, rmse_interval
 from stepgap.experiment.outcome import TRACKED
 from stepgap.experiment.run import Run
 from stepgap.learning.observations import observe
@@ -39,6 +39,11 @@ class Achievement:
 
     run: Run
 
+    @cached_property
+    def rows(self) -> list[int]:
+        """Numbers of the state coordinates that have targets, the only ones with errors."""
+        return self.run.steps.tracking().tracked
+
     @property
     def first(self) -> Deployment:
         """The first finished deployment."""
@@ -64,8 +69,7 @@ class Achievement:
         """RMSE of the first deployment, or of the nominal map's predictions of its steps; shape (n,)."""
         if not self.predicted:
             return self.first.rmse
-        errors = self._nominal_errors
-        return np.sqrt(np.mean(errors**2, axis=0)) if len(errors) else np.full(len(self.first.rmse), np.nan)
+        return np.sqrt(mean_of_known(self._nominal_errors**2))
 
     @cached_property
     def before_ends(self) -> Array:
@@ -114,8 +118,8 @@ class Achievement:
         return {row: float(ratio) for row, ratio in enumerate(ratios) if ratio > TRACKED}
 
     def changes(self) -> list[float]:
-        """Change of each error: 1 larger, −1 smaller, 0 if noise explains it, NaN if it is not known."""
-        return [self._change(row) for row in range(len(self.after))]
+        """Change of the error of each of the `rows`: 1 larger, −1 smaller, 0 if noise explains it, NaN if not known."""
+        return [self._change(row) for row in self.rows]
 
     def change_in_words(self, row: int) -> str:
         """Change of the error of a coordinate, for a table."""

@@ -129,14 +129,15 @@ class Robot(ABC):
 
 
 def stairs(space: StepSpace, steps: int = 12) -> Reference:
-    """Stairs within 0.4 of the ranges of use, each coordinate shifted against the one before.
+    """Stairs within 0.4 of the ranges of use of the tracked coordinates, each shifted against the one before.
 
     Args:
         space: State of the robot.
         steps: Number of steps on each stair.
     """
     shares = np.array([0.0, 0.4, -0.2, 0.2, -0.4, 0.0])
-    rows = [np.roll(shares, shift) for shift in range(len(space.state))]
-    targets = space.state_centre + np.transpose(rows) * space.state_scale
+    rows = np.full((len(space.state), len(shares)), np.nan)
+    rows[space.tracked] = [np.roll(shares, shift) for shift in range(np.count_nonzero(space.tracked))]
+    targets = space.state_centre + rows.T * space.state_scale
     segments = [(1 + steps * number, target.tolist()) for number, target in enumerate(targets)]
     return Reference.from_segments(space.state_names, segments, steps=steps * len(targets))

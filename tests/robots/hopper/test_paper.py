@@ -12,7 +12,7 @@ def test_paper_reference_is_the_profile_of_fig_4() -> None:
     reference = paper.paper_reference()
     assert reference.names == ("speed", "height")
     assert reference.targets.shape == (227, 2)
-    reference.check(SPACE)
+    assert reference.of(SPACE) is reference
     for step, target in {1: (0, 0.55), 19: (0, 0.55), 20: (0.17, 0.58), 78: (0.392, 0.58), 79: (0.17, 0.5963)}.items():
         assert tuple(reference.targets[step - 1]) == target
     for step, target in {150: (0.17, 0.6126), 151: (0.2255, 0.6126), 198: (0.392, 0.6126), 227: (0.281, 0.629)}.items():

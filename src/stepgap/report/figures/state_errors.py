@@ -66,7 +66,7 @@ def shown_coordinates(steps: Steps) -> tuple[list[int], list[int]]:
     states with which the errors vary most.
     """
     n, m = len(steps.space.state), len(steps.space.command)
-    error = (steps.next_state - steps.target) / steps.space.state_scale
+    error = np.nan_to_num((steps.next_state - steps.target) / steps.space.state_scale)  # none without a target
     rows = _largest(np.sum(error**2, axis=0), MOST_SHOWN)
     varies = _correlation(_inputs(steps), error[:, rows])
     commands = _largest(varies[n:], max(MOST_COMMANDS, MOST_SHOWN - n))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from stepgap.base.normal import INTERVAL_95
+from stepgap.control.reference import same_target
 from stepgap.experiment.bands import interval_coverage, rmse_interval
 from stepgap.experiment.outcome import cut_commands
 from stepgap.experiment.run import Run
@@ -93,12 +94,14 @@ def command_figure(run: Run) -> "Figure":
 
 
 def error_figure(run: Run) -> "Figure":
-    """RMSE and MAE of the state coordinates by deployment, with published ones for the same reference (Fig. 5)."""
-    figure, panels = step_panels(len(run.space.state))
+    """RMSE and MAE of the tracked coordinates by deployment, with published ones for the same reference (Fig. 5)."""
+    rows = run.steps.tracking().tracked
+    figure, panels = step_panels(len(rows))
     numbers = [deployment.iteration for deployment in run.deployments]
     theirs = run.compared_result
     panels[0].set_xlim(-0.25, max([*numbers, theirs.last if theirs else 1]) + 0.25)
-    for index, (panel, quantity) in enumerate(zip(panels, run.space.state, strict=True)):
+    for panel, index in zip(panels, rows, strict=True):
+        quantity = run.space.state[index]
         for measure, look in (("rmse", "s-"), ("mae", "o--")):
             values = [deployment.errors[measure][index] for deployment in run.deployments]
             if np.isfinite(values).any():
@@ -239,7 +242,7 @@ def write_note(panel: "Axes", text: str) -> None:
 
 def _mark_changes(panel: "Axes", steps: Steps) -> None:
     """Draws a light line at every step whose target differs from the previous one."""
-    changes = np.flatnonzero((np.diff(steps.target, axis=0) != 0).any(axis=1)) + 1
+    changes = np.flatnonzero(~same_target(steps.target[1:], steps.target[:-1])) + 1
     if len(changes) <= MOST_CHANGES:
         for order, step in enumerate(step_numbers(steps)[changes]):
             panel.axvline(step, color="#cccccc", lw=0.8, zorder=0, label="" if order else "change of the target")
@@ -337,7 +340,8 @@ def _reasons(run: Run, row: int, iterations: Sequence[int]) -> str:
     stds = [steps.std[:, row] for steps in drawn]
     if not any(np.ptp(std) > VISIBLE * std.max() for std in stds):
         return ""
-    changes = any(np.diff(steps.tracking().target, axis=0).any() for steps in drawn)
+    targets = [steps.tracking().target for steps in drawn]
+    changes = any(not same_target(each[1:], each[:-1]).all() for each in targets)
     farther = " It is larger where state and command are farther from recorded ones"
     text = f"{farther}{', often after a change of the target' * changes}."
     if not isinstance(run.settings, Missing) and run.settings.learning.drift and np.isfinite(run.steps.phase).any():
