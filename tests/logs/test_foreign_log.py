@@ -262,5 +262,6 @@ def test_the_yaw_after_a_step_is_that_at_the_start_of_the_next_one() -> None:
     nan = np.nan
     np.testing.assert_array_equal(log.context[:, 0], [0.2, nan, 0.4, nan, nan, nan])
     np.testing.assert_array_equal(log.phase, [nan, 0.2, nan, 0.4, nan, nan], "but for the first step of a deployment")
+    assert np.isnan(log.target).all(), "the log has no targets"
     without = step_log_of(read(text, replace(columns, yaw="")))
     assert without.context.shape == (6, 0)

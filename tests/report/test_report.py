@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from stepgap.experiment.bands import interval_coverage
 from stepgap.experiment.run import Run
-from stepgap.records.summary import MEASURED, MEASURES, NoiseFloor
+from stepgap.records.summary import MEASURED, MEASURES, NoiseFloor, Summary
 from stepgap.report.drawing import LOOK
 from stepgap.report.figures import drawn_figures
 from stepgap.report.figures.steps import command_figure, error_figure, map_caption, tracking_figure
@@ -231,6 +231,18 @@ def test_a_run_in_progress(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("drawn_page")
+def test_steps_without_any_target_have_a_report(tmp_path: Path) -> None:
+    """Such as a run in progress whose reference leaves its first steps open."""
+    folder = make_run(tmp_path / "run", iterations=0)
+    space = LossyHopper().space
+    steps = Run(folder, space=space).steps.with_columns(target=np.nan)
+    nominal = LossyHopper()
+    page = Page(report_of(folder, space=space, steps=steps, summary=Summary(), nominal=nominal))
+    assert "No deployment is finished yet." in page.text
+    assert "no target was tracked yet" in page.text
+    assert "nan" not in page.text
+
+
 def test_hostile_text_stays_text(tmp_path: Path) -> None:
     names = ("script", "AUX", "con")
     folder = write_run(tmp_path / "run", names, residual=HOSTILE[:100])

@@ -99,9 +99,9 @@ def imported_steps(path: Path, columns: Path | None, names: Mapping[str, str]) -
 def step_log_of(found: FoundSteps) -> Steps:
     """The steps of other logs as those of a run, such as for a `steps.csv`.
 
-    A new deployment begins where a step does not start from the state in which the one before it ended. A target that
-    is not known is the next state; predictions are not known. The yaw after a step is the one at which the next step of
-    its deployment starts, so it is not known for the last one.
+    A new deployment begins where a step does not start from the state in which the one before it ended. Predictions,
+    and targets that the log does not have, are not known. The yaw after a step is the one at which the next step of its
+    deployment starts, so it is not known for the last one.
     """
     steps, follows = found.steps, found.steps.follows
     iteration = np.cumsum(~follows) - 1
@@ -109,7 +109,6 @@ def step_log_of(found: FoundSteps) -> Steps:
     return steps.with_columns(
         iteration=iteration,
         number=1 + np.arange(len(steps)) - np.flatnonzero(~follows)[iteration],
-        target=np.where(np.isnan(steps.target), steps.next_state, steps.target),
         predicted=np.nan,
         std=0.0,
         context=np.repeat(yaw_after[:, None], len(steps.space.context), axis=1),

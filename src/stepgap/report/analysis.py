@@ -85,7 +85,7 @@ class Analysis:
         """
         if isinstance(self.run.nominal, Missing):
             return self.run.nominal
-        if not len(self.run.steps.of_iteration(self.run.shown_iterations[-1]).tracking()):
+        if not self.run.steps.of_iteration(self.run.shown_iterations[-1]).tracking().tracked:
             return Missing("no target was tracked yet")
         return reference_gait(self.run, self.run.nominal, self.learned)
 

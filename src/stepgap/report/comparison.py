@@ -153,8 +153,10 @@ def same_reference(runs: Sequence[Run]) -> bool:
 
 
 def _tracked(runs: Sequence[Run]) -> list[int]:
-    """Numbers of the state coordinates, from 0, that have targets in some run."""
-    return sorted({row for run in runs for row in run.steps.tracking().tracked})
+    """Numbers of the state coordinates, from 0, that have targets in some run; all if there are no targets yet."""
+    return sorted({row for run in runs for row in run.steps.tracking().tracked}) or list(
+        range(len(runs[0].space.state))
+    )
 
 
 def _references(runs: Sequence[Run]) -> str:

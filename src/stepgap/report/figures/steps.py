@@ -95,7 +95,7 @@ def command_figure(run: Run) -> "Figure":
 
 def error_figure(run: Run) -> "Figure":
     """RMSE and MAE of the tracked coordinates by deployment, with published ones for the same reference (Fig. 5)."""
-    rows = run.steps.tracking().tracked
+    rows = run.steps.tracking().tracked or list(range(len(run.space.state)))
     figure, panels = step_panels(len(rows))
     numbers = [deployment.iteration for deployment in run.deployments]
     theirs = run.compared_result
