@@ -334,3 +334,6 @@ def test_a_controller_that_does_not_track_everything_is_not_exported(
     result = stepgap("export", runs(robot), "--to", "c")
     assert result.code == 2
     assert "pitch, pitch_rate has a weight other than 1" in result.err
+    result = stepgap("fit", runs(robot), "--nominal", "target")
+    assert result.code == 2
+    assert "--nominal target: the log has no step with one for every state coordinate" in result.err

@@ -157,8 +157,9 @@ def read_nominal_errors(
         predicted = step_map.evaluate(steps.state, steps.requested).next_state
         description += f" with the settings of {experiment}" if experiment else " with default settings"
         description += ", some overridden" if of_map else ""
-    elif len(steps) and np.isnan(predicted).all():
-        raise InputError(f"--nominal {source}: the log has none; name its columns by --{source}")
+    elif len(steps) and np.isnan(predicted).any(axis=1).all():
+        some = "none" if np.isnan(predicted).all() else "no step with one for every state coordinate"
+        raise InputError(f"--nominal {source}: the log has {some}; name its columns by --{source}")
     data = _with_errors(found, predicted, description, NominalSource(source, step_map), settings.learning)
     return data if source == MAP else replace(data, columns=columns)
 
@@ -169,7 +170,8 @@ def _with_errors(
     """The steps that have a nominal next state (N, n), and its errors; arguments as of `FitData`."""
     known, left_out = np.flatnonzero(np.isfinite(predicted).all(axis=1)), dict(found.left_out)
     if failed := len(predicted) - len(known):
-        left_out["for which the nominal map predicts a failure"] = failed
+        reason = "for which the nominal map predicts a failure" if source.step_map else f"without a whole {source.name}"
+        left_out[reason] = failed
     steps = found.steps.with_columns(predicted=predicted).selected(known)
     error, phase = steps.next_state - steps.predicted, found.phase[known]
     arrays = steps.state, steps.requested, error
