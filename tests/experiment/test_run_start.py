@@ -12,9 +12,9 @@ from stepgap.control.command_table import build_table
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ControlSettings
 from stepgap.experiment import run_start
-from stepgap.experiment.nominal import Nominal
+from stepgap.experiment.nominal import Nominal, check_surrogate
 from stepgap.experiment.plants import PlantRequest
-from stepgap.experiment.run_start import check_surrogate, load_setup, run_folder
+from stepgap.experiment.run_start import load_setup, run_folder
 from stepgap.experiment.settings import Experiment
 from stepgap.robots.nominal_maps.surrogate_map import fit_surrogate
 from stepgap.step import Array

@@ -220,8 +220,7 @@ def _settings(
 
 def _load_nominal(settings: "Experiment") -> "Nominal":
     """The nominal map; says how far the fit of a surrogate has come, and what may be wrong with the map."""
-    from stepgap.experiment.nominal import load_nominal, slowness
-    from stepgap.experiment.run_start import check_surrogate
+    from stepgap.experiment.nominal import check_surrogate, load_nominal, slowness
 
     def on_samples(count: int, error: "Array") -> None:
         errors = ", ".join(

@@ -140,17 +140,16 @@ class CautiousController:
         """The command of least expected squared distance from what is wanted that is found from `start`; shape (m,)."""
         space, n = self.step_map.space, len(target)
         wanted = space.has_target(target)
-        rows = slice(None) if wanted.all() else np.flatnonzero(wanted)
 
         def deviations(point: Array) -> Array:
             command = space.command_at(point)
             parts = self.step_map.evaluate(state, command).next_state - target, self.step_map.std(state, command)
-            return np.concatenate([(part / space.error_scale)[..., rows] for part in parts], axis=-1)
+            return np.concatenate([(part / space.error_scale)[..., wanted] for part in parts], axis=-1)
 
         def jacobian(point: Array) -> Array:
             command = space.command_at(point)
             parts = self.step_map.jacobian(state, command), self.step_map.std_gradient(state, command)
-            return np.concatenate([space.scaled_jacobian(part[:, n:])[rows] for part in parts])
+            return np.concatenate([space.scaled_jacobian(part[:, n:])[wanted] for part in parts])
 
         return space.command_at(minimise(deviations, jacobian, space.point_of(start), improvement=IMPROVEMENT).point)
 

@@ -17,9 +17,8 @@ def step_controller_gain(step_map: StepMap, point: FixedPoint) -> Array:
     """∂command/∂state of the step controller of a map at a state that it holds, with this state as the target.
 
     The command is the least-squares solution of map(state, command) = target in the coordinates with a target, scaled
-    as in `StepController`; where several solve it, the nearest one. Its
-    error is zero at the point, so the derivative is that of linear least squares, −B⁺ A. A command on its bound stays
-    there.
+    as in `StepController`; where several solve it, the nearest one. Its error is zero at the point, so the derivative
+    is that of linear least squares, −B⁺ A. A command on its bound stays there.
 
     Args:
         step_map: The map.

@@ -103,9 +103,7 @@ class Reference:
     @cached_property
     def distinct(self) -> tuple[Indices, Indices]:
         """First step with each distinct target, in ascending order of the targets, and which of them each step has."""
-        comparable = np.where(np.isnan(self.targets), np.inf, self.targets)
-        _, first, number = np.unique(comparable, axis=0, return_index=True, return_inverse=True)
-        return first, number.reshape(-1)
+        return distinct_rows(self.targets)
 
     @property
     def transient(self) -> Indices:
@@ -127,6 +125,13 @@ class Reference:
         steps, changes = np.arange(len(self)), self.changes
         count = np.searchsorted(changes, steps, side="right")
         return np.where(count > 0, steps - np.append(0, changes)[count], -1)
+
+
+def distinct_rows(rows: Array) -> tuple[Indices, Indices]:
+    """First of each of the distinct rows (N, k), in ascending order, and which of them each row is; NaN equals NaN."""
+    comparable = np.where(np.isnan(rows), np.inf, rows)
+    _, first, number = np.unique(comparable, axis=0, return_index=True, return_inverse=True)
+    return first, number.reshape(-1)
 
 
 def same_target(one: Array, other: Array) -> NDArray[np.bool_]:

@@ -72,7 +72,6 @@ class StepController:
         if np.isinf(target).any() or not np.isfinite(start).all():
             raise ValueError(f"target {target} and guess {start} must be finite numbers, or NaN for no target")
         wanted = space.has_target(target)
-        rows = slice(None) if wanted.all() else np.flatnonzero(wanted)
 
         next_states: dict[bytes, Array] = {}  # by point, so that the solution is not evaluated again
 
@@ -81,18 +80,18 @@ class StepController:
             found = self.step_map.evaluate(state, command_at(point)).next_state
             known = zip(point.reshape(-1, m), found.reshape(-1, n), strict=True)
             next_states.update((at.tobytes(), next_state) for at, next_state in known if np.isfinite(next_state).all())
-            return ((found - target) / space.error_scale)[..., rows]
+            return ((found - target) / space.error_scale)[..., wanted]
 
         def jacobian(point: Array) -> Array:
             """∂error/∂point; shape (k, m)."""
-            return space.scaled_jacobian(self.step_map.jacobian(state, command_at(point))[:, n:])[rows]
+            return space.scaled_jacobian(self.step_map.jacobian(state, command_at(point))[:, n:])[wanted]
 
         solution = solve(error, jacobian, space.point_of(start))
         command = command_at(solution.point)
         predicted = next_states.get(solution.point.tobytes())
         if predicted is None:
             predicted = self.step_map(state, command)
-        distance = float(np.linalg.norm(((predicted - target) / space.error_scale)[rows]))
+        distance = float(np.linalg.norm(((predicted - target) / space.error_scale)[wanted]))
         return StepPlan(command, predicted, distance <= REACHED, distance)
 
 

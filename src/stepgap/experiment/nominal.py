@@ -9,6 +9,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
 
+import numpy as np
+
 from stepgap.base.errors import InputError, StepGapError, message_of
 from stepgap.base.files import read_bounded_text
 from stepgap.base.random_streams import random_stream
@@ -22,7 +24,7 @@ from stepgap.robots.nominal_maps.simulator import SimulatorMap
 from stepgap.robots.nominal_maps.surrogate_map import MapFunction, SurrogateMap, fit_surrogate, surrogate_from_dict
 from stepgap.robots.nominal_maps.template_file import gaps_of_template, read_template
 from stepgap.robots.robot import Robot
-from stepgap.step import Array, Outcome, StepMap, StepSpace
+from stepgap.step import Array, Outcome, StepMap, StepSpace, StepStatus
 
 WORTH_PROCESSES = 0.02
 """Duration of a simulated step [s] from which several processes sample a simulator; they start in seconds."""
@@ -35,6 +37,10 @@ FEW_EVALUATIONS = 15
 
 TIMED_STEPS = 3
 """Number of steps whose duration is measured."""
+
+
+USELESS = 0.5
+"""Error of a surrogate from which on it predicts no better than the middle of the range of use [half ranges]."""
 
 
 class Nominal(NamedTuple):
@@ -107,6 +113,26 @@ def sampled_map(settings: Experiment, tick: float | None) -> StepMap:
     if found is None:
         raise InputError(f"robot '{settings.robot.name}' has no map with torques that are held for a tick")
     return found
+
+
+def check_surrogate(nominal: StepMap) -> None:
+    """Raises InputError if a map is a surrogate whose error is that of a guess."""
+    if not isinstance(nominal, SurrogateMap):
+        return
+    parts = nominal.error / nominal.space.state_scale
+    wrong = [
+        f"{quantity.name} {part:.2g}"
+        for quantity, part in zip(nominal.space.state, parts, strict=True)
+        if part > USELESS
+    ]
+    if wrong:
+        failed = np.count_nonzero(nominal.samples.status != StepStatus.OK)
+        raise InputError(
+            f"the surrogate of the simulator predicts {', '.join(wrong)} half ranges wrongly (leave-one-out; at most "
+            f"{USELESS:g} is permitted), and {failed} of its {len(nominal.samples.status)} simulated steps failed: the "
+            "ranges of use contain states from which the robot does not step. Narrow them to states of its gait, or "
+            "fit the map to recorded steps: nominal.kind = log"
+        )
 
 
 def slowness(kind: str, nominal: StepMap, evaluations: int) -> str:

@@ -22,12 +22,8 @@ from stepgap.experiment.resume import check_no_step_is_lost
 from stepgap.experiment.run import Run
 from stepgap.experiment.settings import Experiment
 from stepgap.robots.gap import Gap
-from stepgap.robots.nominal_maps.surrogate_map import SurrogateMap
 from stepgap.robots.robot import Robot
-from stepgap.step import StepMap, StepStatus
-
-USELESS = 0.5
-"""Error of a surrogate from which on it predicts no better than the middle of the range of use [half ranges]."""
+from stepgap.step import StepMap
 
 
 def dated_folder(home: str = "runs") -> Path:
@@ -166,26 +162,6 @@ def check_reach(nominal: StepMap, reference: Reference, name: str, robot: Robot)
         raise InputError(
             f"reference {name}, step {step + 1}: {wanted} is out of reach: the model cannot hold it within the "
             f"command bounds{_changes(robot)}; `stepgap gait` shows its range"
-        )
-
-
-def check_surrogate(nominal: StepMap) -> None:
-    """Raises InputError if a map is a surrogate whose error is that of a guess."""
-    if not isinstance(nominal, SurrogateMap):
-        return
-    parts = nominal.error / nominal.space.state_scale
-    wrong = [
-        f"{quantity.name} {part:.2g}"
-        for quantity, part in zip(nominal.space.state, parts, strict=True)
-        if part > USELESS
-    ]
-    if wrong:
-        failed = np.count_nonzero(nominal.samples.status != StepStatus.OK)
-        raise InputError(
-            f"the surrogate of the simulator predicts {', '.join(wrong)} half ranges wrongly (leave-one-out; at most "
-            f"{USELESS:g} is permitted), and {failed} of its {len(nominal.samples.status)} simulated steps failed: the "
-            "ranges of use contain states from which the robot does not step. Narrow them to states of its gait, or "
-            "fit the map to recorded steps: nominal.kind = log"
         )
 
 

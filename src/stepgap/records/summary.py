@@ -325,9 +325,8 @@ def _targets(fields: Mapping[str, Any], key: str, names: tuple[str, ...], source
     """A list of targets, each a list with a number, or null for none, for each state coordinate; shape (k, n)."""
     values = fields.get(key)
     rows = values if isinstance(values, list) else [None]
-    for row in rows:
-        if not isinstance(row, list) or len(row) != len(names) or not all(map(_is_target, row)):
-            raise ValueError(
-                f"{source}: {key} is {describe_value(values)}, but it must be a list of targets [{', '.join(names)}]"
-            )
+    if not all(isinstance(row, list) and len(row) == len(names) and all(map(_is_target, row)) for row in rows):
+        raise ValueError(
+            f"{source}: {key} is {describe_value(values)}, but it must be a list of targets [{', '.join(names)}]"
+        )
     return np.array(rows, float).reshape(-1, len(names))

@@ -12,7 +12,7 @@ from stepgap.control.closed_loop import largest_multiplier, step_controller_gain
 from stepgap.control.gauss_newton import REACHED
 from stepgap.control.limit_cycle import FixedPoint, ReachableSet, fixed_point, reachable_set
 from stepgap.control.reach import SMALL_PART, CommandEffect, command_effect, reached_in_one_step, whole_states
-from stepgap.control.reference import same_target
+from stepgap.control.reference import distinct_rows, same_target
 from stepgap.experiment.run import Run
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gradient_samples import gradient_samples
@@ -154,11 +154,8 @@ def _changes(targets: Array) -> Array:
 
 
 def _distinct(rows: Array) -> Array:
-    """Distinct rows in their order, of which NaN equals NaN; (N, k) to (d, k)."""
-    first = dict[tuple[float | None, ...], int]()
-    for number, row in enumerate(rows.tolist()):
-        first.setdefault(tuple(None if value != value else value for value in row), number)
-    return rows[list(first.values())]
+    """Distinct rows in their order; (N, k) to (d, k)."""
+    return rows[np.sort(distinct_rows(rows)[0])]
 
 
 def central_target(targets: Array, scale: Array) -> Array:

@@ -24,7 +24,7 @@ LEVELS: Final = 65535
 """Number of levels into which the ranges of step and position are divided, which may grow with the run."""
 
 COARSE_LEVELS: Final = 8191
-"""The same of the other channels, such as points relative to the body: 0.1 mm in 0.8 m. They need half the bytes."""
+"""Number of levels of all other channels, such as points relative to the body: 0.1 mm in 0.8 m, in half the bytes."""
 
 MOST_FRAMES: Final = 60_000
 """Largest number of frames of a motion on the page; a longer motion is thinned."""
