@@ -123,6 +123,21 @@ class StumblingHopper(LossyHopper):
         return np.broadcast_to(status, np.broadcast_shapes(state.shape[:-1], command.shape[:-1]))
 
 
+class Track(ClosedFormMap):
+    """Lateral offset and its rate, which one push changes: a double integrator."""
+
+    @property
+    def space(self) -> StepSpace:
+        state = Quantity("offset", "m", -0.5, 0.5), Quantity("rate", "m/s", -1.0, 1.0)
+        return StepSpace(state, (Quantity("push", "N", -1.0, 1.0),))
+
+    def next_state(self, state: Array, command: Array) -> Array:
+        rate = state[..., 1] + 0.4 * command[..., 0]
+        return np.stack(
+            np.broadcast_arrays(state[..., 0] + 0.3 * state[..., 1] + 0.06 * command[..., 0], rate), axis=-1
+        )
+
+
 class RedundantMap(ClosedFormMap):
     """Three commands for two coordinates."""
 

@@ -7,11 +7,12 @@ import pytest
 from scipy.optimize import least_squares
 
 from stepgap.control.cautious_controller import CautiousController
+from stepgap.control.cost_to_go import goals_of
 from stepgap.control.horizon import plan_ahead
 from stepgap.control.settings import ControlSettings
 from stepgap.control.step_controller import StepController
-from stepgap.step import Array, Quantity, StepMap, StepSpace
-from tests.control.maps import ClosedFormMap, CountingMap, LossyHopper, StumblingHopper
+from stepgap.step import Array, StepMap, StepSpace
+from tests.control.maps import CountingMap, LossyHopper, StumblingHopper, Track
 
 EXACT = ControlSettings(cautious=False, viability=False, avoid_failures=False, evaluations=10**6)
 
@@ -24,21 +25,6 @@ class Weak(LossyHopper):
         space = super().space
         fx, fy = space.command
         return replace(space, command=(replace(fx, lower=-3.0, upper=3.0), replace(fy, lower=-6.0, upper=6.0)))
-
-
-class Track(ClosedFormMap):
-    """Lateral offset and its rate, which one push changes: a double integrator."""
-
-    @property
-    def space(self) -> StepSpace:
-        state = Quantity("offset", "m", -0.5, 0.5), Quantity("rate", "m/s", -1.0, 1.0)
-        return StepSpace(state, (Quantity("push", "N", -1.0, 1.0),))
-
-    def next_state(self, state: Array, command: Array) -> Array:
-        rate = state[..., 1] + 0.4 * command[..., 0]
-        return np.stack(
-            np.broadcast_arrays(state[..., 0] + 0.3 * state[..., 1] + 0.06 * command[..., 0], rate), axis=-1
-        )
 
 
 def cost_of(step_map: StepMap, state: Array, commands: Array, targets: Array) -> float:
@@ -74,7 +60,7 @@ def test_the_sequence_is_the_best_that_a_general_solver_finds(seed: int, steps: 
     state = space.state_centre + space.state_scale * rng.uniform(-0.5, 0.5, 2)
     targets = space.state_centre + space.state_scale * rng.uniform(-0.8, 0.8, (steps, 2))
     first = StepController(robot)(state, targets[0])
-    plan = plan_ahead(robot, state, targets, first)
+    plan = plan_ahead(robot, state, goals_of(robot, targets), first)
 
     def total(command: Array, end: Array) -> float:
         """Cost of a first step with the best that can follow it."""
@@ -89,7 +75,7 @@ def test_steps_that_reach_their_targets_are_planned_as_before() -> None:
     robot = LossyHopper()
     targets = np.array([[0.2, 0.58], [0.25, 0.59], [0.25, 0.59]])
     first = StepController(robot)(np.array([0.15, 0.57]), targets[0])
-    assert plan_ahead(robot, np.array([0.15, 0.57]), targets, first) is first
+    assert plan_ahead(robot, np.array([0.15, 0.57]), goals_of(robot, targets), first) is first
 
 
 def test_a_change_that_takes_two_steps_begins_one_step_early() -> None:
@@ -122,7 +108,7 @@ def test_a_sequence_that_would_fail_is_not_begun_and_a_spent_budget_leaves_the_s
     robot = StumblingHopper()
     state, targets = np.array([0.1, 0.56]), np.array([[0.1, 0.56], [0.4, 0.66], [0.4, 0.66]])
     first = StepController(robot)(state, targets[0])
-    plan = plan_ahead(robot, state, targets, first)
+    plan = plan_ahead(robot, state, goals_of(robot, targets), first)
     after = [StepController(robot)(each.predicted, targets[1]).distance + each.distance for each in (plan, first)]
     assert after[0] <= after[1] + 1e-9
     few, counted = replace(EXACT, evaluations=20), CountingMap(Weak())
@@ -147,34 +133,11 @@ def test_an_unsafe_sequence_leaves_the_command_of_the_single_step() -> None:
     assert planned(failure, high).tolist() == alone.tolist()
 
 
-def test_what_is_not_tracked_is_steered_where_it_moves_what_is_tracked_later() -> None:
-    """A push moves the rate more than the offset: one step ahead, the offset overshoots in the steps after it."""
-
-    class Drifting(Track):
-        @property
-        def space(self) -> StepSpace:
-            offset, rate = super().space.state
-            return replace(super().space, state=(offset, replace(rate, weight=0)))
-
-    robot, target = Drifting(), np.array([0.2, np.nan])
-    controller = CautiousController(robot, robot, np.empty((0, 3)), EXACT)
-
-    def overshoot(ahead: int) -> float:
-        state, offsets = np.zeros(2), []
-        for _ in range(8):
-            state = controller(state, target, ahead=np.tile(target, (ahead, 1))).predicted
-            offsets.append(state[0])
-        return max(offsets) - target[0]
-
-    assert overshoot(0) > 0.08
-    assert overshoot(1) < 0.02
-
-
 def test_targets_may_be_missing_ahead() -> None:
     robot = Weak()
     state, targets = np.array([0.1, 0.56]), np.array([[0.1, 0.56], [np.nan, 0.62]])
     first = StepController(robot)(state, targets[0])
-    plan = plan_ahead(robot, state, targets, first)
+    plan = plan_ahead(robot, state, goals_of(robot, targets), first)
     assert plan is not first
     assert plan.predicted[0] == pytest.approx(0.1, abs=0.005), "the speed is wanted now, and free in the next step"
     total = cost_of(robot, state, plan.command[None], targets[:1]) + best_cost(robot, plan.predicted, targets[1:])

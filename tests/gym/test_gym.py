@@ -174,12 +174,12 @@ def test_a_target_that_is_missing_costs_nothing_and_is_observed_as_the_middle() 
     env = model_env()
     height_only = Reference(("height",), np.array([[0.6]]))
     observation, _ = env.reset(seed=0, options={"reference": height_only})
-    centre = env.unwrapped.space.state_centre
+    centre = env.get_wrapper_attr("space").state_centre
     np.testing.assert_array_equal(observation, [*START, centre[0], 0.6])
     (state, _), reward = np.split(env.step(holding(env))[0], 2), 0.0
     env.reset(seed=0, options={"reference": height_only})
     reward = env.step(holding(env))[1]
-    error = (state[1] - 0.6) / env.unwrapped.space.state_scale[1]
+    error = (state[1] - 0.6) / env.get_wrapper_attr("space").state_scale[1]
     assert reward == pytest.approx(-(error**2))
 
 

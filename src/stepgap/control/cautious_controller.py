@@ -17,11 +17,13 @@ from numpy.typing import ArrayLike
 
 from stepgap.control.box_points import box_points, composite_design
 from stepgap.control.command_table import CommandTable
+from stepgap.control.cost_to_go import goals_of
 from stepgap.control.evaluation_budget import BudgetedMap, EvaluationBudget
 from stepgap.control.gauss_newton import minimise
+from stepgap.control.goal import Goal
 from stepgap.control.horizon import plan_ahead
 from stepgap.control.settings import ALL_RULES, ControlSettings
-from stepgap.control.step_controller import StepController, as_vector
+from stepgap.control.step_controller import StepController, checked_target
 from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
 RISK = 2.0
@@ -86,23 +88,26 @@ class CautiousController:
             ValueError: State, target or guess has the wrong size, a target is infinite, or the guess is not finite.
         """
         searching, checking = self._with_half_the_budget(), self._with_half_the_budget()
-        exact = (self.table or StepController(searching.step_map))(state, target, guess)
-        plans = [exact]
-        if np.size(ahead):
-            joint = plan_ahead(searching.step_map, np.asarray(state, float), np.vstack([target, ahead]), exact)
-            plans = list(dict.fromkeys([joint, exact]))
+        space, predicting = self.step_map.space, searching.step_map
+        targets = np.array([checked_target(space, each) for each in (target, *np.asarray(ahead))])
+        (goal,) = goals_of(predicting, targets[:1])
+        exact = (
+            self.table(state, target, guess) if self.table else StepController(predicting).towards(state, goal, guess)
+        )
+        state, plans = np.asarray(state, float), [exact]
+        if len(targets) > 1:
+            plans = list(dict.fromkeys([plan_ahead(predicting, state, goals_of(predicting, targets), exact), exact]))
         for plan in plans:
             map_std, noise_std = self.step_map.std(state, plan.command), self.step_map.noise_std
             step_std = np.hypot(map_std, noise_std)
             # Where the map's error is smaller than the scatter of a measured step, all commands have the same variance.
-            certain = not self.settings.cautious or (map_std <= noise_std)[self.step_map.space.tracked].all()
+            certain = not self.settings.cautious or (map_std <= noise_std)[space.tracked].all()
             if certain and checking._is_viable(state, plan.command, plan.predicted, step_std):
                 return CautiousPlan(plan.command, plan.predicted, step_std)
-        state, target = np.asarray(state, float), as_vector("target", target, len(self.step_map.space.state))
-        commands = np.array([exact.command, *searching._cautious_commands(state, target, exact.command)])
-        best = checking._best(state, target, commands)
+        commands = np.array([exact.command, *searching._cautious_commands(state, goal, exact.command)])
+        best = checking._best(state, goal, commands)
         if best is None:
-            best = checking._best(state, target, self._searched_commands())
+            best = checking._best(state, goal, self._searched_commands())
         command = exact.command if best is None else best
         return CautiousPlan(command, self.step_map(state, command), self.step_std(state, command))
 
@@ -120,52 +125,53 @@ class CautiousController:
         space = self.step_map.space
         return space.command_at(box_points(searched_commands(self.settings), len(space.command)))
 
-    def _cautious_commands(self, state: Array, target: Array, start: Array) -> list[Array]:
-        """The nominal command, and the local minimum of the expected squared distance from the better start.
+    def _cautious_commands(self, state: Array, goal: Goal, start: Array) -> list[Array]:
+        """The nominal command, and the local minimum of the expected squared error from the better start.
 
         The starts are `start` and the nominal command. From the other one the same minimum was found, in all of some
         hundred plans of three robots.
         """
         try:
-            commands = [StepController(self.nominal)(state, target, start).command]
+            commands = [StepController(self.nominal).towards(state, goal, start).command]
         except StepFailed:
             commands = []
         if not self.settings.cautious:
             return commands
         starts = np.array([start, *commands])
-        better = starts[np.argsort(self._expected_squares(state, target, starts))[0]]  # NaN comes last
-        return [*commands, self._local_minimum(state, target, better)]
+        better = starts[np.argsort(self._expected_squares(state, goal, starts))[0]]  # NaN comes last
+        return [*commands, self._local_minimum(state, goal, better)]
 
-    def _local_minimum(self, state: Array, target: Array, start: Array) -> Array:
-        """The command of least expected squared distance from what is wanted that is found from `start`; shape (m,)."""
-        space, n = self.step_map.space, len(target)
-        wanted = space.has_target(target)
+    def _local_minimum(self, state: Array, goal: Goal, start: Array) -> Array:
+        """The command of least expected squared error that is found from `start`; shape (m,)."""
+        space, n = self.step_map.space, len(state)
 
         def deviations(point: Array) -> Array:
             command = space.command_at(point)
-            parts = self.step_map.evaluate(state, command).next_state - target, self.step_map.std(state, command)
-            return np.concatenate([(part / space.error_scale)[..., wanted] for part in parts], axis=-1)
+            errors = goal.errors(self.step_map.evaluate(state, command).next_state)
+            return np.concatenate([errors, goal.spread(self.step_map.std(state, command).T).T], axis=-1)
 
         def jacobian(point: Array) -> Array:
             command = space.command_at(point)
             parts = self.step_map.jacobian(state, command), self.step_map.std_gradient(state, command)
-            return np.concatenate([space.scaled_jacobian(part[:, n:])[wanted] for part in parts])
+            mean, std = (part[:, n:] * space.command_scale for part in parts)
+            return np.concatenate([goal.errors_by(mean), goal.spread(std)])
 
         return space.command_at(minimise(deviations, jacobian, space.point_of(start), improvement=IMPROVEMENT).point)
 
-    def _best(self, state: Array, target: Array, commands: Array) -> Array | None:
-        """The safe command of least expected squared distance among commands (k, m); None if none is safe."""
-        for i in np.argsort(self._expected_squares(state, target, commands)):  # NaN comes last
+    def _best(self, state: Array, goal: Goal, commands: Array) -> Array | None:
+        """The safe command of least expected squared error among commands (k, m); None if none is safe."""
+        for i in np.argsort(self._expected_squares(state, goal, commands)):  # NaN comes last
             if self.is_safe(state, commands[i]):
                 return commands[i]
         return None
 
-    def _expected_squares(self, state: Array, target: Array, commands: Array) -> Array:
-        """Expected squared distance from the target for commands (k, m), in half ranges; NaN where the step fails."""
-        mean, variance = self.step_map.evaluate(state, commands).next_state, self.step_map.std(state, commands) ** 2
-        wanted = self.step_map.space.has_target(target)
-        squares = (mean - target) ** 2 + (variance if self.settings.cautious else 0.0)
-        return np.sum(np.where(wanted, squares, 0.0 * mean) / self.step_map.space.error_scale**2, axis=-1)
+    def _expected_squares(self, state: Array, goal: Goal, commands: Array) -> Array:
+        """Expected squared error of commands (k, m); shape (k,), NaN where the step fails."""
+        mean = self.step_map.evaluate(state, commands).next_state
+        squares = np.sum(goal.errors(mean) ** 2, axis=-1) + 0.0 * mean.sum(axis=-1)  # NaN also without any error
+        if self.settings.cautious:
+            squares += np.sum(goal.spread(self.step_map.std(state, commands).T) ** 2, axis=0)
+        return squares
 
     def is_safe(self, state: ArrayLike, command: Array) -> bool:
         """Whether the step has a next state, this is viable despite the errors, and it resembles no failure."""

@@ -6,6 +6,7 @@ the command by K times the error, so that it is multiplied by A + B K, with B = 
 
 import numpy as np
 
+from stepgap.control.cost_to_go import goals_of
 from stepgap.control.limit_cycle import FixedPoint
 from stepgap.step import Array, StepMap
 
@@ -16,9 +17,9 @@ AT_BOUND = 1e-6
 def step_controller_gain(step_map: StepMap, point: FixedPoint) -> Array:
     """∂command/∂state of the step controller of a map at a state that it holds, with this state as the target.
 
-    The command is the least-squares solution of map(state, command) = target in the coordinates with a target, scaled
-    as in `StepController`; where several solve it, the nearest one. Its error is zero at the point, so the derivative
-    is that of linear least squares, −B⁺ A. A command on its bound stays there.
+    The command is the one of least error, as `CautiousController` finds it on a certain map; where several have none,
+    the nearest one. Its error is zero at the point, so the derivative is that of linear least squares, −B⁺ A, with the
+    derivatives A, B of the errors. A command on its bound stays there.
 
     Args:
         step_map: The map.
@@ -29,10 +30,11 @@ def step_controller_gain(step_map: StepMap, point: FixedPoint) -> Array:
     """
     space = step_map.space
     n, m = len(space.state), len(space.command)
-    jacobian = step_map.jacobian(point.state, point.command) / space.error_scale[:, None]
+    jacobian = step_map.jacobian(point.state, point.command)
     if not np.isfinite(jacobian).all():
         return np.full((m, n), np.nan)
-    jacobian = jacobian[point.wanted]
+    (goal,) = goals_of(step_map, np.where(point.wanted, point.state, np.nan)[None])
+    jacobian = goal.errors_by(jacobian)
     free = np.abs(space.point_of(point.command)) < 1 - AT_BOUND
     gain = np.zeros((m, n))
     gain[free] = -np.linalg.pinv((jacobian[:, n:] * space.command_scale)[:, free]) @ jacobian[:, :n]

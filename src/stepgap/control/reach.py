@@ -31,18 +31,15 @@ def whole_states(step_map: StepMap, targets: Array) -> Array:
 
     The coordinates without a target are searched within their ranges of use, from the middle of them.
     """
-    wanted = step_map.space.has_target(targets)
-    return np.array(
-        [
-            target if known.all() else _whole_state(step_map, target, known)
-            for target, known in zip(targets, wanted, strict=True)
-        ]
-    ).reshape(targets.shape)
+    wanted = step_map.space.has_target
+    whole = [target if wanted(target).all() else whole_state(step_map, target)[0] for target in targets]
+    return np.array(whole).reshape(targets.shape)
 
 
-def _whole_state(step_map: StepMap, target: Array, known: NDArray[np.bool_]) -> Array:
-    """A target (n,) completed in the coordinates that are not known, by a zero of next state − state."""
+def whole_state(step_map: StepMap, target: Array) -> tuple[Array, Array]:
+    """A target (n,) completed in the coordinates without one, by a zero of next state − state; and its command (m,)."""
     space = step_map.space
+    known = space.has_target(target)
     n, free = len(space.state), np.flatnonzero(~known)
     scale, columns = space.state_scale, np.r_[free, n : n + len(space.command)]
     by_point = np.concatenate([scale[free], space.command_scale])
@@ -62,7 +59,8 @@ def _whole_state(step_map: StepMap, target: Array, known: NDArray[np.bool_]) -> 
         )
         return matrix[:, columns] * by_point / scale[:, None]
 
-    return state_at(solve(change, jacobian, np.zeros(len(columns))).point)
+    point = solve(change, jacobian, np.zeros(len(columns))).point
+    return state_at(point), space.command_at(point[len(free) :])
 
 
 def reached_in_one_step(step_map: StepMap, states: Array, targets: Array) -> NDArray[np.bool_]:

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 
 from stepgap.control.bounded_search import solve
 from stepgap.control.gauss_newton import REACHED
-from stepgap.step import Array, StepFailed, StepMap, StepStatus
+from stepgap.control.goal import Goal, Targets
+from stepgap.step import Array, StepFailed, StepMap, StepSpace, StepStatus
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +30,8 @@ class StepPlan:
         command: Command within the bounds; shape (m,).
         predicted: Predicted next state; shape (n,).
         reached: Whether `predicted` is the target: `distance` is at most `gauss_newton.REACHED`, 1e-6.
-        distance: Euclidean distance from `predicted` to the target, each coordinate divided by half its range over the
-            root of its weight.
+        distance: Root of the sum of squared errors of `predicted`: to a target, its Euclidean distance, each coordinate
+            divided by half its range over the root of its weight.
     """
 
     command: Array
@@ -63,36 +64,57 @@ class StepController:
             ValueError: State, target or guess has the wrong size, a target is infinite, or the guess is not finite.
         """
         space = self.step_map.space
+        return self.towards(state, Targets(space, checked_target(space, target)), guess)
+
+    def towards(self, state: ArrayLike, goal: Goal, guess: ArrayLike | None = None) -> StepPlan:
+        """Finds the command of least error within the command bounds.
+
+        Args:
+            state: State at this section; shape (n,).
+            goal: What is wanted of the next state.
+            guess: As of a call.
+
+        Raises:
+            StepFailed: As of a call.
+            ValueError: State or guess has the wrong size, or the guess is not finite.
+        """
+        space = self.step_map.space
         n, m = len(space.state), len(space.command)
-        command_at = space.command_at
-        state, target = as_vector("state", state, n), as_vector("target", target, n)
+        command_at, state = space.command_at, as_vector("state", state, n)
         start = space.command_centre if guess is None else as_vector("guess", guess, m)
         if not np.isfinite(state).all():
             raise StepFailed(StepStatus.INVALID, space)
-        if np.isinf(target).any() or not np.isfinite(start).all():
-            raise ValueError(f"target {target} and guess {start} must be finite numbers, or NaN for no target")
-        wanted = space.has_target(target)
+        if not np.isfinite(start).all():
+            raise ValueError(f"guess {start} must be finite numbers")
 
         next_states: dict[bytes, Array] = {}  # by point, so that the solution is not evaluated again
 
         def error(point: Array) -> Array:
-            """Scaled errors at points (…, m); shape (…, k) for k targets. Keeps the next states."""
+            """Errors at points (…, m); shape (…, r). Keeps the next states."""
             found = self.step_map.evaluate(state, command_at(point)).next_state
             known = zip(point.reshape(-1, m), found.reshape(-1, n), strict=True)
             next_states.update((at.tobytes(), next_state) for at, next_state in known if np.isfinite(next_state).all())
-            return ((found - target) / space.error_scale)[..., wanted]
+            return goal.errors(found)
 
         def jacobian(point: Array) -> Array:
-            """∂error/∂point; shape (k, m)."""
-            return space.scaled_jacobian(self.step_map.jacobian(state, command_at(point))[:, n:])[wanted]
+            """∂error/∂point; shape (r, m)."""
+            return goal.errors_by(self.step_map.jacobian(state, command_at(point))[:, n:] * space.command_scale)
 
         solution = solve(error, jacobian, space.point_of(start))
         command = command_at(solution.point)
         predicted = next_states.get(solution.point.tobytes())
         if predicted is None:
             predicted = self.step_map(state, command)
-        distance = float(np.linalg.norm(((predicted - target) / space.error_scale)[wanted]))
+        distance = float(np.linalg.norm(goal.errors(predicted)))
         return StepPlan(command, predicted, distance <= REACHED, distance)
+
+
+def checked_target(space: StepSpace, target: ArrayLike) -> Array:
+    """The target as an array of shape (n,); raises ValueError if it has another shape, or an infinite number."""
+    target = as_vector("target", target, len(space.state))
+    if np.isinf(target).any():
+        raise ValueError(f"target {target} must be finite numbers, or NaN for no target")
+    return target
 
 
 def as_vector(name: str, values: ArrayLike, size: int) -> Array:
