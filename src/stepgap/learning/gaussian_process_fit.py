@@ -31,6 +31,7 @@ class Search(TypedDict, total=False):
     kernel: Kernel
     start: HyperParameters | None
     last_length_scale: float | None
+    one_length_scale: bool
 
 
 EXACT_SIZE = 1000
@@ -82,6 +83,7 @@ def fit_hyper_parameters(
     kernel: Kernel = MATERN_52,
     start: HyperParameters | None = None,
     last_length_scale: float | None = None,
+    one_length_scale: bool = False,
 ) -> HyperParameters:
     """Finds the most probable hyper-parameters under weak priors, with one length scale per input.
 
@@ -102,6 +104,7 @@ def fit_hyper_parameters(
         kernel: Covariance of f.
         start: Hyper-parameters of an earlier fit: the search then starts there and at a single cold start.
         last_length_scale: Length scale of the last input, where it is fixed and not searched.
+        one_length_scale: Whether all inputs have the same length scale, in their input scales, and none is fixed.
 
     Raises:
         ValueError: Data or scales are not finite, or their sizes do not fit.
@@ -110,17 +113,17 @@ def fit_hyper_parameters(
     if value_scale is None:
         value_scale = max(0.5 * float(np.ptp(values)), 1e-6 * float(np.abs(values).max()), 1e-12)
     require(0 < value_scale < math.inf, "value_scale", value_scale, "be positive and finite")
-    some = searched_rows(len(values))
+    some, length_scales = searched_rows(len(values)), 1 if one_length_scale else points.shape[1]
     evidence = Evidence(
         points=points[some] / input_scale,
         values=values[some],
         criterion=MaximumAPosteriori(value_scale),
-        length_scales=points.shape[1],
+        length_scales=length_scales,
         least_noise=LEAST_NOISE * value_scale,
         last_length_scale=last_length_scale,
         kernel=kernel,
     )
-    cold = cold_starts(points.shape[1], basis)
+    cold = cold_starts(length_scales, basis)
     if start is None:
         log_parameters = _search(evidence, cold)
     else:

@@ -11,6 +11,12 @@ from stepgap.base.settings_file import FORMER_NAME, as_type
 RESIDUALS: Final = "stepgap.residuals"
 """Entry points of this group are residual models; their names are those of the setting `residual`."""
 
+FEATURE_MAPS: Final = "stepgap.feature_maps"
+"""Entry points of this group are feature maps; their names are those of the setting `feature_map`."""
+
+NO_FEATURE_MAP: Final = "identity"
+"""Name for no feature map: the inputs of the residual are states and commands as they are."""
+
 AUTO: Final = "auto"
 """Name of the residual that selects the installed candidate with the best predictions."""
 
@@ -32,6 +38,8 @@ class LearningSettings:
         tolerance: Redeploying stops when the tracking error has not fallen by this fraction of the
             best so far; judged from the second redeployment on.
         lagged_inputs: Quantities of the step before that are inputs, too; `auto` selects those that predict best.
+        feature_map: Name of the installed feature map that comes before the inputs of the residual: `identity` for
+            none, `linear` for the directions along which the error changes, where a state has many numbers.
         forgetting_time: Number of steps in which the influence of a step falls to 1/e; for a Gaussian process, length
             scale of the time; inf: it never falls.
         early_stop: Whether redeploying stops before `iterations` when the error no longer falls.
@@ -48,6 +56,7 @@ class LearningSettings:
     iterations: int = 4
     tolerance: float = field(default=0.01, metadata={FORMER_NAME: "least_gain"})
     lagged_inputs: LaggedInputs | Literal["auto"] = field(default="none", metadata={FORMER_NAME: "features"})
+    feature_map: str = NO_FEATURE_MAP
     forgetting_time: float = field(default=inf, metadata={FORMER_NAME: "memory"})
     early_stop: bool = True
     drift: bool = True
@@ -60,12 +69,11 @@ class LearningSettings:
     def __post_init__(self) -> None:
         for name, kind in get_type_hints(type(self)).items():
             as_type(getattr(self, name), kind, name)
-        names, lags = (AUTO, *plugin_names(RESIDUALS)), (*LAGGED_INPUTS, "auto")
-        meant = suggestion(self.residual, names)
-        rule = f"be one of {', '.join(names)}{'; ' if meant else ''}{meant}"
-        require(self.residual in names, "residual", self.residual, rule)
+        _require_name("residual", self.residual, (AUTO, *plugin_names(RESIDUALS)))
+        _require_name("feature_map", self.feature_map, (NO_FEATURE_MAP, *plugin_names(FEATURE_MAPS)))
         require(0 <= self.iterations <= 1000, "iterations", self.iterations, "lie between 0 and 1000")
         require(0 <= self.tolerance < 1, "tolerance", self.tolerance, "be at least 0 and less than 1")
+        lags = (*LAGGED_INPUTS, "auto")
         require(self.lagged_inputs in lags, "lagged_inputs", self.lagged_inputs, f"be one of {', '.join(lags)}")
         require(
             self.forgetting_time > 0, "forgetting_time", self.forgetting_time, "be a positive number of steps, or inf"
@@ -75,3 +83,9 @@ class LearningSettings:
     def steps_to_learn(self, iteration: int) -> float:
         """Number of steps of a deployment that are learned from while it is running."""
         return inf if self.online else self.exploration if iteration == 0 else 0
+
+
+def _require_name(setting: str, name: str, known: tuple[str, ...]) -> None:
+    """Raises ValueError unless a setting has one of the known names."""
+    meant = suggestion(name, known)
+    require(name in known, setting, name, f"be one of {', '.join(known)}{'; ' if meant else ''}{meant}")

@@ -28,6 +28,7 @@ from stepgap.learning.outliers import LEAST_KNOWN
 from stepgap.learning.polynomial import Polynomial
 from stepgap.learning.regression import Regression
 from stepgap.learning.residual import HistoryInputs, Residual, join_points
+from stepgap.learning.settings import NO_FEATURE_MAP
 from stepgap.learning.sparse_gaussian_process import SparseGaussianProcess, condition_sparse, spread_points
 from stepgap.learning.zero import Zero
 from stepgap.robots.nominal_maps.affine_map import AffineMap
@@ -158,6 +159,10 @@ def _check_inputs(residual: Residual) -> None:
         raise InputError(
             f"residual '{residual.name}': lagged inputs and a forgetting time cannot be exported; run with "
             'learning.lagged_inputs = "none" and learning.forgetting_time = inf'
+        )
+    if residual.feature_map != NO_FEATURE_MAP:
+        raise InputError(
+            f"residual '{residual.name}': feature maps cannot be exported; run with learning.feature_map = \"identity\""
         )
 
 
