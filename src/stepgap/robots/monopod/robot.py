@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from stepgap.control.reference import Reference
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.robots.mjcf.mjcf_robot import ControlLaw, MjcfRobot, MjcfSimulator
 from stepgap.robots.mjcf.section import Section
@@ -44,6 +45,14 @@ IN_PLACE = np.array([0.0, 0.7, *np.zeros(6)])
 
 DIFFERENCE = 0.1
 """Step of the differences for the derivatives of the model, whose control has ticks [half ranges]."""
+
+
+def lanes() -> Reference:
+    """Straight hopping in one of two lanes; speed, height or lane change every 15 steps."""
+    targets = [(0.2, 0.7, 0.0), (0.4, 0.7, 0.0), (0.4, 0.7, 0.25), (0.4, 0.72, 0.25), (0.4, 0.72, 0.0)]
+    targets += [(0.6, 0.72, 0.0), (0.6, 0.7, 0.25), (0.3, 0.7, 0.0)]
+    segments = [(1 + 15 * number, target) for number, target in enumerate(targets)]
+    return Reference.from_segments(("speed", "height", "offset"), segments, steps=15 * len(targets))
 
 
 @dataclass(frozen=True)
@@ -84,6 +93,10 @@ class Monopod(MjcfRobot):
     def _linear(self) -> AffineMap:
         model, command = SimulatorMap(SPACE, MjcfSimulator(self), DIFFERENCE), SPACE.command_centre
         return AffineMap(SPACE, IN_PLACE, command, model(IN_PLACE, command), model.jacobian(IN_PLACE, command))
+
+    def references(self) -> Mapping[str, Callable[[], Reference]]:
+        """Lanes at several speeds and heights, and stairs."""
+        return {"lanes": lanes, **super().references()}
 
     def mjcf_model(self) -> Any:
         """The model, free in space."""
