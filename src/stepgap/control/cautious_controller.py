@@ -80,8 +80,7 @@ class CautiousController:
             state: State at this section; shape (n,).
             target: State wanted at the next section, NaN in coordinates without a target; shape (n,).
             guess: Command to start from; the middle of the bounds if none. Shape (m,).
-            ahead: Targets of the steps after it, which are planned together with it where the map is certain; shape
-                (k, n).
+            ahead: Targets of the steps after it, which are planned together with it; shape (k, n).
 
         Raises:
             StepFailed: No command that was searched makes a step.
@@ -94,17 +93,20 @@ class CautiousController:
         exact = (
             self.table(state, target, guess) if self.table else StepController(predicting).towards(state, goal, guess)
         )
-        state, plans = np.asarray(state, float), [exact]
+        state = np.asarray(state, float)
+        certain = self._is_certain(state, exact.command)
+        nominal = [] if certain else searching._nominal_commands(state, goal, exact.command)
+        plans = [exact] if certain else []
         if len(targets) > 1:
-            plans = list(dict.fromkeys([plan_ahead(predicting, state, goals_of(predicting, targets), exact), exact]))
+            goals = goals_of(predicting, targets)
+            joint = plan_ahead(predicting, state, goals, exact, nominal, self.settings.cautious)
+            plans = [joint, *plans] if joint is not exact else plans
         for plan in plans:
-            map_std, noise_std = self.step_map.std(state, plan.command), self.step_map.noise_std
-            step_std = np.hypot(map_std, noise_std)
-            # Where the map's error is smaller than the scatter of a measured step, all commands have the same variance.
-            certain = not self.settings.cautious or (map_std <= noise_std)[space.tracked].all()
-            if certain and checking._is_viable(state, plan.command, plan.predicted, step_std):
+            step_std = self.step_std(state, plan.command)
+            if checking._is_viable(state, plan.command, plan.predicted, step_std):
                 return CautiousPlan(plan.command, plan.predicted, step_std)
-        commands = np.array([exact.command, *searching._cautious_commands(state, goal, exact.command)])
+        nominal = nominal or searching._nominal_commands(state, goal, exact.command)
+        commands = np.array([exact.command, *nominal, *searching._local_minima(state, goal, [exact.command, *nominal])])
         best = checking._best(state, goal, commands)
         if best is None:
             best = checking._best(state, goal, self._searched_commands())
@@ -125,21 +127,30 @@ class CautiousController:
         space = self.step_map.space
         return space.command_at(box_points(searched_commands(self.settings), len(space.command)))
 
-    def _cautious_commands(self, state: Array, goal: Goal, start: Array) -> list[Array]:
-        """The nominal command, and the local minimum of the expected squared error from the better start.
+    def _is_certain(self, state: Array, command: Array) -> bool:
+        """Whether the map's error is smaller than the scatter of a measured step.
 
-        The starts are `start` and the nominal command. From the other one the same minimum was found, in all of some
-        hundred plans of three robots.
+        Where it is, all commands have the same variance.
         """
+        known = self.step_map.std(state, command) <= self.step_map.noise_std
+        return not self.settings.cautious or bool(known[self.step_map.space.tracked].all())
+
+    def _nominal_commands(self, state: Array, goal: Goal, start: Array) -> list[Array]:
+        """The command of the nominal map, if it has one."""
         try:
-            commands = [StepController(self.nominal).towards(state, goal, start).command]
+            return [StepController(self.nominal).towards(state, goal, start).command]
         except StepFailed:
-            commands = []
+            return []
+
+    def _local_minima(self, state: Array, goal: Goal, starts: list[Array]) -> list[Array]:
+        """The local minimum of the expected squared error from the best start, if variance counts.
+
+        From the other start the same minimum was found, in all of some hundred plans of three robots.
+        """
         if not self.settings.cautious:
-            return commands
-        starts = np.array([start, *commands])
-        better = starts[np.argsort(self._expected_squares(state, goal, starts))[0]]  # NaN comes last
-        return [*commands, self._local_minimum(state, goal, better)]
+            return []
+        better = starts[np.argsort(self._expected_squares(state, goal, np.array(starts)))[0]]  # NaN comes last
+        return [self._local_minimum(state, goal, better)]
 
     def _local_minimum(self, state: Array, goal: Goal, start: Array) -> Array:
         """The command of least expected squared error that is found from `start`; shape (m,)."""

@@ -1,16 +1,19 @@
 """The next command with a view to several steps: where one step cannot reach its target, or leads away from the next.
 
 A step controller that thinks of one step takes the command whose next state is closest to the target. From there the
-targets after it may be out of reach. Here the commands of several steps are chosen together, for the least sum of
-squared errors: Gauss–Newton steps on all of them, with the derivatives of the map along the steps. Only the first of
+targets after it may be out of reach. Here the commands of several steps are chosen together, for the least expected sum
+of squared errors: Gauss–Newton steps on all of them, with the derivatives of the map along the steps. Only the first of
 them is executed; then everything is planned again (receding horizon; Rawlings, Mayne, Diehl, Model Predictive Control).
+
+The variance of each step counts as in `CautiousController`, at the states where the steps are expected to begin. That
+these are uncertain, too, is neglected: the next plan begins at a measured one.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from stepgap.control.gauss_newton import REACHED, minimise
+from stepgap.control.gauss_newton import REACHED, minimise, norms
 from stepgap.control.goal import Goal
 from stepgap.control.step_controller import StepController, StepPlan
 from stepgap.step import Array, StepFailed, StepMap, StepStatus
@@ -19,7 +22,14 @@ _NEGLIGIBLE = 1e-4
 """The search ends where the sum of squared errors can fall by no more than this fraction."""
 
 
-def plan_ahead(step_map: StepMap, state: Array, goals: Sequence[Goal], first: StepPlan) -> StepPlan:
+def plan_ahead(
+    step_map: StepMap,
+    state: Array,
+    goals: Sequence[Goal],
+    first: StepPlan,
+    others: Sequence[Array] = (),
+    cautious: bool = True,
+) -> StepPlan:
     """The first command of the best sequence that is found from the plans of single steps; `first` if these reach all.
 
     Args:
@@ -27,37 +37,50 @@ def plan_ahead(step_map: StepMap, state: Array, goals: Sequence[Goal], first: St
         state: State at this section; shape (n,).
         goals: What is wanted of the k next states.
         first: The plan of the first step alone.
+        others: Other commands of the first step; the sequence is not worse than one that begins with any of them.
+            Shape (m,).
+        cautious: Whether variances count.
     """
     commands, reached = _one_by_one(step_map, goals, first)
     if reached:
         return first
     space = step_map.space
     n, m = len(space.state), len(space.command)
+    known = dict[tuple[int, bytes], tuple[list[Array], list[Array]]]()  # so that a Jacobian repeats no step
 
-    def path(point: Array) -> list[Array]:
-        """States before each step and after the last one, for scaled commands (…, k m); each (…, n)."""
-        states = [np.broadcast_to(state, (*point.shape[:-1], n))]
-        for command in np.split(space.command_at(point.reshape(*point.shape[:-1], -1, m)), len(goals), axis=-2):
-            states.append(step_map.evaluate(states[-1], command[..., 0, :]).next_state)
-        return states
+    def path(points: Array) -> tuple[list[Array], list[Array]]:
+        """States before each step and after the last one, and standard deviations, for scaled commands (…, k m)."""
+        key = points.ndim, points.tobytes()
+        if key not in known:
+            states, stds = [np.broadcast_to(state, (*points.shape[:-1], n))], list[Array]()
+            for command in np.moveaxis(space.command_at(points.reshape(*points.shape[:-1], -1, m)), -2, 0):
+                stds.append(step_map.std(states[-1], command))
+                states.append(step_map.evaluate(states[-1], command).next_state)
+            known[key] = states, stds
+        return known[key]
 
-    def errors(point: Array) -> Array:
-        """Errors of all next states; shape (…, number of errors)."""
-        return np.concatenate([goal.errors(end) for goal, end in zip(goals, path(point)[1:], strict=True)], axis=-1)
+    def errors(points: Array) -> Array:
+        """Numbers whose squares add up to the expected squared errors of all next states; shape (…, r)."""
+        states, stds = path(points)
+        means = [goal.errors(end) for goal, end in zip(goals, states[1:], strict=True)]
+        spreads = [goal.spread(std.T).T for goal, std in zip(goals, stds, strict=True)] if cautious else []
+        return np.concatenate([*means, *spreads], axis=-1)
 
     def jacobian(point: Array) -> Array:
         """∂errors/∂point, by the chain rule along the steps."""
-        rows, by_point = [], np.zeros((n, len(point)))
-        steps = zip(goals, path(point), point.reshape(-1, m), strict=False)
-        for number, (goal, before, command) in enumerate(steps):
-            matrix = step_map.jacobian(before, space.command_at(command))
-            by_point = matrix[:, :n] @ by_point
-            by_point[:, number * m : (number + 1) * m] += matrix[:, n:] * space.command_scale
-            rows.append(goal.errors_by(by_point))
-        return np.concatenate(rows)
+        means, spreads, by_point = [], [], np.zeros((n, len(point)))
+        by_command = np.eye(len(point)).reshape(-1, m, len(point)) * space.command_scale[:, None]
+        for goal, before, scaled, own in zip(goals, path(point)[0], point.reshape(-1, m), by_command, strict=False):
+            command, by_input = space.command_at(scaled), np.vstack([by_point, own])
+            spreads.append(goal.spread(step_map.std_gradient(before, command) @ by_input))
+            by_point = step_map.jacobian(before, command) @ by_input
+            means.append(goal.errors_by(by_point))
+        return np.concatenate([*means, *spreads] if cautious else means)
 
-    point = minimise(errors, jacobian, space.point_of(commands).reshape(-1), _NEGLIGIBLE).point
-    command = space.command_at(point[:m])
+    starts = space.point_of(np.array([commands, *([other, *commands[1:]] for other in others)]))
+    starts = starts.reshape(len(starts), -1)
+    best = starts[np.argmin(norms(errors(starts)))]
+    command = space.command_at(minimise(errors, jacobian, best, _NEGLIGIBLE).point[:m])
     predicted, status = step_map.evaluate(state, command)
     if status != StepStatus.OK:
         return first
