@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from stepgap.control.cautious_controller import CautiousController
-from stepgap.control.cost_to_go import goals_of
+from stepgap.control.cost_to_go import goals_for
 from stepgap.control.horizon import plan_ahead
 from stepgap.control.settings import ControlSettings
 from stepgap.control.step_controller import StepController
@@ -60,7 +60,7 @@ def test_the_sequence_is_the_best_that_a_general_solver_finds(seed: int, steps: 
     state = space.state_centre + space.state_scale * rng.uniform(-0.5, 0.5, 2)
     targets = space.state_centre + space.state_scale * rng.uniform(-0.8, 0.8, (steps, 2))
     first = StepController(robot)(state, targets[0])
-    plan = plan_ahead(robot, state, goals_of(robot, targets), first)
+    plan = plan_ahead(robot, state, goals_for(robot, targets), first)
 
     def total(command: Array, end: Array) -> float:
         """Cost of a first step with the best that can follow it."""
@@ -75,7 +75,7 @@ def test_steps_that_reach_their_targets_are_planned_as_before() -> None:
     robot = LossyHopper()
     targets = np.array([[0.2, 0.58], [0.25, 0.59], [0.25, 0.59]])
     first = StepController(robot)(np.array([0.15, 0.57]), targets[0])
-    assert plan_ahead(robot, np.array([0.15, 0.57]), goals_of(robot, targets), first) is first
+    assert plan_ahead(robot, np.array([0.15, 0.57]), goals_for(robot, targets), first) is first
 
 
 def test_a_change_that_takes_two_steps_begins_one_step_early() -> None:
@@ -108,7 +108,7 @@ def test_a_sequence_that_would_fail_is_not_begun_and_a_spent_budget_leaves_the_s
     robot = StumblingHopper()
     state, targets = np.array([0.1, 0.56]), np.array([[0.1, 0.56], [0.4, 0.66], [0.4, 0.66]])
     first = StepController(robot)(state, targets[0])
-    plan = plan_ahead(robot, state, goals_of(robot, targets), first)
+    plan = plan_ahead(robot, state, goals_for(robot, targets), first)
     after = [StepController(robot)(each.predicted, targets[1]).distance + each.distance for each in (plan, first)]
     assert after[0] <= after[1] + 1e-9
     few, counted = replace(EXACT, evaluations=20), CountingMap(Weak())
@@ -137,7 +137,7 @@ def test_targets_may_be_missing_ahead() -> None:
     robot = Weak()
     state, targets = np.array([0.1, 0.56]), np.array([[0.1, 0.56], [np.nan, 0.62]])
     first = StepController(robot)(state, targets[0])
-    plan = plan_ahead(robot, state, goals_of(robot, targets), first)
+    plan = plan_ahead(robot, state, goals_for(robot, targets), first)
     assert plan is not first
     assert plan.predicted[0] == pytest.approx(0.1, abs=0.005), "the speed is wanted now, and free in the next step"
     total = cost_of(robot, state, plan.command[None], targets[:1]) + best_cost(robot, plan.predicted, targets[1:])

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from stepgap.control.box_points import box_points, composite_design
 from stepgap.control.command_table import CommandTable
-from stepgap.control.cost_to_go import goals_of
+from stepgap.control.cost_to_go import goals_for
 from stepgap.control.evaluation_budget import BudgetedMap, EvaluationBudget
 from stepgap.control.gauss_newton import minimise
 from stepgap.control.goal import Goal
@@ -89,7 +89,7 @@ class CautiousController:
         searching, checking = self._with_half_the_budget(), self._with_half_the_budget()
         space, predicting = self.step_map.space, searching.step_map
         targets = np.array([checked_target(space, each) for each in (target, *np.asarray(ahead))])
-        (goal,) = goals_of(predicting, targets[:1])
+        (goal,) = goals_for(predicting, targets[:1])
         exact = (
             self.table(state, target, guess) if self.table else StepController(predicting).towards(state, goal, guess)
         )
@@ -98,7 +98,7 @@ class CautiousController:
         nominal = [] if certain else searching._nominal_commands(state, goal, exact.command)
         plans = [exact] if certain else []
         if len(targets) > 1:
-            goals = goals_of(predicting, targets)
+            goals = goals_for(predicting, targets)
             joint = plan_ahead(predicting, state, goals, exact, nominal, self.settings.cautious)
             plans = [joint, *plans] if joint is not exact else plans
         for plan in plans:

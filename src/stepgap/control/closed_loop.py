@@ -6,7 +6,7 @@ the command by K times the error, so that it is multiplied by A + B K, with B = 
 
 import numpy as np
 
-from stepgap.control.cost_to_go import goals_of
+from stepgap.control.cost_to_go import goals_for
 from stepgap.control.limit_cycle import FixedPoint
 from stepgap.step import Array, StepMap
 
@@ -33,7 +33,7 @@ def step_controller_gain(step_map: StepMap, point: FixedPoint) -> Array:
     jacobian = step_map.jacobian(point.state, point.command)
     if not np.isfinite(jacobian).all():
         return np.full((m, n), np.nan)
-    (goal,) = goals_of(step_map, np.where(point.wanted, point.state, np.nan)[None])
+    (goal,) = goals_for(step_map, np.where(point.wanted, point.state, np.nan)[None])
     jacobian = goal.errors_by(jacobian)
     free = np.abs(space.point_of(point.command)) < 1 - AT_BOUND
     gain = np.zeros((m, n))

@@ -53,7 +53,7 @@ class Deviation(Goal):
         return (std.T * np.linalg.norm(self.root, axis=0)).T
 
 
-def goals_of(step_map: StepMap, targets: Array) -> list[Goal]:
+def goals_for(step_map: StepMap, targets: Array) -> list[Goal]:
     """What is wanted of steps to targets: the targets where all states are tracked, otherwise the least cost.
 
     The last step counts with its cost-to-go, the others with their own errors.

@@ -15,10 +15,10 @@ from stepgap.base.compiled import compiled
 from stepgap.base.ranges import require
 from stepgap.robots.monopod.model import LEG
 
-FLIGHT, COMPRESSION, THRUST = 0, 1, 2
+IN_FLIGHT, IN_COMPRESSION, IN_THRUST = 0, 1, 2
 """Phases of a step."""
 
-FARTHEST = 0.6 * LEG
+LONGEST_STRIDE = 0.6 * LEG
 """Largest horizontal distance of the foot from the hip that is commanded [m]."""
 
 
@@ -76,7 +76,7 @@ class HoppingLaw(NamedTuple):
 
 
 @compiled
-def rotation(quaternion):
+def body_rotation(quaternion):
     """Rotation matrix (3, 3) from the body to the world of a unit quaternion w, x, y, z."""
     w, x, y, z = quaternion
     return np.array(
@@ -108,7 +108,7 @@ def hip_angles(law, turned, velocity_x, velocity_y, foot_x, foot_y):
     """
     gain = law.neutral_time + law.velocity_gain
     x, y = gain * velocity_x + foot_x, gain * velocity_y + foot_y
-    shrunk = min(1.0, FARTHEST / max(np.sqrt(x * x + y * y), 1e-9))
+    shrunk = min(1.0, LONGEST_STRIDE / max(np.sqrt(x * x + y * y), 1e-9))
     x, y = x * shrunk, y * shrunk
     z = -np.sqrt(LEG * LEG - x * x - y * y)
     along_x, along_y, along_z = turned.T @ np.array([x, y, z])
@@ -118,12 +118,12 @@ def hip_angles(law, turned, velocity_x, velocity_y, foot_x, foot_y):
 @compiled
 def hopping_phase(phase, extension, extension_rate, falls, contact):
     """Phase of this tick, from that of the tick before and how far the leg is extended [m], with its rate [m/s]."""
-    if phase == FLIGHT and contact and falls:
-        phase = COMPRESSION
-    if phase == COMPRESSION and extension_rate > 0.0:
-        phase = THRUST
-    if phase == THRUST and (extension >= 0.0 or not contact):
-        phase = FLIGHT
+    if phase == IN_FLIGHT and contact and falls:
+        phase = IN_COMPRESSION
+    if phase == IN_COMPRESSION and extension_rate > 0.0:
+        phase = IN_THRUST
+    if phase == IN_THRUST and (extension >= 0.0 or not contact):
+        phase = IN_FLIGHT
     return phase
 
 
@@ -140,10 +140,10 @@ def hopping(law, phase, contact, position, velocity, command, efforts):
         command: Distances of the foot forward and to the left [m], and force of the leg [N]; shape (3,).
         efforts: Is filled with the torques of the hip [N·m] and the force of the leg [N]; shape (3,).
     """
-    turned = rotation(position[3:7])
+    turned = body_rotation(position[3:7])
     extension, rate = position[9], velocity[8]
     phase = hopping_phase(phase, extension, rate, velocity[2] < 0.0, contact)
-    if phase == FLIGHT:
+    if phase == IN_FLIGHT:
         roll, pitch = hip_angles(law, turned, velocity[0], velocity[1], command[0], command[1])
         efforts[0] = law.swing_stiffness * (roll - position[7]) - law.swing_damping * velocity[6]
         efforts[1] = law.swing_stiffness * (pitch - position[8]) - law.swing_damping * velocity[7]
@@ -153,6 +153,6 @@ def hopping(law, phase, contact, position, velocity, command, efforts):
         efforts[0] = law.attitude_stiffness * roll + law.attitude_damping * velocity[3]
         efforts[1] = law.attitude_stiffness * pitch + law.attitude_damping * velocity[4]
         efforts[2] = -law.stiffness * extension - law.damping * rate
-        if phase == THRUST:
+        if phase == IN_THRUST:
             efforts[2] += law.thrust + command[2]
     return phase

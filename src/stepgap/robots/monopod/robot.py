@@ -14,13 +14,13 @@ from stepgap.control.reference import Reference
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.robots.mjcf.mjcf_robot import ControlLaw, MjcfRobot, MjcfSimulator
 from stepgap.robots.mjcf.section import Section
-from stepgap.robots.monopod.hopping import FLIGHT, HoppingGains, hip_angles, hopping, rotation, tilt
+from stepgap.robots.monopod.hopping import IN_FLIGHT, HoppingGains, body_rotation, hip_angles, hopping, tilt
 from stepgap.robots.monopod.model import monopod_xml
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.simulator import SimulatorMap
 from stepgap.step import Array, Quantity, StepMap, StepSpace
 
-SPACE = StepSpace(
+MONOPOD_SPACE = StepSpace(
     state=(
         Quantity("speed", "m/s", -0.2, 0.8),
         Quantity("height", "m", 0.64, 0.76),
@@ -43,7 +43,7 @@ left, and tilt of the body with its rates. Command: where the foot lands, and ho
 IN_PLACE = np.array([0.0, 0.7, *np.zeros(6)])
 """State of a hop in place, which the middle of the bounds repeats, roughly."""
 
-DIFFERENCE = 0.1
+_DIFFERENCE = 0.1
 """Step of the differences for the derivatives of the model, whose control has ticks [half ranges]."""
 
 
@@ -84,15 +84,15 @@ class Monopod(MjcfRobot):
     @property
     def space(self) -> StepSpace:
         """Eight states, of which speed, height and offset are tracked; three commands."""
-        return SPACE
+        return MONOPOD_SPACE
 
     def nominal_maps(self) -> Mapping[str, Callable[[], StepMap]]:
         """The derivatives of the model without differences about a hop in place, and that model itself."""
         return {"linear": self._linear, **super().nominal_maps()}
 
     def _linear(self) -> AffineMap:
-        model, command = SimulatorMap(SPACE, MjcfSimulator(self), DIFFERENCE), SPACE.command_centre
-        return AffineMap(SPACE, IN_PLACE, command, model(IN_PLACE, command), model.jacobian(IN_PLACE, command))
+        model, command = SimulatorMap(MONOPOD_SPACE, MjcfSimulator(self), _DIFFERENCE), MONOPOD_SPACE.command_centre
+        return AffineMap(MONOPOD_SPACE, IN_PLACE, command, model(IN_PLACE, command), model.jacobian(IN_PLACE, command))
 
     def references(self) -> Mapping[str, Callable[[], Reference]]:
         """Lanes at several speeds and heights, and stairs."""
@@ -104,7 +104,7 @@ class Monopod(MjcfRobot):
 
     def controller(self) -> ControlLaw:
         """The control law, which starts in flight."""
-        law, phase = self.gains.law, FLIGHT
+        law, phase = self.gains.law, IN_FLIGHT
 
         def control(_model: Any, data: Any, command: Array) -> None:
             nonlocal phase
@@ -119,7 +119,7 @@ class Monopod(MjcfRobot):
     def state(self, model: Any, data: Any) -> Array:  # noqa: ARG002
         """Velocity, place and tilt of the body."""
         place, velocity = data.qpos, data.qvel
-        angles = tilt(rotation(place[3:7]))
+        angles = tilt(body_rotation(place[3:7]))
         return np.array([velocity[0], place[2], place[1], velocity[1], *angles, velocity[3], velocity[4]])
 
     def place(self, model: Any, data: Any, state: Array) -> None:  # noqa: ARG002
@@ -134,9 +134,9 @@ class Monopod(MjcfRobot):
             -about_y[1] * about_x[1],
         ]
         data.qpos[:7] = [0.0, offset, height, *quaternion]
-        data.qpos[7:9] = hip_angles(self.gains.law, rotation(data.qpos[3:7]), speed, drift, 0.0, 0.0)
+        data.qpos[7:9] = hip_angles(self.gains.law, body_rotation(data.qpos[3:7]), speed, drift, 0.0, 0.0)
         data.qvel[:5] = [speed, drift, 0.0, *rates]
 
     def failed(self, model: Any, data: Any) -> bool:  # noqa: ARG002
         """Whether the body is tilted by more than 0.7 rad, or the hip lower than 0.25 m."""
-        return bool(data.qpos[2] < 0.25 or np.abs(tilt(rotation(data.qpos[3:7]))).max() > 0.7)
+        return bool(data.qpos[2] < 0.25 or np.abs(tilt(body_rotation(data.qpos[3:7]))).max() > 0.7)
