@@ -45,8 +45,9 @@ from fit_paper_gap import (
 
 from stepgap.base.random_streams import random_stream
 from stepgap.experiment.loop import Setup, run_experiment
+from stepgap.experiment.methods import METHODS
 from stepgap.experiment.plants import PlantRequest, choose_plants
-from stepgap.experiment.settings import METHODS, Experiment
+from stepgap.experiment.settings import Experiment
 from stepgap.learning.steps import Steps
 from stepgap.records import paper
 from stepgap.records.steps_csv import read_step_log
@@ -160,7 +161,7 @@ def quality(gap: RealityGap, bounds: CommandBounds, seeds: range, stairs: Array)
     """The published method on a twin, by seed: stairs of the uncorrected robot, and the errors of its redeployments."""
     rows: list[dict[str, Any]] = []
     for seed in seeds:
-        learning, control = METHODS["paper"]
+        learning, control, _ = METHODS["paper"]
         robot = Hopper(gap=gap, command=bounds)
         settings = Experiment(robot, seed, learning=learning, control=control)
         nominal, reference = robot.apex_map(), paper_reference()

@@ -1,76 +1,84 @@
-"""Tunes the gain of the integral and the forgetting factor of recursive least squares, on twins that are not reported.
+"""Tunes the simple methods (`stepgap.experiment.methods`) on several robots, with seeds that are not reported.
 
-Prints the geometric mean of the tracking error relative to that without correction, for each value of each method.
-The learning benchmark reports twins 0 to 19; these are twins 900 to 907, with seed 0. The result, before the speed at
-the apex was estimated by a parabola:
+For each robot, method and value it prints the geometric mean, over the seeds, of the error after one redeployment: the
+root mean square of each tracked coordinate in half ranges, as a norm. A robot that can draw random twins has another
+twin for each seed. Then each rule that the default has is switched off alone, with the value that was chosen.
 
-    gain k             0.05    0.1    0.2    0.3    0.5
-    integral          0.178  0.175  0.186  0.181  0.173
-    integral_plain    0.224  0.207  0.186  0.175  0.173
-
-    forgetting factor   0.8    0.9   0.95   0.98   0.99  0.995
-    rls               0.145  0.130  0.122  0.110  0.108  0.111
-
-`rls_plain` was not tuned on its own and has the factor of `rls`. The best gains are at the end of the range, where the
-error hardly depends on them.
-
-    ./go python -m benchmarks.tune_baselines [--twins 8] [--methods integral,rls]
+    ./go python -m benchmarks.tune_baselines [ROBOT …] [--seeds 900,901,902] [--methods integral,rls,affine]
 """
 
 import argparse
-from collections.abc import Callable, Sequence
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
-from benchmarks.learning.methods import affine, integral
-from benchmarks.learning.tasks import DEFAULT_TASK, tasks
-from benchmarks.learning.trial import Method, Trial, hopping_gap
-from stepgap import ApexMap
-from stepgap.experiment.outcome import summarise
-from stepgap.learning.steps import Steps
+from stepgap.base.random_streams import random_stream
+from stepgap.base.start_method import process_context, usable_cores
+from stepgap.experiment.inputs import load_reference
+from stepgap.experiment.loop import run_experiment
+from stepgap.experiment.methods import METHODS, forgetting_time
+from stepgap.experiment.nominal import load_nominal
+from stepgap.experiment.plants import PlantRequest
+from stepgap.experiment.run_start import load_setup
+from stepgap.experiment.settings import read_experiment
 
-FIRST_TWIN = 900
-"""First of the twins on which is tuned."""
+GAINS = (0.2, 0.5, 0.9)
+FACTORS = (0.95, 0.99, 0.999)
 
-GAINS = (0.05, 0.1, 0.2, 0.3, 0.5)
-FACTORS = (0.8, 0.9, 0.95, 0.98, 0.99, 0.995)
+RULES = ("learning.drift", "learning.reject_outliers", "learning.monitor", "control.cautious", "control.viability")
+"""Rules that are switched off one by one."""
 
-TUNED: dict[str, tuple[Callable[..., Sequence[Steps]], str, tuple[float, ...]]] = {
-    "integral": (integral.integral, "gain", GAINS),
-    "integral_plain": (integral.integral_plain, "gain", GAINS),
-    "rls": (affine.rls, "forgetting", FACTORS),
-    "rls_plain": (affine.rls_plain, "forgetting", FACTORS),
-}
-"""Function, name of its parameter and the values that are tried, by the name of the method."""
+Changes = tuple[tuple[str, str], ...]
+"""Settings by their dotted names, as on the command line."""
 
 
-def error_of(trial: Trial, method: Method) -> float:
-    """Tracking error in half ranges; infinite after a fall."""
-    steps = method(trial)[-1]
-    found = summarise(steps, trial.task.reference, "")
-    return np.inf if found.failed_steps else float(np.linalg.norm(found.rmse / steps.space.state_scale))
+def variants(method: str) -> Iterator[tuple[str, Changes]]:
+    """Names of the settings that are tried for a method, and the settings."""
+    for gain in GAINS if method == "integral" else ():
+        yield f"gain {gain}", (("learning.forgetting_time", str(forgetting_time(1 - gain))),)
+    for factor in FACTORS if method == "rls" else ():
+        yield f"factor {factor}", (("learning.forgetting_time", str(forgetting_time(factor))),)
+    yield "as chosen", ()
+    learning, control, _ = METHODS[method]
+    for rule in RULES:
+        table, _, name = rule.partition(".")
+        value = getattr(learning if table == "learning" else control, name)
+        yield f"{name} {'off' if value else 'on'}", ((rule, str(not value).lower()),)
+
+
+def error_of(robot: str, method: str, changes: Changes, seed: int) -> float:
+    """Error after one redeployment, in half ranges; infinite after a fall."""
+    chosen = (("robot", robot), ("method", method), ("seed", str(seed)), ("learning.iterations", "1"))
+    settings = read_experiment(None, [*chosen, *changes])
+    settings = replace(settings, robot=settings.robot.randomised(random_stream(0, seed)) or settings.robot)
+    reference = load_reference(settings, settings.robot.space)
+    with tempfile.TemporaryDirectory() as name:
+        setup = load_setup(PlantRequest(settings, reference, Path(name)), load_nominal(settings).map)
+        plants = setup.plants._replace(measure_noise_floor=None)
+        last = run_experiment(replace(setup, plants=plants), Path(name))[-1]
+    error = float(np.linalg.norm(np.nan_to_num(last.rmse / settings.robot.space.error_scale)))
+    return np.inf if last.failed_steps else error
 
 
 def main() -> None:
-    """Prints a line for each method and value."""
+    """Prints a line for each robot, method and variant."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--twins", type=int, default=8)
-    parser.add_argument("--methods", default=",".join(TUNED))
+    parser.add_argument("robots", nargs="*", default=["hopper", "quadruped"])
+    parser.add_argument("--seeds", default="900,901,902")
+    parser.add_argument("--methods", default="integral,rls,affine")
     options = parser.parse_args()
-    nominal, task = ApexMap(), tasks()[DEFAULT_TASK]
-    trials = [
-        Trial(nominal, hopping_gap(nominal, task, twin)[0], task, twin, seed=0)
-        for twin in range(FIRST_TWIN, FIRST_TWIN + options.twins)
-    ]
-    uncorrected = [error_of(trial, lambda trial: [trial.first]) for trial in trials]
-    for name in options.methods.split(","):
-        method, parameter, values = TUNED[name]
-        for value in values:
-            chosen = partial(method, **{parameter: value})
-            errors = [error_of(trial, chosen) for trial in trials]
-            ratio = np.exp(np.mean(np.log(np.divide(errors, uncorrected))))
-            print(f"{name:15s} {parameter} {value:<6g} {ratio:.3f}", flush=True)
+    seeds = [int(seed) for seed in options.seeds.split(",")]
+    with ProcessPoolExecutor(usable_cores(), mp_context=process_context()) as pool:
+        for robot in options.robots:
+            for method in ("default", *options.methods.split(",")):
+                for name, changes in variants(method) if method != "default" else [("as it is", ())]:
+                    errors = list(pool.map(partial(error_of, robot, method, changes), seeds))
+                    print(f"{robot:10} {method:9} {name:20} {np.exp(np.mean(np.log(errors))):.4f}", flush=True)
 
 
 if __name__ == "__main__":

@@ -52,6 +52,12 @@ def test_bad_segments_are_refused(segments, message):
         Reference.from_segments(("x",), segments, 5)
 
 
+def test_the_mean_target_is_that_after_the_start_of_the_targets_that_there_are() -> None:
+    targets = [[0.1, np.nan, 0.0], [0.1, np.nan, 0.0], [0.2, np.nan, np.nan], [0.4, np.nan, 0.6]]
+    np.testing.assert_allclose(Reference(("a", "b", "c"), np.array(targets)).mean_target, [0.3, np.nan, 0.6])
+    np.testing.assert_allclose(Reference(("a",), np.full((5, 1), 0.3)).mean_target, [0.3])
+
+
 @pytest.mark.parametrize("targets", [np.zeros(4), np.zeros((4, 3)), np.zeros((0, 2))])
 def test_wrong_shape_is_refused(targets):
     with pytest.raises(ValueError, match=r"it must be \(steps, 2\)"):

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from stepgap.base.errors import InputError
 from stepgap.experiment import settings
 from stepgap.experiment.inputs import load_reference, write_experiment
-from stepgap.experiment.settings import METHODS, Experiment, read_experiment
+from stepgap.experiment.methods import METHODS
+from stepgap.experiment.settings import Experiment, NominalSettings, read_experiment
 from stepgap.learning.settings import LearningSettings
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.hopper.paper import paper_reference
@@ -103,16 +104,19 @@ def test_options_override_the_file(tmp_path: Path) -> None:
 def test_a_method_comes_before_single_keys(tmp_path: Path) -> None:
     (tmp_path / "e.toml").write_text("method = 'paper'\n[learning]\ndrift = true\niterations = 2\n")
     found = read_experiment(tmp_path / "e.toml")
-    learning, control = METHODS["paper"]
+    learning, control, _ = METHODS["paper"]
     assert found.learning == replace(learning, drift=True, iterations=2)
     assert found.control == control
     assert read_experiment(tmp_path / "e.toml", [("method", "default")]).learning == LearningSettings()
     both = read_experiment(None, [("control.table", "9"), ("method", "paper")])
     assert both.control == replace(control, table=9)
+    linear = read_experiment(tmp_path / "e.toml", [("method", "rls"), ("nominal.kind", "equations")]).nominal
+    assert linear == NominalSettings("equations", linear=True)
+    assert not read_experiment(None, [("nominal.linear", "false"), ("method", "rls")]).nominal.linear
 
 
 def test_the_method_of_the_paper_has_none_of_our_rules() -> None:
-    learning, control = METHODS["paper"]
+    learning, control, _ = METHODS["paper"]
     ours = ("drift", "remove_yaw_dependence", "monitor", "early_stop", "online")
     assert not any(getattr(learning, name) for name in ours)
     assert not any(getattr(control, name) for name in ("cautious", "viability", "avoid_failures"))
@@ -172,7 +176,8 @@ WRONG = {
     "[learning]\ncalibration = 20": "[learning] calibration: this key is called exploration now",
     "[gap]\nboom_arc = 1": "[gap] boom_arc = 1, but it must be true or false",
     "[gap]\npreset = 'papre'": "[gap] preset = 'papre', but it must be 'paper' or 'none' or 'paper_1' or",
-    "method = 'papr'": "method = 'papr', but it must be 'default' or 'paper'; did you mean 'paper'?",
+    "method = 'papr'": "method = 'papr', but it must be 'default' or 'paper' or 'integral' or 'rls' or 'affine'; did "
+    "you mean 'paper'?",
     "metod = 'paper'": "metod: unknown key; did you mean method?",
     "[control]\ntable = 1": "[control] table = 1, but it must be 0, or lie between 2 and 41",
     "[gap]\npreset = [1]": "[gap] preset = [1], but it must be 'paper' or 'none' or 'paper_1' or",

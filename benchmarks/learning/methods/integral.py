@@ -1,14 +1,12 @@
 """Integral correction: a constant added to the nominal map, b ← b + k (actual − nominal − b) after every step.
 
-b is the mean of the errors, in which an error counts less by the factor 1 − k after every step. So the residual
-`constant`, updated online and with the forgetting time −1 / log(1 − k), is this integral, too, but for its weak prior.
-As a residual of a `Learner` it has what the default learner has: the disturbance filter, and the removal of the
-periodic part from earlier deployments.
+The method `integral` of a run (`stepgap.experiment.methods`) is this integral, too, but for its weak prior. As a
+residual of a `Learner` it has what the default learner has: the disturbance filter, and the removal of the periodic
+part from earlier deployments.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import log
 from typing import Self, final
 
 import numpy as np
@@ -16,33 +14,22 @@ import numpy as np
 from benchmarks.learning.methods.physical_parameters import AdjustedMap
 from benchmarks.learning.methods.redeployment import corrected
 from benchmarks.learning.trial import Trial
+from stepgap.experiment.methods import INTEGRAL_GAIN, METHODS
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.observations import error_of
 from stepgap.learning.residual import Residual, no_residual
-from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import Array, StepMap
 
-INTEGRAL_GAIN = 0.5
-"""Gain k of the method `integral`."""
 
-PLAIN_INTEGRAL_GAIN = 0.5
-"""Gain k of the method `integral_plain`."""
-
-
-def integral_settings(gain: float) -> LearningSettings:
-    """Settings with which a learner's residual is the integral correction of a gain."""
-    return LearningSettings(residual="constant", online=True, forgetting_time=-1 / log(1 - gain))
+def integral(trial: Trial) -> Sequence[Steps]:
+    """The method `integral` of a run: an integrator as the residual of a learner."""
+    return corrected(trial, METHODS["integral"].learning)
 
 
-def integral(trial: Trial, gain: float = INTEGRAL_GAIN) -> Sequence[Steps]:
-    """A redeployment by a learner with the integral as its residual."""
-    return corrected(trial, integral_settings(gain))
-
-
-def integral_plain(trial: Trial, gain: float = PLAIN_INTEGRAL_GAIN) -> Sequence[Steps]:
+def integral_plain(trial: Trial) -> Sequence[Steps]:
     """A redeployment with the integral alone."""
-    return [trial.first, trial.measure(IntegralCorrection.start(trial.nominal, trial.first, gain), 1)]
+    return [trial.first, trial.measure(IntegralCorrection.start(trial.nominal, trial.first, INTEGRAL_GAIN), 1)]
 
 
 @final

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 from benchmarks.learning.trial import Trial
-from stepgap.experiment.settings import PAPER_CONTROL, PAPER_LEARNING
+from stepgap.experiment.methods import METHODS
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.step import StepMap
@@ -44,12 +44,13 @@ def corrected(trial: Trial, settings: LearningSettings) -> Sequence[Steps]:
 
 def paper(trial: Trial) -> Sequence[Steps]:
     """The published method: `fitrgp`, Eq. 13 without further rules, four redeployments, each with a new fit."""
-    trial, deployments = replace(trial, control=PAPER_CONTROL), [trial.first]
-    while len(deployments) < PAPER_LEARNING.iterations:
+    settings, control, _ = METHODS["paper"]
+    trial, deployments = replace(trial, control=control), [trial.first]
+    while len(deployments) < settings.iterations:
         log = Steps(trial.nominal.space, (logged for deployment in deployments for logged in deployment))
-        learner = trial.learner(trial.nominal, log, PAPER_LEARNING, len(deployments))
+        learner = trial.learner(trial.nominal, log, settings, len(deployments))
         deployments.append(trial.deploy(learner, len(deployments)))
-    return redeployed(trial, trial.nominal, deployments, PAPER_LEARNING)
+    return redeployed(trial, trial.nominal, deployments, settings)
 
 
 def uncorrected(trial: Trial) -> Sequence[Steps]:

@@ -39,7 +39,8 @@ class Shorthand:
             EtherCAT bus in software), process (the program given after two dashes, as in -- ./robot), or a rig, such as
             ethercat. [default: the first simulation; of the hopper: twin]
         rig: File that describes the rig, such as rig.toml.
-        method: Settings of learning and control before others change them: default, or paper, the method as published.
+        method: Settings of learning and control before others change them: default; paper, the method as published; or
+            a simple one to compare with, integral, rls (recursive least squares) or affine (a linear map).
         seed: Random seed. [default: 0]
         iterations: Largest number of redeployments. [default: 4]
         explore: Number of exploratory steps before the first deployment. [default: 0]
@@ -157,7 +158,7 @@ def run(
             setup = load_setup(request, nominal.map)
         except InputError as error:
             raise InputError(f"{error}{_kept(nominal)}") from error
-        write = partial(write_experiment, folder, settings, reference, setup.known, nominal.surrogate)
+        write = partial(write_experiment, folder, settings, reference, setup.known, nominal.file)
         if not continued:
             start_folder(folder, write)
         on_execution = write if extend is not None else lambda: None
@@ -182,7 +183,7 @@ def _kept(nominal: "Nominal") -> str:
         return ""
     path = free_name(Path("nominal_map.json"))
     try:
-        write_whole(path, nominal.surrogate)
+        write_whole(path, nominal.file)
     except OSError:
         return ""  # the reason why the run does not start is more important
     return f" (its simulated steps are kept: --nominal.file {path})"
@@ -230,8 +231,8 @@ def _load_nominal(settings: "Experiment") -> "Nominal":
         print(f"nominal map: {count} simulated steps, error of the surrogate: {errors}", file=sys.stderr)
 
     nominal = load_nominal(settings, on_samples)
-    if nominal.surrogate:  # it was fitted now
-        check_surrogate(nominal.map)
+    if nominal.surrogate:
+        check_surrogate(nominal.surrogate)
     for sentence in (*nominal.warnings, slowness(settings.nominal.kind, nominal.map, settings.control.evaluations)):
         if sentence:
             warn(sentence)

@@ -100,6 +100,11 @@ class Reference:
         """Steps whose target differs from that of the step before."""
         return np.flatnonzero(~same_target(self.targets[1:], self.targets[:-1])) + 1
 
+    @property
+    def mean_target(self) -> Array:
+        """Mean of the targets from the first change on, before which a deployment starts; shape (n,), NaN for none."""
+        return mean_of_known(self.targets[self.changes[0] if len(self.changes) else 0 :])
+
     @cached_property
     def distinct(self) -> tuple[Indices, Indices]:
         """First step with each distinct target, in ascending order of the targets, and which of them each step has."""
@@ -137,6 +142,13 @@ def distinct_rows(rows: Array) -> tuple[Indices, Indices]:
 def same_target(one: Array, other: Array) -> NDArray[np.bool_]:
     """Whether targets are the same, also in that they want nothing; (…, n) and (…, n) to (…)."""
     return np.all((one == other) | (np.isnan(one) & np.isnan(other)), axis=-1)
+
+
+def mean_of_known(values: Array) -> Array:
+    """Means over the steps whose values, such as targets or errors, are finite; (N, n) to (n,), NaN without any."""
+    known = np.isfinite(values)
+    count, total = known.sum(axis=0), np.where(known, values, 0.0).sum(axis=0)
+    return np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
 
 
 def read_reference(path: str | Path, space: StepSpace) -> Reference:

@@ -63,13 +63,6 @@ def window_errors(errors: Array) -> Array:
     return np.sqrt(np.maximum(squares[WINDOW:] - squares[:-WINDOW], 0) / WINDOW)
 
 
-def mean_of_known(errors: Array) -> Array:
-    """Means over the steps that have a target, and whose end is known; (N, n) to (n,), NaN where there are none."""
-    known = np.isfinite(errors)
-    count, total = known.sum(axis=0), np.where(known, errors, 0.0).sum(axis=0)
-    return np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
-
-
 def interval_coverage(steps: Steps) -> tuple[Codes, Codes]:
     """Number of next states within their 95 % prediction interval, and number of those with an interval; (n,) each."""
     known = steps.completed()

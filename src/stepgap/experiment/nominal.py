@@ -15,16 +15,18 @@ from stepgap.base.errors import InputError, StepGapError, message_of
 from stepgap.base.files import read_bounded_text
 from stepgap.base.random_streams import random_stream
 from stepgap.base.start_method import process_context
+from stepgap.experiment.inputs import load_reference
 from stepgap.experiment.settings import FROM_LOG, FROM_TEMPLATE, LARGEST_NOMINAL_FILE, Experiment
 from stepgap.records.steps_csv import RecordError, read_step_log
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.differenced_map import has_no_formula, with_suitable_step
+from stepgap.robots.nominal_maps.linearised_map import linearised
 from stepgap.robots.nominal_maps.log_map import LogMap, fit_log_map
 from stepgap.robots.nominal_maps.simulator import SimulatorMap
 from stepgap.robots.nominal_maps.surrogate_map import MapFunction, SurrogateMap, fit_surrogate, surrogate_from_dict
 from stepgap.robots.nominal_maps.template_file import gaps_of_template, read_template
 from stepgap.robots.robot import Robot
-from stepgap.step import Array, Outcome, StepMap, StepSpace, StepStatus
+from stepgap.step import Array, Outcome, StepFailed, StepMap, StepSpace, StepStatus
 
 WORTH_PROCESSES = 0.02
 """Duration of a simulated step [s] from which several processes sample a simulator; they start in seconds."""
@@ -48,25 +50,47 @@ class Nominal(NamedTuple):
 
     Attributes:
         map: The map.
-        surrogate: Text of the file from which it can be read again, if a surrogate was fitted now; else empty.
+        surrogate: The surrogate of a simulator, if it was fitted now.
         warnings: Sentences on what may be wrong with it.
     """
 
     map: StepMap
-    surrogate: str = ""
+    surrogate: SurrogateMap | None = None
     warnings: tuple[str, ...] = ()
+
+    @property
+    def file(self) -> str:
+        """Text of the file from which the surrogate can be read again; empty if none was fitted."""
+        return json.dumps(self.surrogate.to_dict()) + "\n" if self.surrogate else ""
 
 
 def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] = lambda count, error: None) -> Nominal:
-    """The nominal map of an experiment; that of a simulator is a surrogate, which takes seconds to minutes to fit.
+    """The nominal map of an experiment, linearised if the settings want it.
+
+    That of a simulator is a surrogate, which takes seconds to minutes to fit.
 
     Args:
         settings: Settings of the experiment.
         on_samples: Called with the number of simulated steps so far, and the error of the surrogate [state units].
 
     Raises:
-        InputError: There is no such map, or its file is not valid.
+        InputError: There is no such map, its file is not valid, or it cannot be linearised.
     """
+    nominal = _load_map(settings, on_samples)
+    if not settings.nominal.linear:
+        return nominal
+    target = load_reference(settings, settings.robot.space).mean_target
+    try:
+        return nominal._replace(map=linearised(nominal.map, target))
+    except StepFailed as error:
+        raise InputError(
+            f"nominal.linear = true: the map makes no step from the mean target of the reference ({error}); "
+            "choose a reference within the range that `stepgap gait` shows"
+        ) from None
+
+
+def _load_map(settings: Experiment, on_samples: Callable[[int, Array], None]) -> Nominal:
+    """The nominal map of an experiment as it is."""
     kind, file, robot = settings.nominal.kind, settings.nominal.file, settings.robot
     if kind in (FROM_TEMPLATE, FROM_LOG):
         if not file:
@@ -90,7 +114,7 @@ def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] 
     rng = random_stream(settings.seed, 0, 2)
     with _on_all_cores(robot, kind, nominal) as mapped:
         surrogate = fit_surrogate(nominal, rng, mapped, on_samples)
-    return Nominal(surrogate, json.dumps(surrogate.to_dict()) + "\n")
+    return Nominal(surrogate, surrogate)
 
 
 def _differenced(kind: str, nominal: StepMap) -> Nominal:
@@ -115,23 +139,21 @@ def sampled_map(settings: Experiment, tick: float | None) -> StepMap:
     return found
 
 
-def check_surrogate(nominal: StepMap) -> None:
-    """Raises InputError if a map is a surrogate whose error is that of a guess."""
-    if not isinstance(nominal, SurrogateMap):
-        return
-    parts = nominal.error / nominal.space.state_scale
+def check_surrogate(surrogate: SurrogateMap) -> None:
+    """Raises InputError if the error of a surrogate is that of a guess."""
+    parts = surrogate.error / surrogate.space.state_scale
     wrong = [
         f"{quantity.name} {part:.2g}"
-        for quantity, part in zip(nominal.space.state, parts, strict=True)
+        for quantity, part in zip(surrogate.space.state, parts, strict=True)
         if part > USELESS
     ]
     if wrong:
-        failed = np.count_nonzero(nominal.samples.status != StepStatus.OK)
+        status = surrogate.samples.status
         raise InputError(
             f"the surrogate of the simulator predicts {', '.join(wrong)} half ranges wrongly (leave-one-out; at most "
-            f"{USELESS:g} is permitted), and {failed} of its {len(nominal.samples.status)} simulated steps failed: the "
-            "ranges of use contain states from which the robot does not step. Narrow them to states of its gait, or "
-            "fit the map to recorded steps: nominal.kind = log"
+            f"{USELESS:g} is permitted), and {np.count_nonzero(status != StepStatus.OK)} of its {len(status)} "
+            "simulated steps failed: the ranges of use contain states from which the robot does not step. Narrow them "
+            "to states of its gait, or fit the map to recorded steps: nominal.kind = log"
         )
 
 

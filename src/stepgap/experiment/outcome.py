@@ -4,8 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.control.reach import reached_in_one_step, whole_states
-from stepgap.control.reference import Reference, same_target
-from stepgap.experiment.bands import mean_of_known
+from stepgap.control.reference import Reference, mean_of_known, same_target
 from stepgap.learning.steps import Steps
 from stepgap.records.summary import Deployment, NoiseFloor
 from stepgap.step import Array, StepMap

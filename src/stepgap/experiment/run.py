@@ -13,7 +13,7 @@ from stepgap.base.blas import one_blas_thread
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.json_data import LARGEST_NUMBER
 from stepgap.base.normal import std_interval_95
-from stepgap.experiment.bands import mean_of_known
+from stepgap.control.reference import mean_of_known
 from stepgap.experiment.deployment import DeploymentController
 from stepgap.experiment.inputs import load_known
 from stepgap.experiment.nominal import load_nominal

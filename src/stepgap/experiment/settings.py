@@ -21,6 +21,7 @@ from stepgap.base.settings_file import (
     with_table,
 )
 from stepgap.control.settings import ControlSettings
+from stepgap.experiment.methods import METHODS
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.process.process_plant import Timeouts
 from stepgap.records.missing import Missing
@@ -46,24 +47,6 @@ FROM_TEMPLATE, FROM_LOG = "template", "log"
 
 LARGEST_NOMINAL_FILE = 2**28
 """Largest file of a nominal map that is read [bytes]."""
-
-PAPER_LEARNING = LearningSettings(
-    residual="fitrgp",
-    early_stop=False,
-    drift=False,
-    remove_yaw_dependence=False,
-    reject_outliers=False,
-    monitor=False,
-)
-PAPER_CONTROL = ControlSettings(cautious=False, viability=False, avoid_failures=False, horizon=1)
-METHODS: Mapping[str, tuple[LearningSettings, ControlSettings]] = {
-    "default": (LearningSettings(), ControlSettings()),
-    "paper": (PAPER_LEARNING, PAPER_CONTROL),
-}
-"""Values of `method`, which sets the tables `[learning]` and `[control]` before single keys change some settings.
-
-`paper` is the method as published: MATLAB's `fitrgp`, Eq. 13 without further rules, four redeployments.
-"""
 
 SHORT_OPTIONS = {
     "learning.iterations": "iterations",
@@ -96,10 +79,13 @@ class NominalSettings:
             fitted to the steps in `file`. Empty: the first one of the robot.
         file: A template (TOML), the steps of a log (a `steps.csv`), or the surrogate of a simulator as a run stores it,
             relative to the experiment's file.
+        linear: Whether the map is linearised at the mean target of the reference. On a linear map no step fails, so
+            `control.viability` finds nothing.
     """
 
     kind: str = ""
     file: str = ""
+    linear: bool = False
 
 
 def _hopper() -> Robot:
@@ -261,8 +247,9 @@ def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: 
         if type(robot) is not type(experiment.robot):
             experiment = Experiment(robot, experiment.seed)
     if "method" in rest:
-        learning, control = _chosen(METHODS, rest.pop("method"), locate("method"))
-        experiment = replace(experiment, learning=learning, control=control)
+        learning, control, linear = _chosen(METHODS, rest.pop("method"), locate("method"))
+        nominal = replace(experiment.nominal, linear=linear)
+        experiment = replace(experiment, learning=learning, control=control, nominal=nominal)
     robot = experiment.robot
     for name, presets in robot.presets.items():
         part = rest.get(name)

@@ -12,7 +12,8 @@ from docstring_parser import DocstringStyle, parse, parse_from_object
 
 from stepgap.base.ranges import format_value
 from stepgap.base.settings_file import IS_KEY
-from stepgap.experiment.settings import METHODS, Experiment, experiment_table
+from stepgap.experiment.methods import METHODS
+from stepgap.experiment.settings import Experiment, experiment_table
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.gap import Gap, differences
 
@@ -56,8 +57,8 @@ def experiment_toml(experiment: Experiment) -> str:
 def described_settings(experiment: Experiment) -> Iterator[tuple[str, str, Any]]:
     """Yields dotted name, meaning and value of every setting and table, in the order of the file; None for a table."""
     yield "robot", "Name of the robot.", experiment.robot.name
-    methods = " or ".join(METHODS)
-    yield "method", f"{methods}: sets the tables learning and control, before their keys. It is not in the file.", None
+    sets = "sets the tables learning and control, and nominal.linear, before their keys. It is not in the file."
+    yield "method", f"{', '.join(METHODS)}: {sets}", None
     for owner in (experiment, experiment.robot):
         yield from _described(owner, "")
     for name, presets in experiment.robot.presets.items():

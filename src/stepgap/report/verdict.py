@@ -12,7 +12,8 @@ from typing import Final, final
 import numpy as np
 
 from stepgap.control.gauss_newton import REACHED
-from stepgap.experiment.bands import executed_steps_to_band, mean_of_known, rms_interval, rmse_interval
+from stepgap.control.reference import mean_of_known
+from stepgap.experiment.bands import executed_steps_to_band, rms_interval, rmse_interval
 from stepgap.experiment.outcome import TRACKED
 from stepgap.experiment.run import Run
 from stepgap.learning.observations import observe

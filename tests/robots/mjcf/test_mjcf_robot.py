@@ -194,7 +194,7 @@ def test_several_processes_sample_the_same_surrogate(package: Path, monkeypatch:
     found = []
     for least_duration in (1e9, 0.0):
         monkeypatch.setattr("stepgap.experiment.nominal.WORTH_PROCESSES", least_duration)
-        found.append(load_nominal(settings).surrogate)
+        found.append(load_nominal(settings).file)
     assert found[0] == found[1]
 
 

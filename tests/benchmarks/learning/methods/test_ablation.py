@@ -13,6 +13,7 @@ from benchmarks.learning.tasks import Task
 from benchmarks.learning.trial import Trial
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ALL_RULES, ControlSettings
+from stepgap.experiment.methods import METHODS
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
@@ -81,7 +82,8 @@ def test_the_published_method_makes_four_redeployments_and_learns_from_all(
 
     trial.first  # noqa: B018  (made before the learners are recorded)
     monkeypatch.setattr(Trial, "learner", learner)
-    monkeypatch.setattr(redeployment, "PAPER_LEARNING", LearningSettings(residual="linear", drift=False))
+    quick = METHODS["paper"]._replace(learning=LearningSettings(residual="linear", drift=False))
+    monkeypatch.setattr(redeployment, "METHODS", {"paper": quick})
     deployments = paper(trial)
     assert seen == [(1, [0]), (2, [0, 1]), (3, [0, 1, 2]), (4, [0, 1, 2, 3])]
     assert [steps.iterations for steps in deployments] == [[0], [1], [2], [3], [4]]

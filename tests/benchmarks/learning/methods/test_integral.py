@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.learning.methods.integral import IntegralCorrection, integral_settings
+from benchmarks.learning.methods.integral import IntegralCorrection
 from benchmarks.learning.methods.physical_parameters import AdjustedMap
+from stepgap.experiment.methods import INTEGRAL_GAIN, METHODS
 from stepgap.learning.learner import Learner
 from stepgap.learning.steps import Steps
 from tests.benchmarks.learning.methods.known_robots import NOMINAL, steps_of
@@ -26,11 +27,11 @@ def test_the_integral_follows_a_constant_error() -> None:
     np.testing.assert_allclose(known_before.step_map()(STATE, COMMAND), correction.step_map()(STATE, COMMAND))
 
 
-def test_the_residual_with_the_gain_is_the_integral() -> None:
+def test_the_method_of_a_run_is_the_integral() -> None:
     truth = AdjustedMap(NOMINAL, np.array([0.05, -0.02]), command_scale=0.9)
     before, now = steps_of(truth, 40), steps_of(truth, 10, iteration=1)
-    alone = IntegralCorrection.start(NOMINAL, before, GAIN)
-    learner = Learner.start(NOMINAL, before, replace(integral_settings(GAIN), drift=False), 1)
+    alone = IntegralCorrection.start(NOMINAL, before, INTEGRAL_GAIN)
+    learner = Learner.start(NOMINAL, before, replace(METHODS["integral"].learning, drift=False), 1)
     for logged in now:
         alone, learner = alone.after(logged), learner.after(logged)
         np.testing.assert_allclose(learner.residual.mean([*STATE, *COMMAND]), alone.shift, rtol=2e-3)
