@@ -28,6 +28,7 @@ from stepgap.logs.fits.validation import (
     reduction,
     validate,
     validate_on,
+    without_history,
 )
 from stepgap.logs.foreign_log import FoundSteps, describe_left_out, read_foreign_logs
 from stepgap.records.model_files import MAP, NominalSource, saved_model_text
@@ -355,5 +356,5 @@ def heaviest_residual(validation: Validation) -> str:
 def best_model(data: FitData, validation: Validation) -> str:
     """Model file of the residual with the largest weight, fitted to all steps as before a further deployment."""
     kind = heaviest_residual(validation)
-    residual = fit_steps(data.observed, replace(data.learning, residual=kind, lagged_inputs="none"))
+    residual = fit_steps(data.observed, without_history(data.learning, kind))
     return saved_model_text(residual, data.observed.space, data.source)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import count
-from math import sqrt
+from math import inf, sqrt
 from time import perf_counter
 from typing import Final
 
@@ -223,7 +223,7 @@ def validate(
     """
     held_out, done = {}, count(1)
     for kind in kinds:
-        settings = replace(learning, residual=kind, lagged_inputs="none")
+        settings = without_history(learning, kind)
         with _leaving_out_unusable():
             held_out[kind] = _hold_out(steps, folds, settings, lambda: on_fit(next(done), len(kinds) * folds.count))
     return Validation(folds, held_out)
@@ -249,7 +249,7 @@ def validate_on(
     """
     held_out = {}
     for done, kind in enumerate(kinds, 1):
-        settings = replace(learning, residual=kind, lagged_inputs="none")
+        settings = without_history(learning, kind)
         with _leaving_out_unusable():
             begin = perf_counter()
             residual = fit_steps(steps, settings)
@@ -288,6 +288,11 @@ def _leaving_out_unusable() -> Iterator[None]:
 def _one_fold(steps: int) -> Folds:
     """Steps that are predicted together, in blocks for the standard errors."""
     return replace(contiguous_folds(steps, min(FOLDS, steps)), fold=np.zeros(steps, np.intp))
+
+
+def without_history(learning: LearningSettings, kind: str) -> LearningSettings:
+    """The settings with a residual of this kind that is a function of state and command alone."""
+    return replace(learning, residual=kind, lagged_inputs="none", forgetting_time=inf)
 
 
 def fit_steps(steps: Observations, learning: LearningSettings) -> Residual:
