@@ -62,6 +62,12 @@ def test_methods_are_swept_reported_compared_and_exported(stepgap: Command, monk
     assert stepgap("report", *runs, "--out", "compared.html").code == 0
     assert "nominal.linear" in Path("compared.html").read_text()
     linear = runs[[*METHODS].index("rls")]
-    for verb in (["report", linear], ["export", linear, "--to", "csv"], ["export", linear, "--to", "c"]):
+    for verb in (
+        ["report", linear],
+        ["export", linear, "--to", "csv"],
+        ["fit", linear],
+        ["gait", linear / "experiment.toml"],
+    ):
         assert stepgap(*verb).code == 0
+    assert stepgap("export", runs[[*METHODS].index("affine")], "--to", "c").code == 0
     assert "linear" in (linear / "report.html").read_text()

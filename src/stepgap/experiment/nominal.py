@@ -84,8 +84,8 @@ def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] 
         return nominal._replace(map=linearised(nominal.map, target))
     except StepFailed as error:
         raise InputError(
-            f"nominal.linear = true: the map makes no step from the mean target of the reference ({error}); "
-            "choose a reference within the range that `stepgap gait` shows"
+            f"nominal.linear = true: nominal map '{settings.nominal.kind}' makes no step from the mean target of the "
+            f"reference ({error}); choose targets from which it steps"
         ) from None
 
 

@@ -1,11 +1,12 @@
-"""Affine nominal maps: templates, and recursive least squares against its batch solution."""
+"""Affine nominal maps: the template."""
 
 import numpy as np
 import pytest
 
-from benchmarks.learning.methods.affine import linearised, one_digit, template
+from benchmarks.learning.methods.affine import one_digit, template
 from stepgap.control.step_controller import StepController
 from stepgap.robots.hopper.paper import paper_reference
+from stepgap.robots.nominal_maps.linearised_map import linearised
 from stepgap.step import StepStatus, difference_jacobian
 from tests.benchmarks.learning.methods.known_robots import NOMINAL
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.learning.methods.affine import linearised
 from benchmarks.learning.methods.inverse import InverseMap, inverse_of
 from benchmarks.learning.methods.physical_parameters import AdjustedMap
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.robots.hopper.paper import paper_reference
+from stepgap.robots.nominal_maps.linearised_map import linearised
 from stepgap.step import StepStatus
 from tests.benchmarks.learning.methods.known_robots import NOMINAL, steps_of
 
@@ -41,7 +41,7 @@ def test_a_state_out_of_reach_has_no_command_and_commands_beyond_the_bounds_are_
     assert found.status.tolist() == [StepStatus.INVALID, StepStatus.INVALID]
     assert np.isnan(found.next_state).all()
     beyond = np.array([0.0, 1.2 * NOMINAL.bounds.fy_upper])
-    inverse = InverseMap(linearised(NOMINAL, paper_reference()), NOMINAL.space)
+    inverse = InverseMap(linearised(NOMINAL, paper_reference().mean_target), NOMINAL.space)
     with pytest.raises(ValueError, match="as many commands as states"):
         replace(inverse, scales=replace(NOMINAL.space, command=NOMINAL.space.command[:1]))
     np.testing.assert_array_equal(INVERSE.as_command(INVERSE.as_state(beyond)), [0.0, NOMINAL.bounds.fy_upper])
