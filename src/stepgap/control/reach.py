@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.control.bounded_search import solve
-from stepgap.control.gauss_newton import REACHED
+from stepgap.control.gauss_newton import REACHED, Function, Jacobian
+from stepgap.control.reference import Indices
 from stepgap.control.solve_many import solve_many
 from stepgap.step import Array, StepMap, StepSpace, StepStatus
 
@@ -40,12 +41,45 @@ def whole_state(step_map: StepMap, target: Array) -> tuple[Array, Array]:
     """A target (n,) completed in the coordinates without one, by a zero of next state − state; and its command (m,)."""
     space = step_map.space
     known = space.has_target(target)
-    n, free = len(space.state), np.flatnonzero(~known)
-    scale, columns = space.state_scale, np.r_[free, n : n + len(space.command)]
+    free = np.flatnonzero(~known)
+    change = repeated_state(step_map, np.where(known, target, space.state_centre), free)
+    point = solve(change.function, change.jacobian, np.zeros(change.size)).point
+    return change.state_at(point), space.command_at(point[len(free) :])
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatedState:
+    """The change of state by a step, as a function of which a zero is sought: a state that a command repeats.
+
+    Attributes:
+        function: (next state − state) / half range of use; points (…, k) to values (…, n).
+        jacobian: Its derivative at one point; shape (n, k).
+        state_at: States of points, whose first coordinates are free state coordinates [half ranges] and the others the
+            command, scaled; (…, k) to (…, n).
+        size: Number of coordinates of a point, k.
+    """
+
+    function: Function
+    jacobian: Jacobian
+    state_at: Function
+    size: int
+
+
+def repeated_state(step_map: StepMap, base: Array, free: Indices) -> RepeatedState:
+    """The change of state by a step from states that differ from another one in some coordinates.
+
+    Args:
+        step_map: The map.
+        base: The state at the point 0; shape (n,).
+        free: Numbers of the coordinates that vary.
+    """
+    space = step_map.space
+    n, scale = len(space.state), space.state_scale
+    columns = np.r_[free, n : n + len(space.command)]
     by_point = np.concatenate([scale[free], space.command_scale])
 
     def state_at(point: Array) -> Array:
-        state = np.broadcast_to(np.where(known, target, space.state_centre), (*point.shape[:-1], n)).copy()
+        state = np.broadcast_to(base, (*point.shape[:-1], n)).copy()
         state[..., free] += point[..., : len(free)] * scale[free]
         return state
 
@@ -59,8 +93,7 @@ def whole_state(step_map: StepMap, target: Array) -> tuple[Array, Array]:
         )
         return matrix[:, columns] * by_point / scale[:, None]
 
-    point = solve(change, jacobian, np.zeros(len(columns))).point
-    return state_at(point), space.command_at(point[len(free) :])
+    return RepeatedState(change, jacobian, state_at, len(columns))
 
 
 def reached_in_one_step(step_map: StepMap, states: Array, targets: Array) -> NDArray[np.bool_]:
