@@ -153,7 +153,8 @@ def check_surrogate(surrogate: SurrogateMap) -> None:
             f"the surrogate of the simulator predicts {', '.join(wrong)} half ranges wrongly (leave-one-out; at most "
             f"{USELESS:g} is permitted), and {np.count_nonzero(status != StepStatus.OK)} of its {len(status)} "
             "simulated steps failed: the ranges of use contain states from which the robot does not step. Narrow them "
-            "to states of its gait, or fit the map to recorded steps: nominal.kind = log"
+            "to states of its gait (`stepgap check` shows those that it visits), or fit the map to recorded steps: "
+            "nominal.kind = log"
         )
 
 

@@ -207,7 +207,7 @@ def test_the_robot_of_the_page_learns(package: Path, stepgap: Command, monkeypat
     options = ("--reference", "targets.csv", "--out", "out", "--iterations", "1", "--quiet")
     result = stepgap("run", "--robot", "spring_hopper", *options)
     assert result.code == 0, result.err
-    assert "512 simulated steps, error of the surrogate: speed 0.01" in result.err
+    assert "512 simulated steps, error of the surrogate: speed 0.002" in result.err
     before, after = json.loads(Path("out/summary.json").read_text())["iterations"]
     assert after["falls"] == 0
     for name in ("speed", "height"):

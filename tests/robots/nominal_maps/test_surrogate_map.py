@@ -8,6 +8,7 @@ from numpy.polynomial import Polynomial
 
 from stepgap.base.errors import StepGapError
 from stepgap.robots.hopper.model.apex_map import ApexMap
+from stepgap.robots.nominal_maps.motions import WIDENED, Motions
 from stepgap.robots.nominal_maps.simulator import SimulatorMap
 from stepgap.robots.nominal_maps.surrogate_map import (
     fit_surrogate,
@@ -40,13 +41,36 @@ def test_the_products_are_a_basis_of_all_polynomials_and_have_the_gradient_of_di
 
 
 def test_it_predicts_unseen_steps_as_well_as_it_says(surrogate) -> None:
-    states, commands = RNG.uniform([0, 0.52], [0.4, 0.64], (500, 2)), RNG.uniform([-15, -20], [15, 20], (500, 2))
-    exact, found = NOMINAL.evaluate(states, commands), surrogate.evaluate(states, commands)
-    both = (exact.status == StepStatus.OK) & (found.status == StepStatus.OK)
-    assert np.mean((exact.status == StepStatus.OK) == (found.status == StepStatus.OK)) > 0.97
-    rms = np.sqrt(np.mean((exact.next_state - found.next_state)[both] ** 2, axis=0))
+    motions = Motions(NOMINAL, np.random.default_rng(1))
+    unseen = motions.continued(motions.begun(128), 512)
+    states, commands = np.split(motions.centre + motions.scale * unseen.points, [2], axis=1)
+    found = surrogate.evaluate(states, commands)
+    good = unseen.status == StepStatus.OK
+    assert np.mean(good == (found.status == StepStatus.OK)) > 0.97
+    stays = good & (np.abs(NOMINAL.space.scaled_state(unseen.next_state)) < WIDENED).all(axis=1)
+    rms = np.sqrt(np.nanmean((unseen.next_state - found.next_state)[stays] ** 2, axis=0))
     assert (rms < 1.5 * surrogate.error).all()
     assert (rms < [0.004, 0.001]).all()
+
+
+class Leaping(LossyHopper):
+    """The same, but a large force throws it far out of its ranges."""
+
+    def next_state(self, state: Array, command: Array) -> Array:
+        thrown = 3 * np.maximum(0, command[..., 0] / 15 - 0.5) ** 2
+        return super().next_state(state, command) + thrown[..., None] * np.array([30.0, 0.0])
+
+
+def test_steps_that_leave_the_ranges_do_not_spoil_the_others() -> None:
+    exact = Leaping()
+    found = fit_surrogate(exact, np.random.default_rng(0))
+    states, commands = RNG.uniform([0, 0.52], [0.4, 0.64], (300, 2)), RNG.uniform([-15, -20], [15, 20], (300, 2))
+    wanted = exact(states, commands)
+    stays = np.abs(exact.space.scaled_state(wanted)[:, 0]) < 1
+    rms = np.sqrt(np.mean((found(states, commands) - wanted)[stays] ** 2, axis=0)) / exact.space.state_scale
+    largest = np.abs(exact.space.scaled_state(wanted)).max()
+    assert largest > 50
+    assert (rms < 0.5).all()
 
 
 def test_its_jacobian_is_that_of_differences_and_near_the_exact_one(surrogate) -> None:
