@@ -85,12 +85,12 @@ def test_the_steps_of_a_simulator_are_kept_if_the_run_does_not_start(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "far.csv").write_text("speed\n9\n")
     nominal = Nominal(LossyHopper(), fit_surrogate(LossyHopper(), np.random.default_rng(0)))
-    monkeypatch.setattr("stepgap.cli.run._load_nominal", lambda settings: nominal)
+    monkeypatch.setattr("stepgap.cli.nominal.nominal_with_progress", lambda settings: nominal)
     for name in ("nominal_map.json", "nominal_map_2.json"):
         with pytest.raises(SystemExit) as end:
             main(["run", "--reference", "far.csv"])
         assert end.value.code == 2
         assert "out of reach" in (message := capsys.readouterr().err)
-        assert message.endswith(f"(its simulated steps are kept: --nominal.file {name})\n")
+        assert message.endswith(f"; its simulated steps are kept: --nominal.file {name})\n")
         assert (tmp_path / name).read_text() == nominal.file
     assert not (tmp_path / "runs").exists()

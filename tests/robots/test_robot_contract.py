@@ -193,6 +193,14 @@ def test_gait_and_map(robot: Robot, package: Path, stepgap: Command) -> None:
         assert robot.space.state_names[0] in result.out
 
 
+@pytest.mark.usefixtures("no_repeats")
+def test_check(robot: Robot, stepgap: Command) -> None:
+    result = stepgap("check", robot.name)
+    assert result.code == 0, result
+    assert Path("check.png").read_bytes().startswith(b"\x89PNG")
+    assert "wrong" not in {line[10:20].strip() for line in result.out.splitlines()}
+
+
 def test_sweep(
     robot: Robot,
     run: Callable[..., Path],

@@ -134,3 +134,16 @@ def test_a_run_shows_its_page_and_ctrl_c_ends_both_when_it_is_over(
     assert (result.code, result.out.strip()) == (0, str(tmp_path / "run" / "report.html"))
     with pytest.raises(OSError, match="refused"):
         urllib.request.urlopen(url)
+
+
+@pytest.mark.usefixtures("package", "no_repeats")
+def test_a_robot_is_shown_without_a_run(stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = []
+    monkeypatch.setattr("stepgap.view.watch.watch", lambda server, page, go_on: (shown.append(page), server.stop()))
+    result = stepgap("view", "--robot", "pitching", "--port", free_port())
+    assert result.code == 0, result.err
+    (page,) = shown
+    assert (page.iteration, len(page._source.steps(0))) == (0, 37)
+    assert not list(Path().iterdir())
+    refused(stepgap("view"), "give the folder of a run, or a robot by --robot NAME")
+    refused(stepgap("view", "out", "--robot", "ball"), "a run is shown with its own settings")

@@ -17,6 +17,7 @@ from stepgap.cli.options import Address, FileName, Flag, FolderName, Integer, Na
 from stepgap.cli.terminal import announces_compilation, check_consent, is_output_error, warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
+    from stepgap.control.reference import Reference
     from stepgap.experiment.loop import Setup
     from stepgap.experiment.nominal import Nominal
     from stepgap.experiment.settings import Experiment
@@ -24,7 +25,6 @@ if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.plants.compiled_rig import Rows
     from stepgap.plants.ticks.stream import OnTicks
     from stepgap.report import WrittenReport
-    from stepgap.step import Array
     from stepgap.view.live import LiveView
 
 
@@ -127,7 +127,9 @@ def run(
         extend: Make this many more redeployments of the finished run in --out.
     """
     from stepgap.base.signals import terminated_as_interrupted
+    from stepgap.cli.nominal import nominal_with_progress
     from stepgap.experiment.inputs import load_reference, write_experiment
+    from stepgap.experiment.nominal import check_surrogate
     from stepgap.experiment.plant_compilation import plant_compiled_beside
     from stepgap.experiment.plants import PlantRequest
     from stepgap.experiment.run_start import folder_to_continue, load_setup, run_folder, start_folder
@@ -150,14 +152,16 @@ def run(
         settings = _settings(experiment, folder, changes, continued, extend)
         reference = load_reference(settings, settings.robot.space)
         with plant_compiled_beside(settings):
-            nominal = _load_nominal(settings)
+            nominal = nominal_with_progress(settings)
+            if nominal.surrogate:  # it was fitted now
+                check_surrogate(nominal.surrogate)
         recorder, live = _watchers(settings, folder, display)
         on_ticks = _all_of(recorder.on_ticks, live)
         request = PlantRequest(settings, reference, folder, arm, on_ticks, program or [])
         try:
             setup = load_setup(request, nominal.map)
         except InputError as error:
-            raise InputError(f"{error}{_kept(nominal)}") from error
+            raise InputError(f"{error}{_remedies(nominal, reference, error)}") from error
         write = partial(write_experiment, folder, settings, reference, setup.known, nominal.file)
         if not continued:
             start_folder(folder, write)
@@ -174,19 +178,19 @@ def run(
             raise
 
 
-def _kept(nominal: "Nominal") -> str:
-    """Keeps a surrogate that was fitted for a run that does not start, and says where; empty if there is none."""
-    from stepgap.base.files import write_whole
-    from stepgap.base.output_files import free_name
+def _remedies(nominal: "Nominal", reference: "Reference", error: InputError) -> str:
+    """What is kept and proposed where a run does not start, for the message: a surrogate, and targets that are held."""
+    from stepgap.cli.nominal import kept_reference, kept_surrogate
+    from stepgap.control.fixed_points import held_reference
+    from stepgap.experiment.run_start import OutOfReach
 
-    if not nominal.surrogate:
-        return ""
-    path = free_name(Path("nominal_map.json"))
-    try:
-        write_whole(path, nominal.file)
-    except OSError:
-        return ""  # the reason why the run does not start is more important
-    return f" (its simulated steps are kept: --nominal.file {path})"
+    parts = list[str]()
+    held = held_reference(nominal.map, reference) if isinstance(error, OutOfReach) else None
+    if held and (path := kept_reference(held)):
+        parts.append(f"held states near the targets: --reference {path}")
+    if path := kept_surrogate(nominal):
+        parts.append(f"its simulated steps are kept: --nominal.file {path}")
+    return f" ({'; '.join(parts)})" if parts else ""
 
 
 def _how_to_resume(folder: Path, arm: bool, program: Sequence[str] | None) -> str:
@@ -217,26 +221,6 @@ def _settings(
         settings = read_experiment(folder / "experiment.toml" if continued else experiment, changes)
     check_names(settings.robot.space)
     return settings
-
-
-def _load_nominal(settings: "Experiment") -> "Nominal":
-    """The nominal map; says how far the fit of a surrogate has come, and what may be wrong with the map."""
-    from stepgap.experiment.nominal import check_surrogate, load_nominal, slowness
-
-    def on_samples(count: int, error: "Array") -> None:
-        errors = ", ".join(
-            f"{quantity.name} {value:.2g} {quantity.unit}"
-            for quantity, value in zip(settings.robot.space.state, error, strict=True)
-        )
-        print(f"nominal map: {count} simulated steps, error of the surrogate: {errors}", file=sys.stderr)
-
-    nominal = load_nominal(settings, on_samples)
-    if nominal.surrogate:
-        check_surrogate(nominal.surrogate)
-    for sentence in (*nominal.warnings, slowness(settings.nominal.kind, nominal.map, settings.control.evaluations)):
-        if sentence:
-            warn(sentence)
-    return nominal
 
 
 def _watchers(settings: "Experiment", folder: Path, display: Display) -> "tuple[TickRecorder, LiveView | None]":

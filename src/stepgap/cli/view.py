@@ -3,29 +3,33 @@
 import contextlib
 import os
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from stepgap.base.errors import InputError
-from stepgap.cli.options import Address, Integer, Port
+from stepgap.cli.options import Address, Integer, Overrides, Port
+from stepgap.cli.terminal import announces_compilation
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.plants.ticks.tick_ring import TickRing
 
 
+@announces_compilation
 def view(
-    run: Path,
+    run: Path | None = None,
     /,
     *,
     deployment: Integer | None = None,
     host: Address = "127.0.0.1",
     port: Port | None = None,
     ring: Annotated[str | None, Parameter(show=False)] = None,
+    overrides: Overrides = None,
 ) -> None:
     """Show a run in the browser, also while it is running: the robot in 3-D, the errors and the learned model.
 
-    Ctrl-C stops the server.
+    Without a run, as in --robot NAME, some steps of the robot are simulated and shown. Ctrl-C stops the server.
 
     Args:
         run: Folder of a run, finished or still running.
@@ -42,6 +46,11 @@ def view(
     parent = os.getppid()
     with contextlib.ExitStack() as stack:
         ticks = stack.enter_context(_attached(ring)) if ring else None
+        if run is None:
+            run = Path(stack.enter_context(TemporaryDirectory()))
+            _simulate(overrides, run)
+        elif overrides:
+            raise InputError(f"{run}, --{overrides[0][0]}: a run is shown with its own settings; give only one of them")
         source = Source(run, ticks)
         stack.callback(source.close)
         if deployment is not None and deployment not in source.iterations:
@@ -51,6 +60,24 @@ def view(
         page = Page(server, source, deployment, live=ring is not None)
         stack.enter_context(terminated_as_interrupted())
         watch(server, page, lambda: ring is None or os.getppid() == parent)
+
+
+def _simulate(overrides: Overrides, folder: Path) -> None:
+    """Simulates some steps of a robot, without a correction, into a folder."""
+    from stepgap.cli.nominal import nominal_with_progress
+    from stepgap.control.fixed_points import held_reference
+    from stepgap.experiment.inputs import load_reference
+    from stepgap.experiment.settings import read_experiment
+    from stepgap.experiment.trial import trial_reference, trial_run
+
+    if not overrides:
+        raise InputError("give the folder of a run, or a robot by --robot NAME")
+    settings = read_experiment(None, overrides)
+    nominal = nominal_with_progress(settings)
+    held = held_reference(nominal.map, load_reference(settings, settings.robot.space))
+    if held is None:
+        raise InputError(f"robot '{settings.robot.name}': no target is held; stepgap check shows what is wrong")
+    trial_run(settings, nominal, trial_reference(settings, held), folder)
 
 
 def _attached(ring: str) -> "TickRing":

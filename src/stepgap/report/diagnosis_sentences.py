@@ -76,7 +76,7 @@ def _of_nominal(run: Run, nominal: StepMap) -> list[str]:
     few = f"Deployment {first} has {found.steps} steps with a known error, too few to diagnose lagged inputs and noise."
     return [
         *([*_lagged_inputs(run, found, first), *_noise(run, found)] if found.known else [few]),
-        *_response(run, steps, nominal),
+        *response_sentences(steps, nominal),
         *(sentence for number, each in deployments.items() for sentence in _bounds(number, each)),
     ]
 
@@ -117,18 +117,18 @@ def _noise(run: Run, found: Diagnosis) -> list[str]:
     ]
 
 
-def _response(run: Run, steps: Steps, nominal: StepMap) -> list[str]:
-    """Coordinates that do not respond to the commands as the nominal map says."""
+def response_sentences(steps: Steps, nominal: StepMap) -> list[str]:
+    """Coordinates that do not respond to the commands of one deployment as the nominal map says."""
     found, number = command_response(steps, nominal), steps.iterations[0]
     if found is None:
         return []
     late = [
         f"{quantity.name} follows the command of the step before, not that of the same step, in deployment {number}: "
         "the command acts one step later than the nominal map assumes."
-        for quantity, now, later in zip(run.space.state, found.acts, found.acts_later, strict=True)
+        for quantity, now, later in zip(steps.space.state, found.acts, found.acts_later, strict=True)
         if later and not now
     ]
-    rows = zip(run.space.state, found.acts, found.acts_later, found.expected, strict=True)
+    rows = zip(steps.space.state, found.acts, found.acts_later, found.expected, strict=True)
     dead = [quantity.name for quantity, now, later, expected in rows if expected and not now and not later]
     if dead:
         late.append(

@@ -13,7 +13,7 @@ from stepgap.plants.ticks.stream import OnTicks, thinned
 from stepgap.rigs.rig import SensorModel
 from stepgap.robots.published_result import PublishedResult
 from stepgap.robots.scene import Kinematics
-from stepgap.step import StepMap, StepSpace
+from stepgap.step import Array, StepMap, StepSpace
 
 
 class Simulation(ABC):
@@ -110,6 +110,14 @@ class Robot(ABC):
     def as_modelled(self) -> Self:
         """This robot with all settings that its nominal maps do not use at their defaults."""
         return self
+
+    def placed(self, state: Array) -> Array | None:  # noqa: ARG002  (others use it)
+        """The state that is read from the simulated model after it was put into a state; None if there is no model.
+
+        Args:
+            state: State at the section; shape (n,).
+        """
+        return None
 
     def control(self) -> RobotControl | None:
         """Its control at 1 kHz, with which a rig becomes a plant; None if it has none."""

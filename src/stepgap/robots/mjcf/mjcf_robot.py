@@ -83,6 +83,12 @@ class MjcfRobot(Robot):
         """The model with its gap."""
         return {"mujoco": lambda world: MjcfSimulation(self)}
 
+    def placed(self, state: Array) -> Array:
+        """The state that `state` reads after `place`."""
+        stepper = MjcfStepper(self, MjcfGap.none(), np.random.default_rng(0))
+        stepper.place(state)
+        return stepper.state
+
     def kinematics(self, sensors: SensorModel | None = None) -> MjcfKinematics:  # noqa: ARG002
         """The geoms of the model."""
         return MjcfKinematics(self.mjcf_model(), self.space, self.place, self.tick)

@@ -1,0 +1,156 @@
+"""The verb `stepgap check`."""
+
+import shutil
+import sys
+import textwrap
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from stepgap.base.errors import InputError
+from stepgap.base.output_files import check_new, format_by_name, free_name, write_new
+from stepgap.cli.nominal import kept_reference, kept_surrogate, nominal_with_progress
+from stepgap.cli.options import FileName, Name, Overrides, Program
+from stepgap.cli.terminal import announces_compilation, warn
+
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from stepgap.control.reference import Reference
+    from stepgap.experiment.nominal import Nominal
+    from stepgap.experiment.run import Run
+    from stepgap.experiment.settings import Experiment
+    from stepgap.report.part_results import PartResult
+
+_WRONG = 1
+"""Exit code if a part of the robot is wrong."""
+
+
+@announces_compilation
+def check_robot(
+    robot: Annotated[str | None, Parameter(metavar="ROBOT")] = None,
+    /,
+    *,
+    reference: FileName | None = None,
+    plant: Name | None = None,
+    out: Path | None = None,
+    overrides: Overrides = None,
+    program: Program = None,
+) -> None:
+    """Test the parts of a robot before its first run, from its map to the noise of its steps, and draw 20 steps.
+
+    Each part is ok, wrong, or left out where the robot does not have it. The exit code is 1 if a part is wrong.
+
+    Args:
+        robot: Name of the robot, or a TOML file of settings. [default: hopper]
+        reference: CSV file of targets. [default: the robot's reference]
+        plant: Simulated plant of the robot, or process (the program given after two dashes). [default: the first
+            simulation]
+        out: New file for the picture of the steps. [default: check.png or the next free name]
+    """
+    from stepgap.report.part_results import PartResult, results_of
+    from stepgap.report.robot_check import check_map, check_placing
+
+    if out:
+        check_new(out, "--out")
+    settings = _settings(robot, {"reference": reference, "plant": plant}, overrides or [])
+    results = results_of("placing", check_placing(settings.robot, settings.seed))
+    try:
+        nominal = nominal_with_progress(settings)
+    except InputError as error:
+        results.append(PartResult("map", "wrong", f"{error}. Without a map, the parts that need one are left out."))
+    else:
+        results += [*results_of("map", check_map(nominal.map)), *_of_motion(settings, nominal, out, program or [])]
+        refused = any(result.verdict == "wrong" for result in results if result.part == "map")
+        if not refused and (path := kept_surrogate(nominal)):
+            warn(f"the simulated steps are kept: --nominal.file {path}")
+    print(_table(results))
+    if any(result.verdict == "wrong" for result in results):
+        sys.exit(_WRONG)
+
+
+def _settings(robot: str | None, given: "dict[str, str | None]", overrides: Sequence[tuple[str, str]]) -> "Experiment":
+    """The settings of a robot by its name, or of a file."""
+    from stepgap.experiment.settings import read_experiment
+    from stepgap.records.steps_csv import check_names
+
+    file = Path(robot) if robot and robot.endswith(".toml") else None
+    named = [("robot", robot)] if robot and not file else []
+    if named and "robot" in dict(overrides):
+        raise InputError(f"{robot}, --robot: give the name of the robot only once")
+    changes = [*named, *overrides, *((name, value) for name, value in given.items() if value)]
+    settings = read_experiment(file, changes)
+    check_names(settings.robot.space)
+    return settings
+
+
+def _of_motion(
+    settings: "Experiment", nominal: "Nominal", out: Path | None, program: Sequence[str]
+) -> "list[PartResult]":
+    """The results on what the robot shall do, and on what it does in some steps, which are drawn."""
+    from stepgap.control.fixed_points import held_reference
+    from stepgap.experiment.inputs import load_reference
+    from stepgap.experiment.settings import PROCESS
+    from stepgap.experiment.trial import trial_reference
+    from stepgap.report.part_results import PartResult, results_of
+    from stepgap.report.robot_check import check_commands, check_targets
+
+    reference = load_reference(settings, nominal.map.space)
+    held = held_reference(nominal.map, reference)
+    file = kept_reference(held) if held and held is not reference else None
+    results = results_of("targets", check_targets(nominal.map, reference, file))
+    if held is None:
+        return [*results, PartResult("motion", "left out", "Without a target that is held, there is nothing to do.")]
+    results += results_of("commands", check_commands(nominal.map, held))
+    if not settings.simulated and not (settings.plant == PROCESS and program):
+        text = f"Plant '{settings.plant}' is no simulation. Give the program of the robot after two dashes, or a plant."
+        return [*results, PartResult("motion", "left out", text)]
+    return [*results, *_of_trial(settings, nominal, trial_reference(settings, held), out, program)]
+
+
+def _of_trial(
+    settings: "Experiment", nominal: "Nominal", targets: "Reference", out: Path | None, program: Sequence[str]
+) -> "list[PartResult]":
+    from stepgap.cli.progress import progress_bar
+    from stepgap.experiment.trial import trial_run
+    from stepgap.report.part_results import results_of
+    from stepgap.report.trial_check import check_motion, check_noise, check_section
+
+    with TemporaryDirectory() as folder, progress_bar("steps") as progress:
+        run = trial_run(settings, nominal, targets, Path(folder), program, progress)
+        results = results_of("motion", check_motion(run))
+        results += results_of("section", check_section(run.ticks.get(0)))
+        results += results_of("noise", check_noise(run))
+        _draw(run, out)
+    return results
+
+
+def _draw(run: "Run", out: Path | None) -> None:
+    """Writes the picture of a trial, and prints its path."""
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    from stepgap.report.own_style import own_style
+    from stepgap.report.trial_figure import trial_figure
+
+    path, content = out or free_name(Path("check.png")), BytesIO()
+    form = format_by_name(path, FigureCanvasBase.filetypes)
+    with own_style():
+        trial_figure(run).savefig(content, dpi=150, format=form)
+    write_new(path, "--out", content.getvalue())
+
+
+def _table(results: "Sequence[PartResult]") -> str:
+    """The results as lines that fit the terminal."""
+    width = max(60, shutil.get_terminal_size((110, 24)).columns)
+    return "\n".join(
+        textwrap.fill(
+            result.sentence,
+            width,
+            initial_indent=f"{result.part:10}{result.verdict:10}",
+            subsequent_indent=" " * 20,
+            break_on_hyphens=False,
+        )
+        for result in results
+    )
