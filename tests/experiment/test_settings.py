@@ -55,6 +55,7 @@ def test_only_the_robot_that_a_file_names_is_made(tmp_path: Path, monkeypatch: p
         Experiment(),
         Experiment(Hopper(gains=Gains(stiffness=2400.1 / 3), gap=RealityGap.none()), seed=2**63 - 1),
         Experiment(Hopper(command=CommandBounds(-1, 1, -2, 2)), learning=LearningSettings("none", 0, 0.5)),
+        Experiment(weights={"height": 0.25}),
     ],
 )
 def test_what_is_written_is_read_back(tmp_path: Path, experiment: Experiment) -> None:
@@ -75,7 +76,7 @@ def test_every_setting_is_written(tmp_path: Path) -> None:
         return [name for key, value in values for name in (names(value) if is_dataclass(value) else [key])]
 
     for name in names(Experiment()):
-        assert f"\n{name} = " in f"\n{text}"
+        assert f"\n{name} = " in f"\n{text}" or f"\n[{name}]\n" in text
 
 
 def test_a_reference_is_copied_into_the_folder(tmp_path: Path) -> None:
@@ -190,6 +191,12 @@ WRONG = {
     "[gains]\nlanding_length = 0.5": "[gains] landing_length = 0.5, but it must lie between 0.09 (leg folded)",
     "[gains]\nrest_length = 0.05": "[gains] rest_length = 0.05, but it must lie between",
     "[command]\nfx_lower = 40": "[command] fx_lower = 40.0, but it must lie below fx_upper = 30.0",
+    "[weights]\nheigt = 1": "[weights] heigt = 1.0, but it must have the name of a state coordinate: speed, height",
+    "[weights]\nheight = -1": "[weights] height = -1.0, but it must be a finite number from 0 on",
+    "[weights]\nheight = inf": "[weights] height = inf, but it must be a finite number from 0 on",
+    "[weights]\nheight = '1'": "[weights] height = '1', but it must be a number",
+    "weights = 1": "weights = 1, but it must be a table",
+    "[weights]\nspeed = 0\nheight = 0": "weights = {'speed': 0.0, 'height': 0.0}, but it must leave a weight above 0",
     "reference = 5": "reference = 5, but it must be a string",
     "[robot]\nbody_mass = 3": "robot: this table is called [parameters] now; robot = 'hopper' names the robot",
     "robot = 3": "robot = 3, but it must be one of ",

@@ -8,7 +8,7 @@ from typing import Any
 
 _DOCS = Path(__file__).parents[2] / "docs"
 _PAGE = (_DOCS / "own_robot.md").read_text("utf-8")
-PYPROJECT, CUSTOM_TOML, TEMPLATE_TOML = re.findall(r"```toml\n(.*?)```", _PAGE, re.DOTALL)
+WEIGHTS_TOML, PYPROJECT, CUSTOM_TOML, TEMPLATE_TOML = re.findall(r"```toml\n(.*?)```", _PAGE, re.DOTALL)
 
 
 PITCHING = """

@@ -176,6 +176,8 @@ def to_table(settings: Any) -> dict[str, Any]:
 def _to_value(value: Any, wanted: Any) -> Any:
     if is_dataclass(value):
         return to_table(value)
+    if isinstance(value, Mapping):
+        return {name: _to_value(each, get_args(wanted)[1]) for name, each in value.items()}
     if isinstance(value, tuple):
         return [_to_value(each, get_args(wanted)[0]) for each in value]
     return float(value) if wanted is float else value
@@ -206,6 +208,9 @@ def _values(
             values[key] = merge(current[key], _as_table(value, here), locate, inner, more)
         elif is_dataclass(wanted):
             values[key] = build(cast("type", wanted), _as_table(value, here), locate, inner)
+        elif get_origin(wanted) is Mapping:
+            kind, given = get_args(wanted)[1], _as_table(value, here).items()
+            values[key] = current[key] | {name: as_type(each, kind, locate(inner + name)) for name, each in given}
         elif get_origin(wanted) is tuple:
             values[key] = _as_list(get_args(wanted)[0], value, locate, prefix + key)
         else:

@@ -34,7 +34,7 @@ def gait(
     from stepgap.step import StepFailed
 
     settings = read_experiment(experiment, overrides or [])
-    space = settings.robot.space
+    space = settings.space
     wanted = values_by_name("--state", state, space.state, space.state_centre)
     if out:
         check_new(out, "--out")

@@ -136,7 +136,7 @@ def _steps_of_run(path: Path) -> "tuple[Steps, StepSpace | None]":
     file = path / "steps.csv" if path.is_dir() else path
     try:
         space, settings = space_of_header(file), Run(file.parent).settings
-        known = None if isinstance(settings, Missing) else settings.robot.space
+        known = None if isinstance(settings, Missing) else settings.space
         return read_step_log(file, space), known if known and known.has_names_of(space) else None
     except (OSError, RecordError, ValueError) as error:
         hint = "give a run or its steps.csv; for any other CSV file name its columns, see --help"

@@ -19,8 +19,8 @@ DEBUG_HELP = "--debug shows where an error arose."
 
 SETTINGS_HELP = (
     "--robot NAME chooses the robot, by default the hopper. Any setting of an experiment can be given as --TABLE.KEY "
-    "VALUE, such as --learning.residual linear. Tables: nominal, learning, control, process and those of the robot, "
-    f"such as gap; `stepgap settings --robot NAME` prints every key with its meaning. {DEBUG_HELP}"
+    "VALUE, such as --learning.residual linear. Tables: weights, nominal, learning, control, process and those of the "
+    f"robot, such as gap; `stepgap settings --robot NAME` prints every key with its meaning. {DEBUG_HELP}"
 )
 
 MOST_DIGITS = 30

@@ -150,7 +150,7 @@ def run(
         out = folder_to_continue("--resume" if resume else "--extend", experiment, out, changes)
     with run_folder(out) as folder:
         settings = _settings(experiment, folder, changes, continued, extend)
-        reference = load_reference(settings, settings.robot.space)
+        reference = load_reference(settings, settings.space)
         with plant_compiled_beside(settings):
             nominal = nominal_with_progress(settings)
             if nominal.surrogate:  # it was fitted now
@@ -219,7 +219,7 @@ def _settings(
         settings = extended(Run(folder), extend)
     else:
         settings = read_experiment(folder / "experiment.toml" if continued else experiment, changes)
-    check_names(settings.robot.space)
+    check_names(settings.space)
     return settings
 
 

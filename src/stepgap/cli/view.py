@@ -74,7 +74,7 @@ def _simulate(overrides: Overrides, folder: Path) -> None:
         raise InputError("give the folder of a run, or a robot by --robot NAME")
     settings = read_experiment(None, overrides)
     nominal = nominal_with_progress(settings)
-    held = held_reference(nominal.map, load_reference(settings, settings.robot.space))
+    held = held_reference(nominal.map, load_reference(settings, settings.space))
     if held is None:
         raise InputError(f"robot '{settings.robot.name}': no target is held; stepgap check shows what is wrong")
     trial_run(settings, nominal, trial_reference(settings, held), folder)

@@ -3,6 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.files import read_bounded_text, write_whole
 from stepgap.control.reference import Reference, read_reference, reference_text
@@ -27,7 +29,7 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
     """
     built_in = experiment.robot.references()
     if experiment.reference in built_in:
-        return built_in[experiment.reference]().of(space)
+        return _tracked(built_in[experiment.reference](), experiment).of(space)
     names = " or ".join(f"'{name}'" for name in built_in)
     path, wanted = Path(experiment.reference), f"reference must be {names} or a CSV file of targets"
     try:
@@ -36,6 +38,18 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
         raise InputError(f"{path}: {error.strerror}; {wanted}") from None
     except ValueError as error:
         raise InputError(str(error)) from None
+
+
+def _tracked(reference: Reference, experiment: Experiment) -> Reference:
+    """A reference of the robot without targets of the coordinates that the experiment does not track."""
+    ignored = [experiment.weights.get(name) == 0 for name in reference.names]
+    if not any(ignored):
+        return reference
+    targets = np.where(ignored, np.nan, reference.targets)
+    if np.isnan(targets).all():
+        wanted = "give targets of what is tracked, as a CSV file"
+        raise InputError(f"reference '{experiment.reference}': it only has targets of a weight of 0; {wanted}")
+    return replace(reference, targets=targets)
 
 
 def load_known(experiment: Experiment, space: StepSpace) -> Steps:

@@ -17,6 +17,7 @@ from stepgap.base.random_streams import random_stream
 from stepgap.base.start_method import process_context
 from stepgap.experiment.inputs import load_reference
 from stepgap.experiment.settings import FROM_LOG, FROM_TEMPLATE, LARGEST_NOMINAL_FILE, Experiment
+from stepgap.experiment.weights import weighted_space
 from stepgap.records.steps_csv import RecordError, read_step_log
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.differenced_map import has_no_formula, with_suitable_step
@@ -25,6 +26,7 @@ from stepgap.robots.nominal_maps.log_map import LogMap, fit_log_map
 from stepgap.robots.nominal_maps.simulator import SimulatorMap
 from stepgap.robots.nominal_maps.surrogate_map import MapFunction, SurrogateMap, fit_surrogate, surrogate_from_dict
 from stepgap.robots.nominal_maps.template_file import gaps_of_template, read_template
+from stepgap.robots.nominal_maps.weighted_map import with_space
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, Outcome, StepFailed, StepMap, StepSpace, StepStatus
 
@@ -79,7 +81,7 @@ def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] 
     nominal = _load_map(settings, on_samples)
     if not settings.nominal.linear:
         return nominal
-    target = load_reference(settings, settings.robot.space).mean_target
+    target = load_reference(settings, settings.space).mean_target
     try:
         return nominal._replace(map=linearised(nominal.map, target))
     except StepFailed as error:
@@ -96,7 +98,7 @@ def _load_map(settings: Experiment, on_samples: Callable[[int, Array], None]) ->
         if not file:
             example = "template.toml" if kind == FROM_TEMPLATE else "steps.csv"
             raise InputError(f"nominal.kind = {kind}: give its file by nominal.file, such as {example}")
-        found = _read_map(kind, Path(file), robot.space)
+        found = _read_map(kind, Path(file), settings.space)
         if isinstance(found, LogMap):
             return Nominal(found, warnings=tuple(f"{file}: {gap}" for gap in found.gaps))
         return Nominal(found, warnings=gaps_of_template(Path(file), found) if isinstance(found, AffineMap) else ())
@@ -108,13 +110,14 @@ def _load_map(settings: Experiment, on_samples: Callable[[int, Array], None]) ->
     if not isinstance(nominal, SimulatorMap):
         if file:
             raise InputError(f"nominal.file = {file}: nominal map '{kind}' needs no file")
-        return _differenced(kind, nominal) if has_no_formula(nominal) else Nominal(nominal)
+        found = _differenced(kind, nominal) if has_no_formula(nominal) else Nominal(nominal)
+        return found._replace(map=_weighted(found.map, settings))
     if file:
-        return Nominal(_read_map(kind, Path(file), robot.space))
+        return Nominal(_read_map(kind, Path(file), settings.space))
     rng = random_stream(settings.seed, 0, 2)
     with _on_all_cores(robot, kind, nominal) as mapped:
         surrogate = fit_surrogate(nominal, rng, mapped, on_samples)
-    return Nominal(surrogate, surrogate)
+    return Nominal(_weighted(surrogate, settings), surrogate)
 
 
 def _differenced(kind: str, nominal: StepMap) -> Nominal:
@@ -136,7 +139,12 @@ def sampled_map(settings: Experiment, tick: float | None) -> StepMap:
     found = settings.robot.sampled_map(tick)
     if found is None:
         raise InputError(f"robot '{settings.robot.name}' has no map with torques that are held for a tick")
-    return found
+    return _weighted(found, settings)
+
+
+def _weighted(nominal: StepMap, settings: Experiment) -> StepMap:
+    """A map of the robot with the weights of the experiment."""
+    return with_space(nominal, weighted_space(nominal.space, settings.weights))
 
 
 def check_surrogate(surrogate: SurrogateMap) -> None:

@@ -121,5 +121,5 @@ def process_plants(request: PlantRequest) -> Plants:
     if not port and shutil.which(program[0]) is None:
         raise InputError(f"-- {program[0]}: cannot be started: no such program; give its path, or a name in PATH")
     connect = partial(Connection, int(port[1])) if port else partial(Child, tuple(program))
-    space = settings.robot.space
+    space = settings.space
     return Plants(lambda _: ProcessPlant(connect, space, settings.process), replays=False)

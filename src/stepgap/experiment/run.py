@@ -148,7 +148,7 @@ class Run:
     @cached_property
     def space(self) -> StepSpace:
         """State and command; if the robot is missing, without units, and the bounds have no meaning."""
-        return self._header if isinstance(self.robot, Missing) else self.robot.space
+        return self._header if isinstance(self.robot, Missing) else self.needed(self.settings).space
 
     @cached_property
     def published(self) -> PublishedResult | None:

@@ -76,7 +76,7 @@ def load_setup(request: PlantRequest, nominal: StepMap) -> Setup:
     check_reach(nominal, request.reference, name, settings.robot)
     if settings.control.table and np.isnan(request.reference.targets).any():
         raise InputError("control.table: a table needs a target of every state coordinate at every step; set it to 0")
-    known = load_known(settings, settings.robot.space)
+    known = load_known(settings, settings.space)
     plants = choose_plants(request)
     return Setup(nominal, plants, request.reference, settings.learning, settings.control, settings.seed, known)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -22,11 +23,13 @@ from stepgap.base.settings_file import (
 )
 from stepgap.control.settings import ControlSettings
 from stepgap.experiment.methods import METHODS
+from stepgap.experiment.weights import weighted_space
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.process.process_plant import Timeouts
 from stepgap.records.missing import Missing
 from stepgap.robots.entry_points import load_robot, robot_names, simulations_of
 from stepgap.robots.robot import Robot
+from stepgap.step import StepSpace
 
 _Choice = TypeVar("_Choice")
 
@@ -108,6 +111,9 @@ class Experiment:
         rig: File that describes that rig, relative to the experiment's file.
         warm_start: Folder of a run whose steps are known before the first deployment, or a `steps.csv`, relative to the
             experiment's file; empty: nothing is known.
+        weights: By the name of a state coordinate, how much its squared error [half ranges] counts against those of the
+            others, instead of the weight that the robot gives it, such as `speed = 0.5`. 0: it is predicted, but not
+            tracked.
         nominal: Nominal map.
         learning: Settings of learning.
         control: Settings of step control.
@@ -120,6 +126,7 @@ class Experiment:
     plant: str = ""
     rig: str = ""
     warm_start: str = ""
+    weights: Mapping[str, float] = field(default_factory=dict[str, float])
     nominal: NominalSettings = field(default_factory=NominalSettings)
     learning: LearningSettings = field(default_factory=LearningSettings)
     control: ControlSettings = field(default_factory=ControlSettings)
@@ -131,6 +138,15 @@ class Experiment:
         object.__setattr__(self, "plant", self.plant or next(iter(self.robot.simulations()), PROCESS))
         kind = self.nominal.kind or next(iter(self.robot.nominal_maps()), FROM_TEMPLATE)
         object.__setattr__(self, "nominal", replace(self.nominal, kind=kind))
+
+    @cached_property
+    def space(self) -> StepSpace:
+        """Names, units and ranges of the robot, with the weights of the experiment.
+
+        Raises:
+            ValueError: A weight is wrong.
+        """
+        return weighted_space(self.robot.space, self.weights)
 
     @property
     def simulated(self) -> bool:
@@ -259,7 +275,12 @@ def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: 
             rest[name] = {key: value for key, value in part.items() if key != "preset"}
     more = (ROBOT, "method", *(f"{name}.preset" for name in robot.presets))
     experiment, robot = merge_all((experiment, robot), rest, locate, more=more)
-    return replace(experiment, robot=robot)
+    experiment = replace(experiment, robot=robot)
+    try:
+        _ = experiment.weights and experiment.space
+    except ValueError as error:
+        raise located(error, locate, "") from None
+    return experiment
 
 
 def _robot(name: Any, where: str) -> Robot:

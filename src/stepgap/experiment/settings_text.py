@@ -100,7 +100,7 @@ def _tables(experiment: Experiment, wanted: set[str]) -> list[str]:
         if value is None and key != "preset" and name != "method":
             heads[name] = text
         else:
-            shown = "" if value is None else f"`{tomli_w.dumps({'x': value})[4:].strip()}`"
+            shown = "" if value is None else "`{}`" if value == {} else f"`{tomli_w.dumps({'x': value})[4:].strip()}`"
             tables.setdefault(table, []).append(f"| `{key}` | {shown} | {text.replace('|', chr(92) + '|')} |")
     lines = []
     for table, rows in tables.items():

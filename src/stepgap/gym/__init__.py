@@ -3,7 +3,7 @@
 Importing this module registers `stepgap/Step-v0`, which takes any robot by its name.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from math import isfinite
 from typing import Any
@@ -186,6 +186,7 @@ def robot_env(
     noise: Sequence[float] | None = None,
     reference: Reference | None = None,
     render_mode: str | None = None,
+    weights: Mapping[str, float] | None = None,
 ) -> StepEnv:
     """Makes the environment of a robot; `gymnasium.make("stepgap/Step-v0", …)` calls it.
 
@@ -197,14 +198,15 @@ def robot_env(
             for a hundredth of the ranges of use.
         reference: Reference to track; None for the robot's first one.
         render_mode: One of `RENDER_MODES`, if the robot has a kinematics; None for no pictures.
+        weights: As in `Experiment`; they decide the reward.
 
     Raises:
         ValueError: An argument is wrong.
     """
     chosen = load_robot(robot) if isinstance(robot, str) else robot
-    settings = Experiment(chosen, plant="" if plant == MODEL else plant)
+    settings = Experiment(chosen, plant="" if plant == MODEL else plant, weights=weights or {})
     nominal = load_nominal(settings).map
-    reference = reference or load_reference(settings, chosen.space)
+    reference = reference or load_reference(settings, settings.space)
     kinematics = chosen.kinematics()
     camera = Camera(kinematics) if kinematics else None
     _check_render_mode(render_mode, camera)

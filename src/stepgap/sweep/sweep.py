@@ -76,7 +76,7 @@ class Sweep:
     @property
     def space(self) -> StepSpace:
         """State and command of the robot."""
-        return self.base.robot.space
+        return self.base.space
 
     def settings(self, number: int) -> dict[str, Any]:
         """Values of the settings on the axes in a case, by name."""
@@ -122,7 +122,7 @@ def points_digest(base: Experiment, axes: Sequence[Axis]) -> str:
 
 def _input_files(experiment: Experiment) -> dict[str, str]:
     """Texts of all files of an experiment, by their names in the folder of a run."""
-    space = experiment.robot.space
+    space = experiment.space
     return experiment_files(experiment, load_reference(experiment, space), load_known(experiment, space))
 
 

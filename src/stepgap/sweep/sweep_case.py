@@ -43,7 +43,7 @@ def run_case(case: Mapping[str, Any]) -> CaseOutput:
             with naming(path):
                 path.write_text(text, encoding="utf-8", newline="")
         settings = read_experiment(folder / "experiment.toml")
-        reference = load_reference(settings, settings.robot.space)
+        reference = load_reference(settings, settings.space)
         setup = load_setup(PlantRequest(settings, reference, folder), load_nominal(settings).map)
         plants = setup.plants._replace(measure_noise_floor=None)
         deployments = run_experiment(replace(setup, plants=plants), folder)

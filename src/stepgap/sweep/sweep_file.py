@@ -69,7 +69,7 @@ def read_sweep(path: Path) -> Sweep:
         *_axes(base, values, path),
         Axis((SEED,), tuple((seed,) for seed in _integers(table["seeds"], f"{path}: seeds"))),
     )
-    load_reference(base, base.robot.space)  # a missing file is reported now, not in every case
+    load_reference(base, base.space)  # a missing file is reported now, not in every case
     _check(base, axes, path)
     if table.pop(POINTS_SHA256, None) not in (None, points_digest(base, axes)):
         wanted = "use the versions and files that made it, or remove this key for a new sweep"

@@ -147,7 +147,7 @@ def read_nominal_errors(
         logs = [log / "steps.csv" if log.is_dir() else log for log in logs]
         experiment = experiment or _common_experiment(logs)
     settings = read_experiment(experiment, overrides)
-    space = settings.robot.space
+    space = settings.space
     found = _read_runs(logs, space) if columns is None else read_foreign_logs(logs, columns)
     steps, source = found.steps, nominal or _nominal_of(found.steps, space)
     description, step_map = NOMINALS[source], None

@@ -48,12 +48,12 @@ def _context(folder: Path) -> SweepContext:
     """What is known of the base experiment; its robot only if its settings are valid in this version."""
     path, planned = folder / "experiment.toml", _planned(folder)
     try:
-        robot = (read_experiment(path) if path.is_file() else Experiment()).robot
+        settings = read_experiment(path) if path.is_file() else Experiment()
     except InputError:
         return SweepContext(planned, experiment_table(Experiment()))
-    published = robot.published()
-    defaults = experiment_table(Experiment(load_robot(robot.name)))
-    return SweepContext(planned, defaults, robot.space.state, published.source if published else "")
+    published = settings.robot.published()
+    defaults = experiment_table(Experiment(load_robot(settings.robot.name)))
+    return SweepContext(planned, defaults, settings.space.state, published.source if published else "")
 
 
 SWEEP_REPORT = FolderReport(is_sweep, report_sweep)
