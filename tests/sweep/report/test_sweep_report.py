@@ -27,6 +27,8 @@ from stepgap.sweep.results_table import RESULTS
 from tests.browser import Watched
 from tests.browser import chromium as chromium  # fixtures
 from tests.browser import watched_page as watched_page
+from tests.cli.command_line import Command
+from tests.quick_runs import compute_in_a_thread
 from tests.report.pages import Page, check_alone, check_same_files
 from tests.sweep.report.tables import cases_in, combinations_of, write_results_table
 
@@ -255,6 +257,20 @@ def test_deployment_0_alone(tmp_path: Path) -> None:
     check_page(page, 2)
     assert f"30 cases: the mean RMSE of the last deployment is {stats.gmean(errors.ravel()):.2f} in x." in page.text
     assert "before learning" not in page.source
+
+
+def test_what_is_not_tracked_is_left_out(package: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    compute_in_a_thread(monkeypatch)
+    Path("targets.csv").write_text("speed,height\n" + "0.2,0.58\n0.25,0.59\n" * 4)
+    Path("e.toml").write_text("robot = 'pitching'\nreference = 'targets.csv'\n[learning]\niterations = 1\n")
+    Path("s.toml").write_text("base = 'e.toml'\nseeds = [1, 2]\n[axes]\n'weights.height' = [0.5, 2]\n")
+    result = stepgap("sweep", "s.toml", "--out", "out", "--quiet", "--processes", "1")
+    assert result.code == 0, result.err
+    page = Page(Path("out/report.html"))
+    assert "4 cases: from deployment 0 to the last one, the mean RMSE changed from " in page.text
+    for name, shown in (("speed [m/s]", True), ("height [m]", True), ("pitch [rad]", False), ("pitch_rate", False)):
+        assert (f"last RMSE of {name}" in page.text) == shown, name
+    assert "pitch" not in page.text.partition("Settings that no axis changes")[0].replace("pitching", "")
 
 
 def test_only_the_most_important_settings_are_drawn(tmp_path: Path) -> None:

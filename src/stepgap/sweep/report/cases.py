@@ -93,7 +93,7 @@ class SweepCases:
 
     Attributes:
         rows: Number of rows of the table.
-        state_names: Names of the n state coordinates.
+        state_names: Names of the n state coordinates of which an error is known in some case; of all if there is none.
         numbers: Numbers of the cases; shape (N,).
         settings: Settings on the axes, by name; the last one is `seed`.
         axes: Settings with at least two levels, without `seed`.
@@ -152,15 +152,16 @@ def sweep_cases(table: ResultsTable) -> SweepCases:
     failed_steps = columns["falls"]
     aborted = np.fmax.reduceat(failed_steps[rows], starts) > 0 if len(rows) else np.zeros(0, bool)
     settings = {name: SettingTexts(*np.unique(columns[name][last], return_inverse=True)) for name in table.settings}
+    names = tuple(name for name in table.state_names if np.isfinite(columns[f"rmse_{name}"]).any()) or table.state_names
     hops = columns["hops_to_band"][last]
     return SweepCases(
         len(table),
-        table.state_names,
+        names,
         numbers[last].astype(np.int64),
         settings,
         _axes({name: each for name, each in settings.items() if name != "seed"}),
-        _errors(table, first, (columns["iteration"][first] == 0) & (failed_steps[first] == 0)),
-        _errors(table, last, failed_steps[last] == 0),
+        _errors(table, names, first, (columns["iteration"][first] == 0) & (failed_steps[first] == 0)),
+        _errors(table, names, last, failed_steps[last] == 0),
         columns["iteration"][last] > 0,
         aborted,
         failed_steps[last] > 0,
@@ -169,9 +170,9 @@ def sweep_cases(table: ResultsTable) -> SweepCases:
     )
 
 
-def _errors(table: ResultsTable, rows: LevelCodes, valid: NDArray[np.bool_]) -> Array:
+def _errors(table: ResultsTable, names: Sequence[str], rows: LevelCodes, valid: NDArray[np.bool_]) -> Array:
     """Errors of the state coordinates in rows, NaN where they cannot be compared; shape (N, n)."""
-    errors = np.stack([table.columns[f"rmse_{name}"][rows] for name in table.state_names], axis=1)
+    errors = np.stack([table.columns[f"rmse_{name}"][rows] for name in names], axis=1)
     return np.where(valid[:, np.newaxis] & np.isfinite(errors) & (errors > 0), errors, np.nan)
 
 
