@@ -11,11 +11,13 @@ systems, 2002).
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.control.box_points import box_points, composite_design
+from stepgap.control.command_change import CommandChange
 from stepgap.control.command_table import CommandTable
 from stepgap.control.cost_to_go import goals_for
 from stepgap.control.evaluation_budget import BudgetedMap, EvaluationBudget
@@ -24,7 +26,7 @@ from stepgap.control.goal import Goal
 from stepgap.control.horizon import plan_ahead
 from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.control.step_controller import StepController, checked_target
-from stepgap.step import Array, StepFailed, StepMap, StepStatus
+from stepgap.step import Array, StepFailed, StepMap, StepSpace, StepStatus
 
 RISK = 2.0
 """The next state must be viable even if it is off by this number of standard deviations."""
@@ -63,6 +65,8 @@ class CautiousController:
         failures: Points (state, command) of steps that failed; shape (k, n + m).
         settings: Which rules apply.
         table: Table of the commands of `step_map`, used in place of solving; None to solve.
+        previous: Command of the step before, from which the next one may differ by `settings.largest_change`; None for
+            no limit. Shape (m,).
     """
 
     step_map: StepMap
@@ -70,6 +74,17 @@ class CautiousController:
     failures: Array
     settings: ControlSettings = ALL_RULES
     table: CommandTable | None = None
+    previous: Array | None = None
+
+    @property
+    def change(self) -> CommandChange:
+        """How much the next command may differ from the one before."""
+        return CommandChange(self.settings.largest_change, self.previous)
+
+    @cached_property
+    def bounds(self) -> StepSpace:
+        """The space with the bounds of the next command."""
+        return self.change.bounds(self.step_map.space)
 
     def __call__(
         self, state: ArrayLike, target: ArrayLike, guess: ArrayLike | None = None, ahead: ArrayLike = ()
@@ -90,16 +105,15 @@ class CautiousController:
         space, predicting = self.step_map.space, searching.step_map
         targets = np.array([checked_target(space, each) for each in (target, *np.asarray(ahead))])
         (goal,) = goals_for(predicting, targets[:1])
-        exact = (
-            self.table(state, target, guess) if self.table else StepController(predicting).towards(state, goal, guess)
-        )
+        solver = StepController(self.change.limited(predicting))
+        exact = self.table(state, target, guess) if self.table else solver.towards(state, goal, guess)
         state = np.asarray(state, float)
         certain = self._is_certain(state, exact.command)
         nominal = [] if certain else searching._nominal_commands(state, goal, exact.command)
         plans = [exact] if certain else []
         if len(targets) > 1:
             goals = goals_for(predicting, targets)
-            joint = plan_ahead(predicting, state, goals, exact, nominal, self.settings.cautious)
+            joint = plan_ahead(predicting, state, goals, exact, nominal, self.settings.cautious, self.change)
             plans = [joint, *plans] if joint is not exact else plans
         for plan in plans:
             step_std = self.step_std(state, plan.command)
@@ -124,8 +138,7 @@ class CautiousController:
 
     def _searched_commands(self) -> Array:
         """Commands all over the bounds; shape (k, m)."""
-        space = self.step_map.space
-        return space.command_at(box_points(searched_commands(self.settings), len(space.command)))
+        return self.bounds.command_at(box_points(searched_commands(self.settings), len(self.bounds.command)))
 
     def _is_certain(self, state: Array, command: Array) -> bool:
         """Whether the map's error is smaller than the scatter of a measured step.
@@ -138,7 +151,7 @@ class CautiousController:
     def _nominal_commands(self, state: Array, goal: Goal, start: Array) -> list[Array]:
         """The command of the nominal map, if it has one."""
         try:
-            return [StepController(self.nominal).towards(state, goal, start).command]
+            return [StepController(self.change.limited(self.nominal)).towards(state, goal, start).command]
         except StepFailed:
             return []
 
@@ -154,7 +167,7 @@ class CautiousController:
 
     def _local_minimum(self, state: Array, goal: Goal, start: Array) -> Array:
         """The command of least expected squared error that is found from `start`; shape (m,)."""
-        space, n = self.step_map.space, len(state)
+        space, n = self.bounds, len(state)
 
         def deviations(point: Array) -> Array:
             command = space.command_at(point)

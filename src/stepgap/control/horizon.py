@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stepgap.control.command_change import NO_LIMIT, CommandChange
 from stepgap.control.gauss_newton import REACHED, minimise, norms
 from stepgap.control.goal import Goal
 from stepgap.control.step_controller import StepController, StepPlan
@@ -29,6 +30,7 @@ def plan_ahead(
     first: StepPlan,
     others: Sequence[Array] = (),
     cautious: bool = True,
+    change: CommandChange = NO_LIMIT,
 ) -> StepPlan:
     """The first command of the best sequence that is found from the plans of single steps; `first` if these reach all.
 
@@ -40,12 +42,15 @@ def plan_ahead(
         others: Other commands of the first step; the sequence is not worse than one that begins with any of them.
             Shape (m,).
         cautious: Whether variances count.
+        change: How much the first command may differ from the one before it.
     """
-    commands, reached = _one_by_one(step_map, goals, first)
+    commands, reached = _one_by_one(step_map, goals, first, change)
     if reached:
         return first
     space = step_map.space
     n, m = len(space.state), len(space.command)
+    # A later command may be as many changes away; that it also follows the one before it is left to the next plans.
+    boxes = [change.bounds(space, number) for number in range(1, len(goals) + 1)]
     known = dict[tuple[int, bytes], tuple[list[Array], list[Array]]]()  # so that a Jacobian repeats no step
 
     def path(points: Array) -> tuple[list[Array], list[Array]]:
@@ -53,7 +58,8 @@ def plan_ahead(
         key = points.ndim, points.tobytes()
         if key not in known:
             states, stds = [np.broadcast_to(state, (*points.shape[:-1], n))], list[Array]()
-            for command in np.moveaxis(space.command_at(points.reshape(*points.shape[:-1], -1, m)), -2, 0):
+            for box, scaled in zip(boxes, np.split(points, len(goals), axis=-1), strict=True):
+                command = box.command_at(scaled)
                 stds.append(step_map.std(states[-1], command))
                 states.append(step_map.evaluate(states[-1], command).next_state)
             known[key] = states, stds
@@ -69,18 +75,22 @@ def plan_ahead(
     def jacobian(point: Array) -> Array:
         """∂errors/∂point, by the chain rule along the steps."""
         means, spreads, by_point = [], [], np.zeros((n, len(point)))
-        by_command = np.eye(len(point)).reshape(-1, m, len(point)) * space.command_scale[:, None]
-        for goal, before, scaled, own in zip(goals, path(point)[0], point.reshape(-1, m), by_command, strict=False):
-            command, by_input = space.command_at(scaled), np.vstack([by_point, own])
+        by_own = np.eye(len(point)).reshape(-1, m, len(point))
+        for goal, box, before, scaled, own in zip(
+            goals, boxes, path(point)[0], point.reshape(-1, m), by_own, strict=False
+        ):
+            command, by_input = box.command_at(scaled), np.vstack([by_point, own * box.command_scale[:, None]])
             spreads.append(goal.spread(step_map.std_gradient(before, command) @ by_input))
             by_point = step_map.jacobian(before, command) @ by_input
             means.append(goal.errors_by(by_point))
         return np.concatenate([*means, *spreads] if cautious else means)
 
-    starts = space.point_of(np.array([commands, *([other, *commands[1:]] for other in others)]))
-    starts = starts.reshape(len(starts), -1)
-    best = starts[np.argmin(norms(errors(starts)))]
-    command = space.command_at(minimise(errors, jacobian, best, _NEGLIGIBLE).point[:m])
+    starts = [commands, *([other, *commands[1:]] for other in others)]
+    points = np.array(
+        [np.concatenate([box.point_of(at) for box, at in zip(boxes, each, strict=True)]) for each in starts]
+    )
+    best = points[np.argmin(norms(errors(points)))]
+    command = boxes[0].command_at(minimise(errors, jacobian, best, _NEGLIGIBLE).point[:m])
     predicted, status = step_map.evaluate(state, command)
     if status != StepStatus.OK:
         return first
@@ -88,11 +98,12 @@ def plan_ahead(
     return StepPlan(command, predicted, distance <= REACHED, distance)
 
 
-def _one_by_one(step_map: StepMap, goals: Sequence[Goal], first: StepPlan) -> tuple[Array, bool]:
+def _one_by_one(step_map: StepMap, goals: Sequence[Goal], first: StepPlan, change: CommandChange) -> tuple[Array, bool]:
     """Commands (k, m) of steps that are planned one after the other, and whether all of them have no error."""
-    controller, plan, commands, reached = StepController(step_map), first, [first.command], first.reached
+    plan, commands, reached = first, [first.command], first.reached
     for goal in goals[1:]:
         try:
+            controller = StepController(change.after(plan.command).limited(step_map))
             plan = controller.towards(plan.predicted, goal, plan.command)
         except StepFailed:
             return np.array([*commands, *[plan.command] * (len(goals) - len(commands))]), False

@@ -23,6 +23,8 @@ class ControlSettings:
         horizon: Number of steps whose commands are chosen together, with the targets that the reference has for them,
             where single steps do not reach them: the robot begins early with a change that takes several steps. Where
             the corrected map is uncertain, and with 1, each command is chosen for its own step alone, as in the paper.
+        largest_change: Largest change of each command from one step to the next, as a share of its range; 1 for no
+            limit. The first command of a deployment has none.
         table: Points along each axis of a look-up table of commands that is computed before every deployment and used
             in place of solving (the paper, Sec. 6); 0 for none. Its prediction is interpolated, too. It covers the
             range of use of state and target: for a state outside, the command is that of the nearest state inside.
@@ -34,11 +36,18 @@ class ControlSettings:
     evaluations: int = 2000
     table: int = 0
     horizon: int = 2
+    largest_change: float = 1.0
 
     def __post_init__(self) -> None:
         require(self.evaluations >= 20, "evaluations", self.evaluations, "be at least 20")
         require(1 <= self.horizon <= LONGEST_HORIZON, "horizon", self.horizon, f"lie between 1 and {LONGEST_HORIZON}")
+        rule = "lie between 0.001 and 1, the whole range"
+        require(0.001 <= self.largest_change <= 1, "largest_change", self.largest_change, rule)
         require(self.table == 0 or 2 <= self.table <= 41, "table", self.table, "be 0, or lie between 2 and 41")
+        limited = self.table > 0 and self.largest_change < 1
+        require(
+            not limited, "table", self.table, "be 0 with a largest_change, because a table has one command for a state"
+        )
 
 
 ALL_RULES = ControlSettings()

@@ -91,7 +91,8 @@ class DeploymentController:
     def step_controller(self) -> CautiousController:
         """Controller of the next step."""
         learner = self.learner
-        return CautiousController(learner.step_map(), learner.nominal, learner.failures, self.settings, self.table)
+        maps = learner.step_map(), learner.nominal
+        return CautiousController(*maps, learner.failures, self.settings, self.table, self.command)
 
     def plan(self, state: Array, target: Array, ahead: ArrayLike = ()) -> CautiousPlan:
         """Plans the next step; the middle of the bounds where the map has no command that makes a step.
@@ -188,7 +189,8 @@ def tracking_plan(
     try:
         plan = controller(state, target, guess, ahead)
     except StepFailed:
-        command = controller.step_map.space.command_centre
+        bounds = controller.bounds
+        command = np.clip(controller.step_map.space.command_centre, bounds.command_lower, bounds.command_upper)
         plan = CautiousPlan(command, np.full_like(target, np.nan), controller.step_std(state, command))
     return _checked(controller.step_map, state, plan)
 

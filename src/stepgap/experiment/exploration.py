@@ -69,7 +69,7 @@ def exploration_plan(controller: CautiousController, residual: Residual, state: 
     Raises:
         StepFailed: None of the compared commands makes a step.
     """
-    step_map, space = controller.step_map, controller.step_map.space
+    step_map, space = controller.step_map, controller.bounds
     n, m = len(space.state), len(space.command)
     commands = space.command_at(box_points(TRIED, m))
     safe = np.array([command for command in commands if controller.is_safe(state, command)]).reshape(-1, m)

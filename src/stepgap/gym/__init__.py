@@ -19,8 +19,10 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from stepgap.base.plugins import one_of
+from stepgap.control.command_change import CommandChange
 from stepgap.control.reach import whole_states
 from stepgap.control.reference import Reference
+from stepgap.control.settings import ControlSettings
 from stepgap.experiment.inputs import load_reference
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import Experiment
@@ -51,7 +53,7 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
     """Tracks a reference on a plant, one step per action.
 
     - Action: the step command, scaled so that its bounds are −1 and 1 (`space.point_of`, `space.command_at`); shape
-      (m,). Larger values are clipped.
+      (m,). Larger values are clipped, as are changes of a command that are larger than `largest_change`.
     - Observation: state before the step and target of the next step, SI units; shape (2 n,); clipped at
       `OBSERVATION_LIMIT`. After a failed step the state is the one before it; after the last step the target is the
       last one.
@@ -68,9 +70,10 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         reference: Reference to track; `reset(options={"reference": …})` sets another one for one episode.
         render_mode: One of `RENDER_MODES`; None for no pictures.
         camera: Draws the robot; its `on_ticks` must be called with the ticks of the plant if they are to be drawn.
+        largest_change: As in `ControlSettings`.
 
     Raises:
-        ValueError: The reference does not fit this map, or the render mode is not possible.
+        ValueError: The reference does not fit this map, or the render mode or the largest change is not possible.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012  (as Gymnasium has it)
@@ -82,8 +85,10 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         reference: Reference,
         render_mode: str | None = None,
         camera: Camera | None = None,
+        largest_change: float = 1.0,
     ):
         reference = reference.of(nominal.space)
+        self._any_change = CommandChange(ControlSettings(largest_change=largest_change).largest_change)
         _check_render_mode(render_mode, camera)
         self.render_mode, self._camera = render_mode, camera
         rate = FRAMES_PER_SECOND if render_mode == "rgb_array_list" else STEPS_PER_SECOND
@@ -105,7 +110,7 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         super().reset(seed=seed)
         self.close()
         self._tracked = _reference_of(options or {}, self.reference).of(self.space)
-        self._plant, self._done = self._make_plant(self.np_random), 0
+        self._plant, self._done, self._change = self._make_plant(self.np_random), 0, self._any_change
         self._state = self._plant.start()
         if self._camera:
             self._camera.begin(self._state, self._caption())
@@ -123,7 +128,10 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         point = np.asarray(action, float)
         if point.shape != self.action_space.shape:
             raise ValueError(f"the action has shape {point.shape}; it must be {self.action_space.shape}")
-        record = self._plant.take_step(self.space.command_at(point))
+        bounds = self._change.bounds(self.space)
+        command = np.clip(self.space.command_at(point), bounds.command_lower, bounds.command_upper)
+        self._change = self._change.after(command)
+        record = self._plant.take_step(command)
         target, remaining = self._tracked.targets[self._done], len(self._tracked) - self._done
         predicted, status = self.nominal.evaluate(record.state, record.requested)
         info = {"command": record.command, "applied": record.applied, "status": record.status.label}
@@ -187,6 +195,7 @@ def robot_env(
     reference: Reference | None = None,
     render_mode: str | None = None,
     weights: Mapping[str, float] | None = None,
+    largest_change: float = 1.0,
 ) -> StepEnv:
     """Makes the environment of a robot; `gymnasium.make("stepgap/Step-v0", …)` calls it.
 
@@ -199,6 +208,7 @@ def robot_env(
         reference: Reference to track; None for the robot's first one.
         render_mode: One of `RENDER_MODES`, if the robot has a kinematics; None for no pictures.
         weights: As in `Experiment`; they decide the reward.
+        largest_change: As in `ControlSettings`.
 
     Raises:
         ValueError: An argument is wrong.
@@ -216,7 +226,8 @@ def robot_env(
             names = ", ".join(f"{quantity.name} [{quantity.unit}]" for quantity in chosen.space.state)
             raise ValueError(f"noise = {noise}, but it must be numbers that are not negative, for {names}")
         (start,) = whole_states(nominal, reference.of(nominal.space).targets[:1])
-        return StepEnv(partial(ModelPlant, nominal, start, std), nominal, reference, render_mode, camera)
+        make_model = partial(ModelPlant, nominal, start, std)
+        return StepEnv(make_model, nominal, reference, render_mode, camera, largest_change)
     simulations = simulations_of(chosen)
     if settings.plant not in simulations:
         known = (*simulations, MODEL)
@@ -227,7 +238,7 @@ def robot_env(
         return make(rng).plant(rng, camera.on_ticks if camera and render_mode else None)
 
     make_plant(np.random.default_rng(0))  # reports errors of the simulation now
-    return StepEnv(make_plant, nominal, reference, render_mode, camera)
+    return StepEnv(make_plant, nominal, reference, render_mode, camera, largest_change)
 
 
 def _check_render_mode(render_mode: str | None, camera: Camera | None) -> None:

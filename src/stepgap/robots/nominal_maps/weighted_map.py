@@ -1,13 +1,11 @@
-"""A nominal map whose state coordinates have other weights; it predicts the same."""
+"""A nominal map whose state coordinates have other weights."""
 
-from dataclasses import dataclass, replace
-from typing import final
+from dataclasses import replace
 
-from numpy.typing import ArrayLike
-
+from stepgap.control.command_change import MapInSpace
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.surrogate_map import SurrogateMap
-from stepgap.step import Array, Outcome, StepMap, StepSpace
+from stepgap.step import StepMap, StepSpace
 
 
 def with_space(step_map: StepMap, space: StepSpace) -> StepMap:
@@ -16,21 +14,4 @@ def with_space(step_map: StepMap, space: StepSpace) -> StepMap:
         return step_map
     if isinstance(step_map, AffineMap | SurrogateMap):
         return replace(step_map, quantities=space)
-    return _WeightedMap(step_map, space)
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class _WeightedMap(StepMap):
-    inner: StepMap
-    quantities: StepSpace
-
-    @property
-    def space(self) -> StepSpace:
-        return self.quantities
-
-    def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
-        return self.inner.evaluate(state, command)
-
-    def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
-        return self.inner.jacobian(state, command)
+    return MapInSpace(step_map, space)
