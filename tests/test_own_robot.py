@@ -1,10 +1,11 @@
 """Robots other than the hopper: the runner of examples/own_robot.py is correct and learns; so do maps of any sizes."""
 
+import importlib
 import re
 import runpy
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,11 @@ from stepgap.control.limit_cycle import fixed_point
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
 from stepgap.experiment.loop import Plants, Setup, run_experiment
+from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.model_plant import ModelPlant
-from stepgap.step import Array, Outcome, Quantity, StepMap, StepSpace, StepStatus, difference_jacobian
+from stepgap.records.steps_csv import read_step_log
+from stepgap.step import Array, Outcome, Quantity, StepMap, StepRecord, StepSpace, StepStatus, difference_jacobian
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "own_robot.py"
 HOPPER = (
@@ -199,3 +202,40 @@ def test_learning_reduces_the_error_without_the_hopper() -> None:
     assert "stepgap.experiment.loop" in modules.split()
     assert "mujoco" not in modules.split()
     assert not [name for name in modules.split() if re.match(HOPPER, name)]
+
+
+class MeasuredBall(ModelPlant):
+    """A ball whose time in the air follows from the height that is measured."""
+
+    def __init__(self, robot: Any, seed: int):
+        real = robot.TimedBallMap(0.72, 0.15)
+        super().__init__(real, [0.5, robot.airtime(0.5)], [0.003, 0.0], np.random.default_rng(seed))
+        self._airtime = robot.airtime
+
+    def _step(self, command: Array, rng: np.random.Generator) -> StepRecord:
+        record = super()._step(command, rng)
+        height = record.next_state[0]
+        return replace(record, next_state=np.array([height, self._airtime(height)]))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_function_of_the_state_is_learned_as_well_as_the_state(package: Path, tmp_path: Path, seed: int) -> None:
+    robot: Any = importlib.import_module("ball_robot")
+    nominal, real = robot.TimedBallMap(0.8), robot.TimedBallMap(0.72, 0.15)
+    times = [(1, [0.62]), (11, [0.75]), (21, [0.55]), (31, [0.7])]
+    reference = Reference.from_segments(("airtime",), times, steps=40)
+    learning = LearningSettings("gp_on_linear", iterations=1, early_stop=False)
+    plants = Plants(lambda rng: MeasuredBall(robot, int(rng.integers(99))))
+    deployments = run_experiment(Setup(nominal, plants, reference, learning, seed=seed), tmp_path)
+    before, after = (each.rmse for each in deployments)
+    assert after[1] < 0.4 * before[1]
+    assert np.isnan([before[0], after[0]]).all(), "the height is not tracked"
+    log = read_step_log(tmp_path / "steps.csv", nominal.space)
+    learned = Learner.start(nominal, log, learning, 2).step_map()
+    states, commands = log.state, log.command
+    truth, found = real(states, commands), learned(states, commands)
+    direct, composed = (
+        float(np.sqrt(np.mean((each - truth[:, 1]) ** 2))) for each in (found[:, 1], robot.airtime(found[:, 0]))
+    )
+    assert direct < 1.2 * composed
+    assert composed < 0.1 * np.abs(nominal(states, commands)[:, 1] - truth[:, 1]).mean()

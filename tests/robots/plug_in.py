@@ -65,9 +65,8 @@ def install_page(folder: Path, page: str) -> None:
 
 
 def module_of(page: str) -> str:
-    """The one module of a page."""
-    (module,) = re.findall(r"```python\n(.*?)```", (_DOCS / page).read_text("utf-8"), re.DOTALL)
-    return module
+    """The module of a page, whose later parts are explained further down."""
+    return "\n".join(re.findall(r"```python\n(.*?)```", (_DOCS / page).read_text("utf-8"), re.DOTALL))
 
 
 def install_package(folder: Path, project: Mapping[str, Any], **modules: str) -> None:
