@@ -158,10 +158,14 @@ def compare_commands(code: Code, run: Run, seed: int) -> str:
     plant = TwinSimulation(Hopper(), random_stream(seed)).plant(random_stream(seed, 0))
     filter_, command, phase, apart = ctypes.create_string_buffer(16384), None, float("nan"), []
     code.call("filter_init", filter_)
+    ahead = run.needed(run.settings).control.horizon
     for logged in deploy(run.learner(1), plant, paper_reference(), 1, control=run.needed(run.settings).control):
         record, found = logged.record, code.array(np.zeros(len(plant.space.command)))
-        given = map(code.array, (record.state, logged.target))
-        code.call("plan", filter_, *given, None if command is None else code.array(command), phase, found, None, None)
+        targets = paper_reference().targets[logged.step - 1 :][:ahead]
+        given = code.array(record.state), code.array(targets), len(targets)
+        code.call(
+            "plan_ahead", filter_, *given, None if command is None else code.array(command), phase, found, None, None
+        )
         apart.append((found - record.requested) / plant.space.command_scale)
         code.call(
             "filter_update", filter_, *map(code.array, (record.state, record.requested, record.next_state)), phase

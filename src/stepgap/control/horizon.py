@@ -19,7 +19,7 @@ from stepgap.control.goal import Goal
 from stepgap.control.step_controller import StepController, StepPlan
 from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
-_NEGLIGIBLE = 1e-4
+AHEAD_IMPROVEMENT = 1e-4
 """The search ends where the sum of squared errors can fall by no more than this fraction."""
 
 
@@ -90,7 +90,7 @@ def plan_ahead(
         [np.concatenate([box.point_of(at) for box, at in zip(boxes, each, strict=True)]) for each in starts]
     )
     best = points[np.argmin(norms(errors(points)))]
-    command = boxes[0].command_at(minimise(errors, jacobian, best, _NEGLIGIBLE).point[:m])
+    command = boxes[0].command_at(minimise(errors, jacobian, best, AHEAD_IMPROVEMENT).point[:m])
     predicted, status = step_map.evaluate(state, command)
     if status != StepStatus.OK:
         return first

@@ -66,7 +66,7 @@ def trial_run(
     recorder = TickRecorder(kinematics.units if known else {}, kinematics.every(INTERVAL) if known else 1)
     request = PlantRequest(settings, reference, folder, on_ticks=recorder.on_ticks, program=program)
     setup = Setup(nominal.map, choose_plants(request), reference, settings.learning, settings.control, settings.seed)
-    write_experiment(folder, settings, reference, surrogate=nominal.surrogate)
+    write_experiment(folder, settings, reference, surrogate=nominal.file)
     observer = Observer(
         on_step=lambda logged: progress(logged.step, len(reference)),
         on_phase=lambda name, done, total: progress(done, total),

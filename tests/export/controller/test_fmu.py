@@ -43,7 +43,7 @@ int controller_plan(const controller_filter *f, const double *state, const doubl
                     double yaw, double *command, double *predicted, double *std)
 {
     command[0] = target[0] - state[0];
-    command[1] = guess[1] + 1;
+    command[1] = (guess ? guess[1] : 0) + 1; /* there is no command before the first step */
     predicted[0] = f->total;
     predicted[1] = yaw < 1e6 ? yaw : -1;
     std[0] = f->learned;

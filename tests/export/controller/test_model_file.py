@@ -158,8 +158,8 @@ def refusal(file: Path) -> str:
 
 @pytest.mark.parametrize(("text", "message"), [
     ("", "Expecting value"), ("[]", "format must be"), ("{", "not a model file"), ('{"format": "x"}', "format must be"),
-    ('{"format": "StepGap model", "schema": 2}', "schema must be 1, not 2"), ("[" * 100_000, "not a model file"),
-    ('{"format": "StepGap model", "schema": 1}', "not a model file"),
+    ('{"format": "StepGap model", "schema": 3}', "schema must be 2, not 3"), ("[" * 100_000, "not a model file"),
+    ('{"format": "StepGap model", "schema": 2}', "not a model file"),
 ])  # fmt: skip
 def test_another_file_is_refused(text: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "other.json"

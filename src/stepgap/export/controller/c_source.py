@@ -16,7 +16,7 @@ import numpy as np
 
 from stepgap.base.errors import InputError
 from stepgap.base.versions import versions_here
-from stepgap.control import bounded_search, cautious_controller, gauss_newton
+from stepgap.control import bounded_search, cautious_controller, gauss_newton, horizon
 from stepgap.control.box_points import box_points, composite_design, irrational_steps
 from stepgap.export.controller.portable_controller import SAMPLE_RESOLUTION, PortableController
 from stepgap.learning import disturbance, learner, outliers
@@ -144,7 +144,7 @@ def c_source(controller: PortableController, prefix: str, real: Real = "double")
     tables = _Tables(controller, arithmetic)
     include = f'/* Explained in {prefix}.h. */\n#include "{prefix}.h"'
     body = _template("controller.c.txt").replace("@include@", include).replace("@constants@", tables.text())
-    header = _header(controller, arithmetic)
+    header = _header(controller, arithmetic, tables.stack())
     return CSource(header.replace("PREFIX", prefix), body.replace("PREFIX", prefix))
 
 
@@ -152,7 +152,7 @@ def _template(name: str) -> str:
     return files("stepgap.export.controller").joinpath(name).read_text("utf-8")
 
 
-def _header(controller: PortableController, arithmetic: _Arithmetic) -> str:
+def _header(controller: PortableController, arithmetic: _Arithmetic, stack: int) -> str:
     space = controller.space
     noise = zip(space.state, controller.map.noise_std, strict=True)
     notes = [*map(str, controller.approximations), *controller.notes]
@@ -163,6 +163,8 @@ def _header(controller: PortableController, arithmetic: _Arithmetic) -> str:
         "n": str(len(space.state)),
         "m": str(len(space.command)),
         "state": _quantities(space.state, "range of use"),
+        "horizon": str(controller.settings.horizon),
+        "change": _change(controller.settings.largest_change),
         "command": _quantities(space.command, "bounds"),
         "noise": _in_comment(noises),
         "approximations": "\n".join(f"   - {_in_comment(note)}" for note in notes) or "   none",
@@ -171,7 +173,7 @@ def _header(controller: PortableController, arithmetic: _Arithmetic) -> str:
         "monitored": str(learner.MONITORED_STEPS),
         "statuses": ",\n".join(f"    PREFIX_{status.name} = {status.value}" for status in StepStatus),
         "angle": f"{arithmetic.largest_angle:g}",
-        "stack": "8" if arithmetic.type == "double" else "4",
+        "stack": str(stack),
     }
     return re.sub("@([a-z]+)@", lambda found: fields[found[1]], _template("controller.h.txt"))
 
@@ -179,8 +181,14 @@ def _header(controller: PortableController, arithmetic: _Arithmetic) -> str:
 def _quantities(quantities: Iterable[Quantity], what: str) -> str:
     return "\n".join(
         f"       [{i}] {_in_comment(each.name)} [{_in_comment(each.unit)}], {what} {each.lower:g} to {each.upper:g}"
+        f"{'' if each.weight == 1 else f', weight {each.weight:g}' if each.weight else ', not tracked'}"
         for i, each in enumerate(quantities)
     )
+
+
+def _change(largest: float) -> str:
+    """What holds of the command and the one before."""
+    return f"; it differs from `guess` by at most {largest:g} of its range" if largest < 1 else ""
 
 
 def _in_comment(text: str) -> str:
@@ -214,6 +222,15 @@ class _Tables:
         ]
         return "\n".join(parts)
 
+    def stack(self) -> int:
+        """About how much stack the deepest calls need [kB]: a plan of several steps, as gcc compiles it."""
+        n, m = len(self.controller.space.state), len(self.controller.space.command)
+        sizes = self._sizes()
+        variables, rows = sizes["HORIZON"] * m, n * max(2, sizes["HORIZON"])
+        search = variables * (3 * (rows + variables) + variables + rows)
+        numbers = 600 + 4 * sizes["CENTRES"] + 10 * n * (n + m) + search
+        return -(-numbers * (8 if self.arithmetic.type == "double" else 4) // 1000)
+
     def _numbers(self) -> dict[str, float]:
         return {
             **self.arithmetic.tolerances,
@@ -222,6 +239,8 @@ class _Tables:
             "LEAST_DAMPING": gauss_newton.LEAST_DAMPING,
             "NO_DAMPING": gauss_newton.NO_DAMPING,
             "ACCEPTED": gauss_newton.ACCEPTED,
+            "AHEAD_IMPROVEMENT": horizon.AHEAD_IMPROVEMENT,
+            "LARGEST_CHANGE": self.controller.settings.largest_change,
             "RISK": cautious_controller.RISK,
             "SEPARATION": bounded_search.SEPARATION,
             "FAILURE_RADIUS": cautious_controller.FAILURE_RADIUS,
@@ -242,6 +261,7 @@ class _Tables:
         half = settings.evaluations // 2
         centres = [len(_process(each).inducing) for each in regressions if isinstance(each, GaussianProcessRegression)]
         return {
+            "HORIZON": settings.horizon,
             "DEGREE": nominal.degree if isinstance(nominal, SurrogateMap) else 1,
             "CENTRES": max(centres, default=1),
             "MOST_TRIALS": gauss_newton.MOST_TRIALS,
@@ -267,6 +287,7 @@ class _Tables:
         space, failures = self.controller.space, self.controller.failures
         names = "state_scale", "command_scale", "command_centre", "command_lower", "command_upper"
         arrays = [self._array(name, getattr(space, name)) for name in names]
+        arrays.append(self._array("error_scale", np.where(space.tracked, space.error_scale, 0.0)))
         arrays.append(self._array("irrational_steps", irrational_steps(len(space.command))))
         return [*arrays, self._array("failures", failures), f"static const int failure_count = {len(failures)};"]
 

@@ -38,7 +38,7 @@ from stepgap.step import Quantity, StepMap, StepStatus
 FORMAT: Final = "StepGap model"
 """Value of the key `format`."""
 
-MODEL_SCHEMA: Final = 1
+MODEL_SCHEMA: Final = 2
 """Number of the format; it grows with every change that a reader must know of."""
 
 
@@ -57,7 +57,7 @@ def model_document(controller: PortableController, last: DisturbanceFilter | Non
         "format": FORMAT,
         "schema": MODEL_SCHEMA,
         "stepgap": version("stepgap"),
-        "state": [_quantity(each) for each in controller.space.state],
+        "state": [{**_quantity(each), "weight": each.weight} for each in controller.space.state],
         "command": [_quantity(each) for each in controller.space.command],
         "nominal": _nominal(controller.map.nominal),
         "residual": {
@@ -72,6 +72,8 @@ def model_document(controller: PortableController, last: DisturbanceFilter | Non
             "viability": settings.viability,
             "avoid_failures": settings.avoid_failures,
             "evaluations": settings.evaluations,
+            "horizon": settings.horizon,
+            "largest_change": settings.largest_change,
             "risk": RISK,
             "failure_radius": FAILURE_RADIUS,
         },

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -62,13 +63,20 @@ def read_portable(path: Path) -> PortableController:
 
 
 def _controller(saved: Mapping[str, Any]) -> PortableController:
-    space = StepSpace(_quantities(saved, "state"), _quantities(saved, "command"))
+    state = zip(_quantities(saved, "state"), saved["state"], strict=True)
+    weighted = (replace(quantity, weight=float(numbers(each, "weight", 0))) for quantity, each in state)
+    space = StepSpace(tuple(weighted), _quantities(saved, "command"))
     control = saved["control"]
     rules = {name: boolean(control, name) for name in ("cautious", "viability", "avoid_failures")}
     return PortableController(
         CorrectedMap(_nominal(space, saved["nominal"]), _residual(space, saved["residual"])),
         _points(saved, "failures", len(saved["failures"]), len(space.names)),
-        ControlSettings(**rules, evaluations=integer(control, "evaluations")),
+        ControlSettings(
+            **rules,
+            evaluations=integer(control, "evaluations"),
+            horizon=integer(control, "horizon"),
+            largest_change=float(numbers(control, "largest_change", 0)),
+        ),
         drift=boolean(saved["disturbance"], "used"),
         monitor=boolean(saved["monitor"], "used"),
         reject_outliers=boolean(saved["outliers"], "used"),

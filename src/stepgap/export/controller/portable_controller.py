@@ -132,7 +132,6 @@ def portable_controller(run: Run, deployment: int | None, rng: np.random.Generat
     learner, settings = run.learner(deployment), run.needed(run.settings)
     residual, learning = learner.residual, settings.learning
     _check_inputs(residual)
-    _check_weights(learner.nominal.space)
     noise = residual.noise_std / learner.nominal.space.state_scale
     nominal, replaced = _portable_nominal(learner.nominal, noise, rng)
     points = _random_points(nominal.space, rng)
@@ -145,7 +144,7 @@ def portable_controller(run: Run, deployment: int | None, rng: np.random.Generat
     return PortableController(
         corrected,
         learner.failures,
-        replace(settings.control, table=0, horizon=1),
+        replace(settings.control, table=0),
         drift=learning.drift and residual.kind != "none",
         monitor=learning.monitor,
         reject_outliers=learning.reject_outliers and len(residual.regressions[0].points) >= LEAST_KNOWN,
@@ -166,18 +165,10 @@ def _check_inputs(residual: Residual) -> None:
         )
 
 
-def _check_weights(space: StepSpace) -> None:
-    if others := [quantity.name for quantity in space.state if quantity.weight != 1]:
-        raise InputError(
-            f"robot: {', '.join(others)} has a weight other than 1, and an exported controller needs a target of every "
-            "state coordinate, which count alike; from Python, use `Run.controller`"
-        )
-
-
 def _notes(control: ControlSettings, steps_to_learn: float) -> tuple[str, ...]:
     notes = []
     if control.horizon > 1:
-        notes.append("control.horizon: each command is chosen for its own step, because only its target is given")
+        notes.append("control.horizon: with one target, each command is chosen for its own step; C has ..._plan_ahead")
     if control.table:
         notes.append("control.table: the commands are solved for, not taken from a table")
     if steps_to_learn > 0:

@@ -57,7 +57,8 @@ static void plan_step(instance *it)
     memcpy(guess, r + COMMAND, sizeof guess);
     if (it->planned && it->completed)
         controller_filter_update(&it->filter, it->last_state, guess, r, it->last_phase);
-    it->result = controller_plan(&it->filter, r, r + TARGET, guess, phase, r + COMMAND, r + PREDICTED, r + STD);
+    const double *before = it->planned ? guess : NULL;
+    it->result = controller_plan(&it->filter, r, r + TARGET, before, phase, r + COMMAND, r + PREDICTED, r + STD);
     if (it->result) memset(r + PREDICTED, 0, 2 * STATES * sizeof *r); /* there is no prediction */
     memcpy(it->last_state, r, sizeof it->last_state);
     it->last_phase = phase;
