@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.control.goal import Targets
 from stepgap.control.settings import ControlSettings
 from stepgap.export.controller.c_source import c_source
 from stepgap.export.controller.model_reading import read_portable
@@ -17,7 +18,7 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.robots.nominal_maps.surrogate_map import Samples, fit_surrogate
 from stepgap.robots.nominal_maps.weighted_map import with_space
-from stepgap.step import Array, StepRecord, StepSpace, StepStatus
+from stepgap.step import Array, StepMap, StepRecord, StepSpace, StepStatus
 from tests.cli.command_line import Command
 from tests.control.maps import PitchingHopper
 from tests.export.controller.test_c_source import COMPILER, Compiled
@@ -53,6 +54,16 @@ def with_weights(controller: PortableController, *weights: float) -> PortableCon
     return replace(controller, map=replace(controller.map, nominal=nominal))
 
 
+@pytest.fixture
+def own_errors_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python counts the errors of the planned steps alone, as C does, also where states are not tracked."""
+
+    def targets_of(step_map: StepMap, targets: Array) -> list[Targets]:
+        return [Targets(step_map.space, target) for target in targets]
+
+    monkeypatch.setattr("stepgap.control.cautious_controller.goals_of", targets_of)
+
+
 def random_targets(rng: np.random.Generator, space: StepSpace, steps: int) -> Array:
     """Targets all over the ranges of use, some of them missing; shape (steps, n)."""
     targets = space.state_centre + space.state_scale * rng.uniform(-1.2, 1.2, (steps, len(space.state)))
@@ -71,6 +82,7 @@ CASES = {
 }
 
 
+@pytest.mark.usefixtures("own_errors_only")
 @pytest.mark.parametrize("case", CASES)
 def test_plans_are_those_of_python(
     case: str, pitching: PortableController, compile_in: Callable[..., Compiled]
@@ -96,6 +108,22 @@ def test_plans_are_those_of_python(
             assert share.max() <= settings.largest_change + 1e-12
     assert same >= 24, "another way by rounding is rare"
     assert (together > 3) == (settings.horizon > 1), "the other targets have no effect"
+
+
+@pytest.mark.parametrize("horizon", [1, 3])
+def test_where_all_states_are_tracked_plans_are_those_of_a_run(
+    horizon: int, pitching: PortableController, compile_in: Callable[..., Compiled]
+) -> None:
+    controller = replace(with_weights(pitching, 4, 1, 0.2, 0.1), settings=ControlSettings(horizon=horizon))
+    code, rng, space, same = compile_in(controller), np.random.default_rng(4), controller.space, 0
+    for _ in range(25):
+        state = space.state_centre + space.state_scale * rng.uniform(-0.7, 0.7, 4)
+        targets = random_targets(rng, space, horizon)
+        plan = controller.controller(state, targets[0], None, targets[1:])
+        status, command, _, _ = code.plan(state, targets, None, 0.0)
+        assert status == 0
+        same += bool(np.abs((command - plan.command) / space.command_scale).max() < 1e-6)
+    assert same >= 24
 
 
 def test_more_steps_than_the_horizon_are_not_used_and_none_is_invalid(
@@ -124,6 +152,7 @@ def test_a_run_with_weights_is_exported(package: Path, stepgap: Command, monkeyp
     header = Path("controller.h").read_text()
     assert "height [m], range of use 0.52 to 0.64, weight 0.25\n" in header
     assert "those of the first\n   3 steps are used" in header
+    assert "pitch, pitch_rate: the errors of the planned steps count alone" in header
     read = read_portable(Path("model.json"))
     assert (read.settings.horizon, [each.weight for each in read.space.state]) == (3, [1, 0.25, 0, 0])
 

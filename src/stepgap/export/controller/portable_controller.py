@@ -149,7 +149,7 @@ def portable_controller(run: Run, deployment: int | None, rng: np.random.Generat
         monitor=learning.monitor,
         reject_outliers=learning.reject_outliers and len(residual.regressions[0].points) >= LEAST_KNOWN,
         approximations=(*replaced, *(loss for _, loss in found if loss)),
-        notes=_notes(settings.control, learner.steps_to_learn),
+        notes=_notes(nominal.space, settings.control, learner.steps_to_learn),
     )
 
 
@@ -165,8 +165,14 @@ def _check_inputs(residual: Residual) -> None:
         )
 
 
-def _notes(control: ControlSettings, steps_to_learn: float) -> tuple[str, ...]:
+def _notes(space: StepSpace, control: ControlSettings, steps_to_learn: float) -> tuple[str, ...]:
     notes = []
+    if not space.tracked.all():
+        untracked = ", ".join(each.name for each in space.state if not each.weight)
+        notes.append(
+            f"{untracked}: the errors of the planned steps count alone; a run, where states are not tracked, counts "
+            "those of all later steps, too"
+        )
     if control.horizon > 1:
         notes.append("control.horizon: with one target, each command is chosen for its own step; C has ..._plan_ahead")
     if control.table:
