@@ -61,7 +61,7 @@ def own_errors_only(monkeypatch: pytest.MonkeyPatch) -> None:
     def targets_of(step_map: StepMap, targets: Array) -> list[Targets]:
         return [Targets(step_map.space, target) for target in targets]
 
-    monkeypatch.setattr("stepgap.control.cautious_controller.goals_of", targets_of)
+    monkeypatch.setattr("stepgap.control.cautious_controller.goals_for", targets_of)
 
 
 def random_targets(rng: np.random.Generator, space: StepSpace, steps: int) -> Array:
