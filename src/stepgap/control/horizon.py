@@ -10,6 +10,8 @@ these are uncertain, too, is neglected: the next plan begins at a measured one.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -17,7 +19,7 @@ from stepgap.control.command_change import NO_LIMIT, CommandChange
 from stepgap.control.gauss_newton import REACHED, minimise, norms
 from stepgap.control.goal import Goal
 from stepgap.control.step_controller import StepController, StepPlan
-from stepgap.step import Array, StepFailed, StepMap, StepStatus
+from stepgap.step import Array, StepFailed, StepMap, StepSpace, StepStatus
 
 AHEAD_IMPROVEMENT = 1e-4
 """The search ends where the sum of squared errors can fall by no more than this fraction."""
@@ -47,50 +49,11 @@ def plan_ahead(
     commands, reached = _one_by_one(step_map, goals, first, change)
     if reached:
         return first
-    space = step_map.space
-    n, m = len(space.state), len(space.command)
-    # A later command may be as many changes away; that it also follows the one before it is left to the next plans.
-    boxes = [change.bounds(space, number) for number in range(1, len(goals) + 1)]
-    known = dict[tuple[int, bytes], tuple[list[Array], list[Array]]]()  # so that a Jacobian repeats no step
-
-    def path(points: Array) -> tuple[list[Array], list[Array]]:
-        """States before each step and after the last one, and standard deviations, for scaled commands (…, k m)."""
-        key = points.ndim, points.tobytes()
-        if key not in known:
-            states, stds = [np.broadcast_to(state, (*points.shape[:-1], n))], list[Array]()
-            for box, scaled in zip(boxes, np.split(points, len(goals), axis=-1), strict=True):
-                command = box.command_at(scaled)
-                stds.append(step_map.std(states[-1], command))
-                states.append(step_map.evaluate(states[-1], command).next_state)
-            known[key] = states, stds
-        return known[key]
-
-    def errors(points: Array) -> Array:
-        """Numbers whose squares add up to the expected squared errors of all next states; shape (…, r)."""
-        states, stds = path(points)
-        means = [goal.errors(end) for goal, end in zip(goals, states[1:], strict=True)]
-        spreads = [goal.spread(std.T).T for goal, std in zip(goals, stds, strict=True)] if cautious else []
-        return np.concatenate([*means, *spreads], axis=-1)
-
-    def jacobian(point: Array) -> Array:
-        """∂errors/∂point, by the chain rule along the steps."""
-        means, spreads, by_point = [], [], np.zeros((n, len(point)))
-        by_own = np.eye(len(point)).reshape(-1, m, len(point))
-        for goal, box, before, scaled, own in zip(
-            goals, boxes, path(point)[0], point.reshape(-1, m), by_own, strict=False
-        ):
-            command, by_input = box.command_at(scaled), np.vstack([by_point, own * box.command_scale[:, None]])
-            spreads.append(goal.spread(step_map.std_gradient(before, command) @ by_input))
-            by_point = step_map.jacobian(before, command) @ by_input
-            means.append(goal.errors_by(by_point))
-        return np.concatenate([*means, *spreads] if cautious else means)
-
-    starts = [commands, *([other, *commands[1:]] for other in others)]
-    points = np.array(
-        [np.concatenate([box.point_of(at) for box, at in zip(boxes, each, strict=True)]) for each in starts]
-    )
-    best = points[np.argmin(norms(errors(points)))]
-    command = boxes[0].command_at(minimise(errors, jacobian, best, AHEAD_IMPROVEMENT).point[:m])
+    sequence = _Sequence(step_map, state, goals, change, cautious)
+    starts = np.array([sequence.point_of([each, *commands[1:]]) for each in (first.command, *others)])
+    best = starts[np.argmin(norms(sequence.errors(starts)))]
+    point = minimise(sequence.errors, sequence.jacobian, best, AHEAD_IMPROVEMENT).point
+    command = sequence.commands_at(point)[0]
     predicted, status = step_map.evaluate(state, command)
     if status != StepStatus.OK:
         return first
@@ -110,3 +73,71 @@ def _one_by_one(step_map: StepMap, goals: Sequence[Goal], first: StepPlan, chang
         commands.append(plan.command)
         reached &= plan.reached
     return np.array(commands), bool(reached)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sequence:
+    """Steps from one state as functions of a point: their k commands one after the other, scaled by their bounds.
+
+    Attributes:
+        step_map: Predicts steps.
+        state: State before the first one; shape (n,).
+        goals: What is wanted of their k next states.
+        change: How much the first command may differ from the one before it. A later one may be as many changes away;
+            that it also follows the one before it is left to the next plans.
+        cautious: Whether variances count.
+    """
+
+    step_map: StepMap
+    state: Array
+    goals: Sequence[Goal]
+    change: CommandChange
+    cautious: bool
+    _paths: dict[tuple[int, bytes], tuple[list[Array], list[Array]]] = field(default_factory=dict)
+
+    @cached_property
+    def _bounds(self) -> list[StepSpace]:
+        """The space with the bounds of each command."""
+        return [self.change.bounds(self.step_map.space, number) for number in range(1, len(self.goals) + 1)]
+
+    def point_of(self, commands: Sequence[Array]) -> Array:
+        """The point of k commands (m,); shape (k m,)."""
+        return np.concatenate([box.point_of(command) for box, command in zip(self._bounds, commands, strict=True)])
+
+    def commands_at(self, points: Array) -> list[Array]:
+        """The k commands at points (…, k m); each (…, m)."""
+        parts = np.split(points, len(self.goals), axis=-1)
+        return [box.command_at(part) for box, part in zip(self._bounds, parts, strict=True)]
+
+    def _path(self, points: Array) -> tuple[list[Array], list[Array]]:
+        """States before each step and after the last one, and standard deviations of the steps; each (…, n).
+
+        They are kept, so that a Jacobian evaluates no step again.
+        """
+        key = points.ndim, points.tobytes()
+        if key not in self._paths:
+            states, stds = [np.broadcast_to(self.state, (*points.shape[:-1], len(self.state)))], list[Array]()
+            for command in self.commands_at(points):
+                stds.append(self.step_map.std(states[-1], command))
+                states.append(self.step_map.evaluate(states[-1], command).next_state)
+            self._paths[key] = states, stds
+        return self._paths[key]
+
+    def errors(self, points: Array) -> Array:
+        """Numbers whose squares add up to the expected squared errors of all next states; (…, k m) to (…, r)."""
+        states, stds = self._path(points)
+        means = [goal.errors(end) for goal, end in zip(self.goals, states[1:], strict=True)]
+        spreads = [goal.spread(std.T).T for goal, std in zip(self.goals, stds, strict=True)] if self.cautious else []
+        return np.concatenate([*means, *spreads], axis=-1)
+
+    def jacobian(self, point: Array) -> Array:
+        """∂errors/∂point, by the chain rule along the steps; shape (r, k m)."""
+        means, spreads, by_point = [], [], np.zeros((len(self.state), len(point)))
+        own = np.split(np.eye(len(point)), len(self.goals))
+        steps = zip(self.goals, self._bounds, self._path(point)[0], self.commands_at(point), own, strict=False)
+        for goal, box, before, command, rows in steps:
+            by_input = np.vstack([by_point, rows * box.command_scale[:, None]])
+            spreads.append(goal.spread(self.step_map.std_gradient(before, command) @ by_input))
+            by_point = self.step_map.jacobian(before, command) @ by_input
+            means.append(goal.errors_by(by_point))
+        return np.concatenate([*means, *spreads] if self.cautious else means)
