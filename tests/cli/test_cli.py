@@ -510,7 +510,7 @@ def test_help_is_on_stdout(stepgap: Command, arguments: list[str], parts: list[s
         assert word in result.out
 
 
-@pytest.mark.parametrize("verb", ["report", "export", "recover", "doctor", "view", "bench gp", "rig check"])
+@pytest.mark.parametrize("verb", ["report", "export", "recover", "doctor", "bench gp", "rig check"])
 def test_the_help_of_a_verb_without_settings_names_none(stepgap: Command, verb: str) -> None:
     result = stepgap(*verb.split(), "--help").out
     assert "--TABLE" not in result

@@ -48,8 +48,7 @@ def test_targets_that_are_not_held_are_wrong_and_the_new_ones_are_right(stepgap:
     assert "no command holds 1 of the 2 targets" in " ".join(result.out.split())
     message = stepgap("run", "--robot", "ball", "--reference", "far.csv").err
     assert "out of reach" in message
-    assert message.endswith("(held states near the targets: --reference held_reference_2.csv)\n")
-    assert Path("held_reference.csv").read_text() == Path("held_reference_2.csv").read_text()
+    assert "`stepgap check` proposes targets" in message
     assert stepgap("check", "ball", "--reference", "held_reference.csv").code == 0
     assert sorted(path.name for path in Path().glob("check*.png")) == ["check.png", "check_2.png"]
 

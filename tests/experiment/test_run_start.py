@@ -91,6 +91,6 @@ def test_the_steps_of_a_simulator_are_kept_if_the_run_does_not_start(
             main(["run", "--reference", "far.csv"])
         assert end.value.code == 2
         assert "out of reach" in (message := capsys.readouterr().err)
-        assert message.endswith(f"; its simulated steps are kept: --nominal.file {name})\n")
+        assert message.endswith(f" (its simulated steps are kept: --nominal.file {name})\n")
         assert (tmp_path / name).read_text() == nominal.file
     assert not (tmp_path / "runs").exists()

@@ -93,7 +93,7 @@ def _of_motion(
     from stepgap.control.fixed_points import held_reference
     from stepgap.experiment.inputs import load_reference
     from stepgap.experiment.settings import PROCESS
-    from stepgap.experiment.trial import trial_reference
+    from stepgap.experiment.trial_reference import trial_reference
     from stepgap.report.part_results import PartResult, results_of
     from stepgap.report.robot_check import check_commands, check_targets
 
@@ -131,13 +131,14 @@ def _draw(run: "Run", out: Path | None) -> None:
     """Writes the picture of a trial, and prints its path."""
     from matplotlib.backend_bases import FigureCanvasBase
 
+    from stepgap.experiment.replay import kinematics_of
     from stepgap.report.own_style import own_style
     from stepgap.report.trial_figure import trial_figure
 
     path, content = out or free_name(Path("check.png")), BytesIO()
     form = format_by_name(path, FigureCanvasBase.filetypes)
     with own_style():
-        trial_figure(run).savefig(content, dpi=150, format=form)
+        trial_figure(run, kinematics_of(run)).savefig(content, dpi=150, format=form)
     write_new(path, "--out", content.getvalue())
 
 

@@ -17,7 +17,6 @@ from stepgap.cli.options import Address, FileName, Flag, FolderName, Integer, Na
 from stepgap.cli.terminal import announces_compilation, check_consent, is_output_error, warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
-    from stepgap.control.reference import Reference
     from stepgap.experiment.loop import Setup
     from stepgap.experiment.nominal import Nominal
     from stepgap.experiment.settings import Experiment
@@ -161,7 +160,7 @@ def run(
         try:
             setup = load_setup(request, nominal.map)
         except InputError as error:
-            raise InputError(f"{error}{_remedies(nominal, reference, error)}") from error
+            raise InputError(f"{error}{_kept(nominal)}") from error
         write = partial(write_experiment, folder, settings, reference, setup.known, nominal.file)
         if not continued:
             start_folder(folder, write)
@@ -178,19 +177,12 @@ def run(
             raise
 
 
-def _remedies(nominal: "Nominal", reference: "Reference", error: InputError) -> str:
-    """What is kept and proposed where a run does not start, for the message: a surrogate, and targets that are held."""
-    from stepgap.cli.nominal import kept_reference, kept_surrogate
-    from stepgap.control.fixed_points import held_reference
-    from stepgap.experiment.run_start import OutOfReach
+def _kept(nominal: "Nominal") -> str:
+    """Keeps a surrogate that was fitted for a run that does not start, and says where; empty if there is none."""
+    from stepgap.cli.nominal import kept_surrogate
 
-    parts = list[str]()
-    held = held_reference(nominal.map, reference) if isinstance(error, OutOfReach) else None
-    if held and (path := kept_reference(held)):
-        parts.append(f"held states near the targets: --reference {path}")
-    if path := kept_surrogate(nominal):
-        parts.append(f"its simulated steps are kept: --nominal.file {path}")
-    return f" ({'; '.join(parts)})" if parts else ""
+    path = kept_surrogate(nominal)
+    return f" (its simulated steps are kept: --nominal.file {path})" if path else ""
 
 
 def _how_to_resume(folder: Path, arm: bool, program: Sequence[str] | None) -> str:

@@ -68,7 +68,8 @@ def _simulate(overrides: Overrides, folder: Path) -> None:
     from stepgap.control.fixed_points import held_reference
     from stepgap.experiment.inputs import load_reference
     from stepgap.experiment.settings import read_experiment
-    from stepgap.experiment.trial import trial_reference, trial_run
+    from stepgap.experiment.trial import trial_run
+    from stepgap.experiment.trial_reference import trial_reference
 
     if not overrides:
         raise InputError("give the folder of a run, or a robot by --robot NAME")

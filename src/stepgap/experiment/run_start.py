@@ -152,20 +152,16 @@ def extended(run: Run, redeployments: int) -> Experiment:
     return replace(settings, learning=learning)
 
 
-class OutOfReach(InputError):
-    """A target of the reference is one that the nominal map cannot hold."""
-
-
 def check_reach(nominal: StepMap, reference: Reference, name: str, robot: Robot) -> None:
-    """Raises OutOfReach if the nominal map of `robot` cannot hold one of the targets."""
+    """Raises InputError if the nominal map of `robot` cannot hold one of the targets."""
     unheld = unheld_steps(nominal, reference)
     if len(unheld):
         step, state = int(unheld.min()), nominal.space.state
         values = zip(state, reference.targets[step], strict=True)
         wanted = ", ".join(f"{each.name} {value:g} {each.unit}" for each, value in values if value == value)
-        raise OutOfReach(
+        raise InputError(
             f"reference {name}, step {step + 1}: {wanted} is out of reach: the model cannot hold it within the "
-            f"command bounds{_changes(robot)}; `stepgap gait` shows its range"
+            f"command bounds{_changes(robot)}; `stepgap gait` shows its range, `stepgap check` proposes targets in it"
         )
 
 

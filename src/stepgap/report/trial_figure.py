@@ -4,12 +4,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from stepgap.experiment.replay import kinematics_of
 from stepgap.experiment.run import Run
-from stepgap.experiment.trial import TRIAL_STEPS
+from stepgap.experiment.trial_reference import TRIAL_STEPS
 from stepgap.records.missing import Missing
 from stepgap.report.drawing import BLACK, BLUE, GREY, LIGHT, VERMILLION, axis_label, new_figure
-from stepgap.robots.scene import Motion, Scene
+from stepgap.robots.scene import Kinematics, Motion, Scene
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from matplotlib.axes import Axes
@@ -22,11 +21,16 @@ MOST_POSTURES: Final = 60
 """Number of postures in the picture, at most."""
 
 
-def trial_figure(run: Run) -> "Figure":
-    """Draws the first steps of a run's only deployment, and the robot if its motion is known."""
+def trial_figure(run: Run, kinematics: Kinematics | Missing) -> "Figure":
+    """Draws the first steps of a run's only deployment, and the robot if its motion is known.
+
+    Args:
+        run: The trial.
+        kinematics: How the robot is drawn from its ticks.
+    """
     from matplotlib.ticker import MaxNLocator
 
-    steps, kinematics = run.steps.selected(slice(TRIAL_STEPS)), kinematics_of(run)
+    steps = run.steps.selected(slice(TRIAL_STEPS))
     space, drawn = run.space, not isinstance(kinematics, Missing) and 0 in run.ticks
     count = len(space.state) + len(space.command)
     figure = new_figure(0.8 + 1.6 * drawn + 1.3 * count)
