@@ -117,15 +117,16 @@ def describe_step(
     space: "StepSpace", state: list[float], command: list[float], next_state: "Array", jacobian: "Array"
 ) -> str:
     """The point, its next state and the Jacobian there as text."""
-    inputs = (*space.state, *space.command)
+    heads = [f"by {q.name} [{q.unit}]" for q in (*space.state, *space.command)]
+    rows = [f"of next {q.name} [{q.unit}]" for q in space.state]
+    first, width = 3 + max(map(len, rows)), max(18, 2 + max(map(len, heads)))
     lines = [
         f"state         {named_values(space.state, state)}",
         f"command       {named_values(space.command, command)}",
         f"next state    {named_values(space.state, next_state)}",
         "",
-        "derivative" + " " * 14,
+        "derivative".ljust(first) + "".join(head.rjust(width) for head in heads),
     ]
-    lines[-1] += "".join(f"{f'by {q.name} [{q.unit}]':>18}" for q in inputs)
-    for quantity, row in zip(space.state, jacobian, strict=True):
-        lines.append(f"{f'of next {quantity.name} [{quantity.unit}]':24}" + "".join(f"{value:18.6g}" for value in row))
+    for name, row in zip(rows, jacobian, strict=True):
+        lines.append(name.ljust(first) + "".join(f"{value:{width}.6g}" for value in row))
     return "\n".join(lines)

@@ -21,8 +21,8 @@ class ControlSettings:
             search, which then ends with the best command so far, and half in the checks of its commands. A lower number
             bounds the time that a command takes on a slow nominal map. A Jacobian counts as its central differences.
         horizon: Number of steps whose commands are chosen together, with the targets that the reference has for them,
-            where single steps do not reach them: the robot begins early with a change that takes several steps. Where
-            the corrected map is uncertain, and with 1, each command is chosen for its own step alone, as in the paper.
+            where single steps do not reach them: the robot begins early with a change that takes several steps. With 1,
+            each command is chosen for its own step alone, as in the paper.
         largest_change: Largest change of each command from one step to the next, as a share of its range; 1 for no
             limit. The first command of a deployment has none.
         table: Points along each axis of a look-up table of commands that is computed before every deployment and used

@@ -31,8 +31,8 @@ def describe_gait(step_map: StepMap, point: FixedPoint, reachable: ReachableSet)
     if failed.all():
         lines.append("reachable            no state: every command fails from this state")
     else:
-        low = np.nanmin(reachable.next_states, axis=tuple(range(len(space.command))))
-        high = np.nanmax(reachable.next_states, axis=tuple(range(len(space.command))))
+        next_states = reachable.next_states.reshape(-1, len(space.state))
+        low, high = np.nanmin(next_states, axis=0), np.nanmax(next_states, axis=0)
         ranges = ", ".join(
             f"{q.name} {in_scale(a, q)} … {in_scale(b, q)}{unit_suffix(q)}"
             for q, a, b in zip(space.state, low, high, strict=True)
