@@ -110,8 +110,8 @@ def test_a_map_without_steps_and_commands_without_effect_are_wrong() -> None:
     assert kind == "wrong"
     assert "no command moves speed within 2 steps" in sentence
     far = replace(reference, targets=reference.targets + np.array([0.0, 50.0]))
-    assert verdict(check_targets(step_map, far, None))[0] == "wrong"
-    assert "--reference x.csv" in verdict(check_targets(step_map, far, Path("x.csv")))[1]
+    assert verdict(check_targets(step_map, far, False, None))[0] == "wrong"
+    assert "--reference x.csv" in verdict(check_targets(step_map, far, True, Path("x.csv")))[1]
 
 
 @pytest.mark.parametrize(

@@ -111,3 +111,11 @@ def test_an_environment_clips_the_change() -> None:
         assert commands[0].tolist() == [SPACE.command_upper[0], SPACE.command_lower[1]]
         commands += [env.step(rng.uniform(-1, 1, 2))[4]["command"] for _ in range(10)]
         assert 0.99 * SHARE < largest_share(np.array(commands)) <= SHARE + ROUNDING
+
+
+def test_a_command_outside_its_bounds_counts_as_one_on_them() -> None:
+    """Such as one that a person's program applied."""
+    space = LossyHopper().space
+    far = CommandChange(0.01, space.command_upper + 5).bounds(space)
+    near = CommandChange(0.01, space.command_upper).bounds(space)
+    assert far == near

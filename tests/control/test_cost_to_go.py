@@ -9,10 +9,11 @@ from scipy.linalg import solve_discrete_are
 from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.cost_to_go import EFFORT_WEIGHT, UNTRACKED_WEIGHT, Deviation, goals_for
 from stepgap.control.goal import Targets
+from stepgap.control.settings import ControlSettings
 from stepgap.control.step_controller import StepController
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.step import Array, Quantity, StepSpace
-from tests.control.maps import LossyHopper, NeverWorks, PitchingHopper, Track
+from tests.control.maps import CountingMap, LossyHopper, NeverWorks, PitchingHopper, Track
 
 NONE = np.nan
 
@@ -40,7 +41,7 @@ def test_the_form_solves_the_riccati_equation_and_is_the_sum_of_the_costs_of_lat
     by_state, by_command = np.split(step_map.matrix, [5], axis=1)
     states, commands = stage_costs(step_map)
     form = solve_discrete_are(by_state, by_command, states, commands)
-    (goal,) = goals_for(step_map, np.array([[0.0, 0.0, NONE, NONE, NONE]]))
+    (goal,) = goals_for(step_map, np.array([[0.0, 0.0, NONE, NONE, NONE]])).together
     assert isinstance(goal, Deviation)
     np.testing.assert_allclose(goal.state, 0, atol=1e-6)
     np.testing.assert_allclose(goal.root.T @ goal.root, form, rtol=1e-4, atol=1e-6 * np.abs(form).max())
@@ -55,7 +56,7 @@ def test_the_form_solves_the_riccati_equation_and_is_the_sum_of_the_costs_of_lat
 
 def test_earlier_steps_count_with_their_own_errors() -> None:
     step_map, target = random_map(0), np.array([0.0, 0.0, NONE, NONE, NONE])
-    first, second, last = goals_for(step_map, np.tile(target, (3, 1)))
+    first, second, last = goals_for(step_map, np.tile(target, (3, 1))).together
     at = np.random.default_rng(1).normal(size=(7, 5))
     for goal in (first, second):
         np.testing.assert_allclose(
@@ -68,7 +69,7 @@ def test_earlier_steps_count_with_their_own_errors() -> None:
 def test_derivatives_and_spread_belong_to_the_errors(tracked: bool) -> None:
     rng, space = np.random.default_rng(2), random_map(3).space
     target = np.array([0.1, NONE, 0.2, NONE, NONE])
-    goal = Targets(space, target) if tracked else goals_for(random_map(3), target[None])[0]
+    goal = Targets(space, target) if tracked else goals_for(random_map(3), target[None]).onward[0]
     at, matrix, std = rng.normal(size=5), rng.normal(size=(5, 3)), rng.uniform(0.1, 1.0, 5)
     columns = [goal.errors(at + column) - goal.errors(at) for column in matrix.T]
     np.testing.assert_allclose(goal.errors_by(matrix), np.transpose(columns), atol=1e-12)
@@ -79,7 +80,7 @@ def test_derivatives_and_spread_belong_to_the_errors(tracked: bool) -> None:
 
 
 def test_targets_remain_where_all_is_tracked_or_nothing_is_known() -> None:
-    (goal,) = goals_for(LossyHopper(), np.array([[0.1, 0.56]]))
+    (goal,) = goals_for(LossyHopper(), np.array([[0.1, 0.56]])).together
     assert isinstance(goal, Targets)
 
     class Lost(NeverWorks):
@@ -88,7 +89,7 @@ def test_targets_remain_where_all_is_tracked_or_nothing_is_known() -> None:
             first, second = super().space.state
             return replace(super().space, state=(first, replace(second, weight=0)))
 
-    (goal,) = goals_for(Lost(), np.array([[0.1, NONE]]))
+    (goal,) = goals_for(Lost(), np.array([[0.1, NONE]])).onward
     assert isinstance(goal, Targets)
 
 
@@ -143,3 +144,17 @@ def test_a_disturbed_pitch_is_damped_by_what_moves_it() -> None:
     for _ in range(15):
         state = controller(state, target).predicted
     np.testing.assert_allclose(state[:2], target[:2], atol=1e-3)
+
+
+def test_few_evaluations_suffice_for_a_command_and_goals_are_found_once_for_each_target() -> None:
+    counted = CountingMap(Drifting())
+    controller = CautiousController(counted, counted, np.empty((0, 3)), ControlSettings(evaluations=100))
+    state, target = np.array([0.05, 0.1]), np.array([0.2, NONE])
+    few = controller(state, target).command
+    many = CautiousController(Drifting(), Drifting(), np.empty((0, 3)))(state, target).command
+    np.testing.assert_allclose(few, many, atol=1e-6)
+    begin = counted.jacobians
+    goals_for(counted, target[None])
+    alone = counted.jacobians - begin
+    goals_for(counted, np.tile(target, (4, 1)))
+    assert counted.jacobians - begin == 2 * alone

@@ -12,7 +12,7 @@ from stepgap.control.cost_to_go import goals_for
 from stepgap.control.horizon import plan_ahead
 from stepgap.control.settings import ControlSettings
 from stepgap.control.step_controller import StepController
-from stepgap.step import Array, StepMap, StepSpace
+from stepgap.step import Array, Codes, StepMap, StepSpace, StepStatus
 from tests.control.maps import CountingMap, LossyHopper, StumblingHopper, Track
 
 EXACT = ControlSettings(cautious=False, viability=False, avoid_failures=False, evaluations=10**6)
@@ -88,7 +88,7 @@ def test_the_sequence_is_the_best_that_a_general_solver_finds(robot: Weak, seed:
     state = space.state_centre + space.state_scale * rng.uniform(-0.5, 0.5, 2)
     targets = space.state_centre + space.state_scale * rng.uniform(-0.8, 0.8, (steps, 2))
     first = StepController(robot)(state, targets[0])
-    plan = plan_ahead(robot, state, goals_for(robot, targets), first)
+    plan = plan_ahead(robot, state, goals_for(robot, targets).together, first)
 
     def total(command: Array, end: Array) -> float:
         """Cost of a first step with the best that can follow it."""
@@ -103,7 +103,7 @@ def test_steps_that_reach_their_targets_are_planned_as_before() -> None:
     robot = LossyHopper()
     targets = np.array([[0.2, 0.58], [0.25, 0.59], [0.25, 0.59]])
     first = StepController(robot)(np.array([0.15, 0.57]), targets[0])
-    assert plan_ahead(robot, np.array([0.15, 0.57]), goals_for(robot, targets), first) is first
+    assert plan_ahead(robot, np.array([0.15, 0.57]), goals_for(robot, targets).together, first) is first
 
 
 def test_a_change_that_takes_two_steps_begins_one_step_early() -> None:
@@ -149,7 +149,7 @@ def test_a_sequence_that_would_fail_is_not_begun_and_a_spent_budget_leaves_the_s
     robot = StumblingHopper()
     state, targets = np.array([0.1, 0.56]), np.array([[0.1, 0.56], [0.4, 0.66], [0.4, 0.66]])
     first = StepController(robot)(state, targets[0])
-    plan = plan_ahead(robot, state, goals_for(robot, targets), first)
+    plan = plan_ahead(robot, state, goals_for(robot, targets).together, first)
     after = [StepController(robot)(each.predicted, targets[1]).distance + each.distance for each in (plan, first)]
     assert after[0] <= after[1] + 1e-9
     few, counted = replace(EXACT, evaluations=20), CountingMap(Weak())
@@ -178,8 +178,26 @@ def test_targets_may_be_missing_ahead() -> None:
     robot = Weak()
     state, targets = np.array([0.1, 0.56]), np.array([[0.1, 0.56], [np.nan, 0.62]])
     first = StepController(robot)(state, targets[0])
-    plan = plan_ahead(robot, state, goals_for(robot, targets), first)
+    plan = plan_ahead(robot, state, goals_for(robot, targets).together, first)
     assert plan is not first
     assert plan.predicted[0] == pytest.approx(0.1, abs=0.005), "the speed is wanted now, and free in the next step"
     total = cost_of(robot, state, plan.command[None], targets[:1]) + best_cost(robot, plan.predicted, targets[1:])
     assert total <= best_cost(robot, state, targets) * (1 + 2e-3)
+
+
+def test_where_a_later_step_of_every_sequence_fails_the_first_is_planned_alone() -> None:
+    class Once(Doubtful):
+        """From no state but the first one there is a step."""
+
+        def status(self, state: Array, command: Array) -> Codes:
+            there = np.abs(state - low).max(axis=-1) > 1e-12
+            shape = np.broadcast_shapes(state.shape[:-1], command.shape[:-1])
+            return np.broadcast_to(np.where(there, StepStatus.FELL, StepStatus.OK), shape)
+
+    low, high = np.array([0.1, 0.56]), np.array([0.1, 0.62])
+    rules = replace(EXACT, cautious=True)
+    plans = [
+        CautiousController(Once(), Once(), np.empty((0, 4)), rules)(low, low, ahead=ahead)
+        for ahead in (np.empty((0, 2)), high[None])
+    ]
+    assert plans[0].command.tolist() == plans[1].command.tolist()

@@ -100,7 +100,7 @@ def _of_motion(
     reference = load_reference(settings, nominal.map.space)
     held = held_reference(nominal.map, reference)
     file = kept_reference(held) if held and held is not reference else None
-    results = results_of("targets", check_targets(nominal.map, reference, file))
+    results = results_of("targets", check_targets(nominal.map, reference, held is not None, file))
     if held is None:
         return [*results, PartResult("motion", "left out", "Without a target that is held, there is nothing to do.")]
     results += results_of("commands", check_commands(nominal.map, held))

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from stepgap.base.errors import InputError
 from stepgap.cli.options import Address, Integer, Overrides, Port
-from stepgap.cli.terminal import announces_compilation
+from stepgap.cli.terminal import announces_compilation, warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.plants.ticks.tick_ring import TickRing
@@ -64,7 +64,7 @@ def view(
 
 def _simulate(overrides: Overrides, folder: Path) -> None:
     """Simulates some steps of a robot, without a correction, into a folder."""
-    from stepgap.cli.nominal import nominal_with_progress
+    from stepgap.cli.nominal import kept_surrogate, nominal_with_progress
     from stepgap.control.fixed_points import held_reference
     from stepgap.experiment.inputs import load_reference
     from stepgap.experiment.settings import read_experiment
@@ -74,10 +74,17 @@ def _simulate(overrides: Overrides, folder: Path) -> None:
     if not overrides:
         raise InputError("give the folder of a run, or a robot by --robot NAME")
     settings = read_experiment(None, overrides)
+    if not settings.simulated:
+        raise InputError(f"plant '{settings.plant}' is no simulation; the view shows its runs, or a simulated robot")
     nominal = nominal_with_progress(settings)
-    held = held_reference(nominal.map, load_reference(settings, settings.space))
+    if path := kept_surrogate(nominal):
+        warn(f"the simulated steps of the surrogate are kept: --nominal.file {path}")
+    reference = load_reference(settings, settings.space)
+    held = held_reference(nominal.map, reference)
     if held is None:
         raise InputError(f"robot '{settings.robot.name}': no target is held; stepgap check shows what is wrong")
+    if held is not reference:
+        warn("some targets of the reference are not held; the nearest held states take their place")
     trial_run(settings, nominal, trial_reference(settings, held), folder)
 
 

@@ -4,7 +4,8 @@ The expected squared distance of the next state from the target is |mean − tar
 in the sense of Åström and Wittenmark, Adaptive Control). Where the map's error is well known, the variance is the
 same for all commands, and the minimum is where mean = target (Eq. 13). Elsewhere the minimum is closer to the
 commands that have been tried, so the data limit how far a command departs from them. The command of the nominal
-map is always among those compared, so under the map's own uncertainty a correction never makes a step worse.
+map is always among those compared, so under the map's own uncertainty a correction never makes a step worse; if several
+steps are planned together, it is their sum that is not worse than with that command first.
 
 A state is *viable* here if some command makes a step from it (compare Wieber, On the stability of walking
 systems, 2002).
@@ -104,7 +105,8 @@ class CautiousController:
         searching, checking = self._with_half_the_budget(), self._with_half_the_budget()
         space, predicting = self.step_map.space, searching.step_map
         targets = np.array([checked_target(space, each) for each in (target, *np.asarray(ahead))])
-        (goal,) = goals_for(predicting, targets[:1])
+        goals = goals_for(self._with_half_the_budget().step_map, targets)
+        goal = goals.onward[0]
         solver = StepController(self.change.limited(predicting))
         exact = self.table(state, target, guess) if self.table else solver.towards(state, goal, guess)
         state = np.asarray(state, float)
@@ -112,8 +114,8 @@ class CautiousController:
         nominal = [] if certain else searching._nominal_commands(state, goal, exact.command)
         plans = [exact] if certain else []
         if len(targets) > 1:
-            goals = goals_for(predicting, targets)
-            joint = plan_ahead(predicting, state, goals, exact, nominal, self.settings.cautious, self.change)
+            cautious, together = self.settings.cautious, goals.together
+            joint = plan_ahead(predicting, state, together, exact, nominal, cautious, self.change)
             plans = [joint, *plans] if joint is not exact else plans
         for plan in plans:
             step_std = self.step_std(state, plan.command)
@@ -213,10 +215,11 @@ class CautiousController:
             return True
         error = np.diag(RISK * std)
         next_states = np.concatenate([mean[None], mean + error, mean - error])
-        doubtful = next_states[self.nominal.evaluate(next_states, space.command_centre).status != StepStatus.OK]
+        after = self.change.after(command).bounds(space)
+        doubtful = next_states[self.nominal.evaluate(next_states, after.command_centre).status != StepStatus.OK]
         if not len(doubtful):
             return True
-        commands = space.command_at(composite_design(len(command)))
+        commands = after.command_at(composite_design(len(command)))
         statuses = self.nominal.evaluate(doubtful[:, None], commands).status
         return bool((statuses == StepStatus.OK).any(axis=1).all())
 

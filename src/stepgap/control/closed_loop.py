@@ -33,7 +33,7 @@ def step_controller_gain(step_map: StepMap, point: FixedPoint) -> Array:
     jacobian = step_map.jacobian(point.state, point.command)
     if not np.isfinite(jacobian).all():
         return np.full((m, n), np.nan)
-    (goal,) = goals_for(step_map, np.where(point.wanted, point.state, np.nan)[None])
+    (goal,) = goals_for(step_map, np.where(point.wanted, point.state, np.nan)[None]).onward
     jacobian = goal.errors_by(jacobian)
     free = np.abs(space.point_of(point.command)) < 1 - AT_BOUND
     gain = np.zeros((m, n))

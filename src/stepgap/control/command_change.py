@@ -27,8 +27,9 @@ class CommandChange:
         if self.previous is None or steps * self.largest >= 1:  # every command is within reach
             return space
         change = 2 * steps * self.largest * space.command_scale
-        lower = np.maximum(space.command_lower, self.previous - change).tolist()
-        upper = np.minimum(space.command_upper, self.previous + change).tolist()
+        previous = np.clip(self.previous, space.command_lower, space.command_upper)
+        lower = np.maximum(space.command_lower, previous - change).tolist()
+        upper = np.minimum(space.command_upper, previous + change).tolist()
         sides = zip(space.command, lower, upper, strict=True)
         return replace(space, command=tuple(replace(each, lower=low, upper=high) for each, low, high in sides))
 

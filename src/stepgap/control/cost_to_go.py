@@ -53,30 +53,45 @@ class Deviation(Goal):
         return (std.T * np.linalg.norm(self.root, axis=0)).T
 
 
-def goals_for(step_map: StepMap, targets: Array) -> list[Goal]:
+@dataclass(frozen=True, eq=False)
+class Goals:
+    """What is wanted of steps to targets, one after the other.
+
+    Attributes:
+        alone: Of each step alone; k goals.
+        onward: Of each step and of all steps after it that have the same target; k goals.
+    """
+
+    alone: tuple[Goal, ...]
+    onward: tuple[Goal, ...]
+
+    @property
+    def together(self) -> tuple[Goal, ...]:
+        """Of all steps together: each alone, but the last one with all that come after it."""
+        return *self.alone[:-1], self.onward[-1]
+
+
+def goals_for(step_map: StepMap, targets: Array) -> Goals:
     """What is wanted of steps to targets: the targets where all states are tracked, otherwise the least cost.
 
-    The last step counts with its cost-to-go, the others with their own errors.
-
     Args:
-        step_map: Predicts steps.
+        step_map: Predicts steps; where it does not about a target, that is wanted without later costs.
         targets: NaN in coordinates without a target; shape (k, n).
     """
     space = step_map.space
-    if space.tracked.all():
-        return [Targets(space, target) for target in targets]
-    regulated = dict[bytes, tuple[Goal, Goal]]()
+    found = dict[bytes, tuple[Goal, Goal]]()
     for target in targets:
-        if target.tobytes() not in regulated:
-            regulated[target.tobytes()] = _regulated(step_map, target)
-    return [*(regulated[target.tobytes()][0] for target in targets[:-1]), regulated[targets[-1].tobytes()][1]]
+        if target.tobytes() not in found:
+            plain = Targets(space, target)
+            found[target.tobytes()] = (plain, plain) if space.tracked.all() else _regulated(step_map, plain)
+    alone, onward = zip(*(found[target.tobytes()] for target in targets), strict=True)
+    return Goals(alone, onward)
 
 
-def _regulated(step_map: StepMap, target: Array) -> tuple[Goal, Goal]:
+def _regulated(step_map: StepMap, plain: Targets) -> tuple[Goal, Goal]:
     """The cost of a step alone and its cost-to-go, about a state that has the values of a target and repeats itself."""
     space = step_map.space
-    plain = Targets(space, target)
-    state, command = whole_state(step_map, target)
+    state, command = whole_state(step_map, plain.target)
     matrix, n = step_map.jacobian(state, command), len(space.state)
     if not np.isfinite(matrix).all():
         return plain, plain

@@ -63,9 +63,13 @@ def held_reference(step_map: StepMap, reference: Reference) -> Reference | None:
     held = _are_held(step_map, targets)
     if not held.any():
         return None
+    wanted = step_map.space.has_target(targets)
     for row in np.flatnonzero(~held):  # the nearest of the others takes its place
-        away = (targets[held] - reference.targets[first[row]]) / step_map.space.error_scale
-        targets[row] = targets[held][np.argmin(np.nansum(away**2, axis=1))]
+        alike = held & (wanted == wanted[row]).all(axis=1)
+        if not alike.any():
+            return None
+        away = (targets[alike] - reference.targets[first[row]]) / step_map.space.error_scale
+        targets[row] = targets[alike][np.argmin(np.nansum(away[:, wanted[row]] ** 2, axis=1))]
     return Reference(reference.names, targets[number])
 
 

@@ -52,10 +52,10 @@ def plan_ahead(
     sequence = _Sequence(step_map, state, goals, change, cautious)
     starts = np.array([sequence.point_of([each, *commands[1:]]) for each in (first.command, *others)])
     best = starts[np.argmin(norms(sequence.errors(starts)))]
-    point = minimise(sequence.errors, sequence.jacobian, best, AHEAD_IMPROVEMENT).point
-    command = sequence.commands_at(point)[0]
+    found = minimise(sequence.errors, sequence.jacobian, best, AHEAD_IMPROVEMENT)
+    command = sequence.commands_at(found.point)[0]
     predicted, status = step_map.evaluate(state, command)
-    if status != StepStatus.OK:
+    if status != StepStatus.OK or not np.isfinite(found.distance):  # a later step of every sequence fails
         return first
     distance = float(np.linalg.norm(goals[0].errors(predicted)))
     return StepPlan(command, predicted, distance <= REACHED, distance)

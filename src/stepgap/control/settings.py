@@ -18,13 +18,15 @@ class ControlSettings:
         viability: Whether the next state must permit a further step, also if it is off by two standard deviations.
         avoid_failures: Whether steps that resemble a failed one are not taken.
         evaluations: Largest number of steps that the maps evaluate for the choice of one command, half of them in the
-            search, which then ends with the best command so far, and half in the checks of its commands. A lower number
-            bounds the time that a command takes on a slow nominal map. A Jacobian counts as its central differences.
+            search, which then ends with the best command so far, and half in the checks of its commands; where states
+            are not tracked, half as many more for the cost of later steps. A lower number bounds the time that a
+            command takes on a slow nominal map. A Jacobian counts as its central differences.
         horizon: Number of steps whose commands are chosen together, with the targets that the reference has for them,
-            where single steps do not reach them: the robot begins early with a change that takes several steps. With 1,
-            each command is chosen for its own step alone, as in the paper.
+            where single steps do not reach them or states are not tracked: the robot begins early with a change that
+            takes several steps. With 1, each command is chosen for its own step alone, as in the paper.
         largest_change: Largest change of each command from one step to the next, as a share of its range; 1 for no
-            limit. The first command of a deployment has none.
+            limit. The first command of a deployment has none. A later command of a horizon may lie as many changes
+            away from the present one as there are steps between them.
         table: Points along each axis of a look-up table of commands that is computed before every deployment and used
             in place of solving (the paper, Sec. 6); 0 for none. Its prediction is interpolated, too. It covers the
             range of use of state and target: for a state outside, the command is that of the nearest state inside.

@@ -95,7 +95,7 @@ class DeploymentController:
         return CautiousController(*maps, learner.failures, self.settings, self.table, self.command)
 
     def plan(self, state: Array, target: Array, ahead: ArrayLike = ()) -> CautiousPlan:
-        """Plans the next step; the middle of the bounds where the map has no command that makes a step.
+        """Plans the next step; the middle of its bounds where the map has no command that makes a step.
 
         Args:
             state: Measured state; shape (n,).
@@ -181,7 +181,7 @@ def _checked_start(state: Array, space: StepSpace) -> Array:
 def tracking_plan(
     controller: CautiousController, state: Array, target: Array, guess: Array | None, ahead: ArrayLike = ()
 ) -> CautiousPlan:
-    """The command for a target; the middle of the bounds where the map has no command that makes a step.
+    """The command for a target; the middle of its bounds where the map has no command that makes a step.
 
     Raises:
         ResidualError: The residual that corrects the map has no finite prediction of the step.

@@ -95,7 +95,7 @@ class LeftOutPart:
 
     def half_variance_gradient(self, point: Array, features: Array, jacobian: Array) -> Array:
         """½ ∂std²/∂point; shape (…, p)."""
-        weighted = self._weighted(point, features) @ self.root
+        weighted = self._weighted(point, features) @ self.root.T
         by_features = weighted @ self.reconstruction[1:].T
         return weighted / self.scale - np.einsum("...k,...kp->...p", by_features, jacobian)
 

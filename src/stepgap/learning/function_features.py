@@ -72,8 +72,9 @@ def function_features(
         return FunctionFeatures(function, derivative, (lower + upper) / 2, scale, data.scale)
 
     def from_dict(saved: Mapping[str, Any]) -> FeatureMap:
-        return FunctionFeatures(
-            function, derivative, *(numbers(saved, key, 1) for key in ("centre", "scale", "input_scale"))
-        )
+        centre, scale, input_scale = (numbers(saved, key, 1) for key in ("centre", "scale", "input_scale"))
+        if centre.shape != scale.shape or not (np.concatenate([scale, input_scale]) > 0).all():
+            raise ValueError("scale and input_scale must be positive, and scale as long as centre")
+        return FunctionFeatures(function, derivative, centre, scale, input_scale)
 
     return FeatureModel(name, fit, from_dict)

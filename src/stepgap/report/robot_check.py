@@ -45,24 +45,26 @@ def check_map(nominal: StepMap) -> Iterator[PartResult]:
         yield PartResult("map", "ok", f"From the middle of all ranges it makes a step.{text}")
 
 
-def check_targets(nominal: StepMap, reference: Reference, file: Path | None) -> Iterator[PartResult]:
+def check_targets(nominal: StepMap, reference: Reference, held: bool, file: Path | None) -> Iterator[PartResult]:
     """Whether the map holds the targets of a reference.
 
     Args:
         nominal: The map.
         reference: The reference.
-        file: File of its `held_reference`; None if there is none.
+        held: Whether it has a `held_reference`.
+        file: File of that; None if it could not be written.
     """
     missed, count = len(unheld_steps(nominal, reference)), len(reference.distinct[0])
     if not missed:
         yield PartResult("targets", "ok", f"By the map, a command holds each of the {count} targets of the reference.")
         return
     found = f"By the map, no command holds {missed} of the {count} targets of the reference"
-    if file is None:
+    if not held:
         advice = "Choose ranges about a motion that the robot repeats, or wider bounds of the commands."
         yield PartResult("targets", "wrong", f"{found}, or a state near one of them. {advice}")
     else:
-        yield PartResult("targets", "wrong", f"{found}. Held states near them: --reference {file}")
+        where = f": --reference {file}" if file else " were found, but could not be written into this folder."
+        yield PartResult("targets", "wrong", f"{found}. Held states near them{where}")
 
 
 def check_commands(nominal: StepMap, held: Reference) -> Iterator[PartResult]:

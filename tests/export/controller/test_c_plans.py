@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.control.cost_to_go import Goals
 from stepgap.control.goal import Targets
 from stepgap.control.settings import ControlSettings
 from stepgap.export.controller.c_source import c_source
@@ -58,8 +59,9 @@ def with_weights(controller: PortableController, *weights: float) -> PortableCon
 def own_errors_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """Python counts the errors of the planned steps alone, as C does, also where states are not tracked."""
 
-    def targets_of(step_map: StepMap, targets: Array) -> list[Targets]:
-        return [Targets(step_map.space, target) for target in targets]
+    def targets_of(step_map: StepMap, targets: Array) -> Goals:
+        plain = tuple(Targets(step_map.space, target) for target in targets)
+        return Goals(plain, plain)
 
     monkeypatch.setattr("stepgap.control.cautious_controller.goals_for", targets_of)
 

@@ -3,9 +3,8 @@
 The steps are sampled all over the ranges and along motions (`motions.py`), and the next states fitted by least squares
 in products of Legendre polynomials up to a total degree (Santner, Williams & Notz, *The Design and Analysis of Computer
 Experiments*). The degree is the one with the smallest leave-one-out error, which needs neither further samples nor
-further fits. The number
-of samples is doubled until this error hardly decreases. A simulator with contacts is not smooth on a small scale; the
-polynomial is its average there, and the leave-one-out error contains the rest.
+further fits. The number of samples is doubled until this error hardly decreases. A simulator with contacts is not
+smooth on a small scale; the polynomial is its average there, and the leave-one-out error contains the rest.
 
 A step that leaves the sampled range ends a motion: it counts less in the fit, the further away it leads, and is not in
 the error. In a walker, and in a hopper with six states, this made the error along motions smaller.
