@@ -54,7 +54,7 @@ class Deviation(Goal):
 
 
 @dataclass(frozen=True, eq=False)
-class Goals:
+class StepGoals:
     """What is wanted of steps to targets, one after the other.
 
     Attributes:
@@ -71,7 +71,7 @@ class Goals:
         return *self.alone[:-1], self.onward[-1]
 
 
-def goals_for(step_map: StepMap, targets: Array) -> Goals:
+def goals_for(step_map: StepMap, targets: Array) -> StepGoals:
     """What is wanted of steps to targets: the targets where all states are tracked, otherwise the least cost.
 
     Args:
@@ -85,7 +85,7 @@ def goals_for(step_map: StepMap, targets: Array) -> Goals:
             plain = Targets(space, target)
             found[target.tobytes()] = (plain, plain) if space.tracked.all() else _regulated(step_map, plain)
     alone, onward = zip(*(found[target.tobytes()] for target in targets), strict=True)
-    return Goals(alone, onward)
+    return StepGoals(alone, onward)
 
 
 def _regulated(step_map: StepMap, plain: Targets) -> tuple[Goal, Goal]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.control.cost_to_go import Goals
+from stepgap.control.cost_to_go import StepGoals
 from stepgap.control.goal import Targets
 from stepgap.control.settings import ControlSettings
 from stepgap.export.controller.c_source import c_source
@@ -59,9 +59,9 @@ def with_weights(controller: PortableController, *weights: float) -> PortableCon
 def own_errors_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """Python counts the errors of the planned steps alone, as C does, also where states are not tracked."""
 
-    def targets_of(step_map: StepMap, targets: Array) -> Goals:
+    def targets_of(step_map: StepMap, targets: Array) -> StepGoals:
         plain = tuple(Targets(step_map.space, target) for target in targets)
-        return Goals(plain, plain)
+        return StepGoals(plain, plain)
 
     monkeypatch.setattr("stepgap.control.cautious_controller.goals_for", targets_of)
 
