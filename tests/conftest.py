@@ -79,6 +79,15 @@ def pytest_sessionstart(session: pytest.Session) -> None:
                 compiled.touch()
 
 
+def pytest_runtest_setup() -> None:
+    """Ctrl-C ends a wait, as at the start of a program.
+
+    A library in C may change that for all later tests of the process: OpenTURNS, when it is imported, has Ctrl-C resume
+    a wait (SA_RESTART), and a test that waits for a process and is to be interrupted then waits for ever.
+    """
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def pytest_collection_finish() -> None:
     """What was imported stays until the end; the garbage collector need not look at it again and again."""
     gc.freeze()
