@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from stepgap.step import Array, Outcome, StepMap, StepSpace
+from stepgap.control.wrapped_map import MapInSpace
+from stepgap.step import Array, StepMap, StepSpace
 
 
 @final
@@ -46,43 +46,3 @@ class CommandChange:
 
 NO_LIMIT = CommandChange()
 """Any command may follow any other."""
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class MapInSpace(StepMap):
-    """A map with other bounds of the commands, or other weights of the state; it predicts the same.
-
-    Attributes:
-        inner: The map.
-        quantities: Names, units and ranges.
-    """
-
-    inner: StepMap
-    quantities: StepSpace
-
-    @property
-    def space(self) -> StepSpace:
-        """Names, units and ranges."""
-        return self.quantities
-
-    def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
-        """Next states and status codes of the map."""
-        return self.inner.evaluate(state, command)
-
-    def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """∂(next state)/∂(state, command); shape (…, n, n + m)."""
-        return self.inner.jacobian(state, command)
-
-    @property
-    def noise_std(self) -> Array:
-        """Standard deviation of a measured next state about its expected value; shape (n,)."""
-        return self.inner.noise_std
-
-    def std(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """Standard deviation of the next state; shape (…, n) [state units]."""
-        return self.inner.std(state, command)
-
-    def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """∂std/∂(state, command); shape (…, n, n + m)."""
-        return self.inner.std_gradient(state, command)

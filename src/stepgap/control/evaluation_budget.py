@@ -6,7 +6,8 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.step import Array, Outcome, StepMap, StepSpace, StepStatus
+from stepgap.control.wrapped_map import WrappedMap
+from stepgap.step import Array, Outcome, StepSpace, StepStatus
 
 
 @dataclass(eq=False)
@@ -28,18 +29,16 @@ class EvaluationBudget:
 
 @final
 @dataclass(frozen=True, eq=False)
-class BudgetedMap(StepMap):
+class BudgetedMap(WrappedMap):
     """A map whose steps fail once the budget is spent.
 
     A search treats such a step like any other that fails, and returns the best command found before. A Jacobian counts
     as the 2 (n + m) steps of its central differences, also where there is a formula for it.
 
     Attributes:
-        inner: The map.
         budget: Number of steps that it may still evaluate.
     """
 
-    inner: StepMap
     budget: EvaluationBudget
 
     @property
@@ -62,19 +61,6 @@ class BudgetedMap(StepMap):
         if self.budget.spend(2 * inputs * int(np.prod(leading))):
             return self.inner.jacobian(state, command)
         return np.full((*leading, n, inputs), np.nan)
-
-    @property
-    def noise_std(self) -> Array:
-        """Standard deviation of a measured next state about its expected value; shape (n,)."""
-        return self.inner.noise_std
-
-    def std(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """Standard deviation of the next state, which takes no step; shape (…, n) [state units]."""
-        return self.inner.std(state, command)
-
-    def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """∂std/∂(state, command), which takes no step; shape (…, n, n + m)."""
-        return self.inner.std_gradient(state, command)
 
     @staticmethod
     def _leading(state: ArrayLike, command: ArrayLike) -> tuple[int, ...]:

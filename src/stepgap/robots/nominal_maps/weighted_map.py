@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from stepgap.control.command_change import MapInSpace
+from stepgap.control.wrapped_map import MapInSpace
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.surrogate_map import SurrogateMap
 from stepgap.step import StepMap, StepSpace
