@@ -6,6 +6,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stepgap.learning.disturbance import Disturbance
 from stepgap.learning.residual import Residual, join_points
 from stepgap.step import Array, Outcome, StepMap, StepSpace
 
@@ -21,14 +22,12 @@ class CorrectedMap(StepMap):
         nominal: The map of the physics model. Not a corrected one: a residual is fitted to
             actual − nominal on all steps, so corrections never stack.
         residual: Model of actual − nominal, of the same sizes.
-        offset: Estimated disturbance of the next step, which is added, too; shape (n,), or 0.
-        offset_std: Standard deviation of the offset [units of the state]; shape (n,), or 0.
+        disturbance: Estimated disturbance of the next step, which is added, too; None for none.
     """
 
     nominal: StepMap
     residual: Residual
-    offset: Array | float = 0.0
-    offset_std: Array | float = 0.0
+    disturbance: Disturbance | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.nominal, CorrectedMap):
@@ -45,11 +44,14 @@ class CorrectedMap(StepMap):
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
         """Next states and status codes; never raises for a step that fails."""
         next_state, status = self.nominal.evaluate(state, command)
-        return Outcome(next_state + self.residual.mean(join_points(state, command)) + self.offset, status)
+        points = join_points(state, command)
+        added = self.disturbance.mean(self._inputs(points)) if self.disturbance else 0.0
+        return Outcome(next_state + self.residual.mean(points) + added, status)
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails."""
-        return self.nominal.jacobian(state, command) + self.residual.mean_gradient(join_points(state, command))
+        added = self.disturbance.slopes / self._half_ranges if self.disturbance else 0.0
+        return self.nominal.jacobian(state, command) + self.residual.mean_gradient(join_points(state, command)) + added
 
     @property
     def noise_std(self) -> Array:
@@ -57,13 +59,30 @@ class CorrectedMap(StepMap):
         return self.residual.noise_std
 
     def std(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """Standard deviation of the next state, residual and offset; shape (…, n) [units of the state]."""
-        return np.hypot(self.residual.std(join_points(state, command)), self.offset_std)
+        """Standard deviation of the next state, residual and disturbance; shape (…, n) [units of the state]."""
+        points = join_points(state, command)
+        std = self.residual.std(points)
+        return np.hypot(std, self.disturbance.std(self._inputs(points))) if self.disturbance else std
 
     def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂std/∂(state, command); shape (…, n, n + m)."""
         points = join_points(state, command)
-        std = self.residual.std(points)
-        total = np.hypot(std, self.offset_std)
-        share = np.divide(std, total, out=np.ones_like(total), where=total > 0)
-        return share[..., None] * self.residual.std_gradient(points)
+        gradient = self.residual.std_gradient(points)
+        if not self.disturbance:
+            return gradient
+        inputs, std = self._inputs(points), self.residual.std(points)
+        added = self.disturbance.std(inputs)
+        total = np.hypot(std, added)
+        shares = [np.divide(part, total, out=np.ones_like(total), where=total > 0) for part in (std, added)]
+        of_added = self.disturbance.std_gradient(inputs) / self._half_ranges
+        return shares[0][..., None] * gradient + shares[1][..., None] * of_added
+
+    @property
+    def _half_ranges(self) -> Array:
+        """Half ranges of use of state and command; shape (n + m,)."""
+        return np.concatenate([self.space.state_scale, self.space.command_scale])
+
+    def _inputs(self, points: Array) -> Array:
+        """States and commands from the middle of their ranges on [half ranges]; shape (…, n + m)."""
+        centre = np.concatenate([self.space.state_centre, self.space.command_centre])
+        return (points - centre) / self._half_ranges

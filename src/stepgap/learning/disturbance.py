@@ -38,7 +38,12 @@ FILTER_STRENGTHS = (0.0, 1.0)
 SCORE_MEMORY = 0.98
 """Factor of a filter's score from one step to the next: about the last 50 steps count."""
 SWITCHING_PENALTY = 5.0
-"""A filter is used when its score is better than that of no filter by this number of mean squared errors."""
+"""A filter is used when its score is better than that of no filter by this number of mean squared errors, or of
+predicted variances where these are smaller: a constant error of many standard deviations is followed at once."""
+CHANGE_STD = 20.0
+"""Prior standard deviation of the constant by which a robot changes, in standard deviations of a step's noise."""
+SLOPE_STD = 8.0
+"""Prior standard deviation of what a change adds per half range of each state and command coordinate, likewise."""
 
 STRENGTHS = (0.0, 0.5, 1.0, 2.0, 4.0)
 """Strengths s among which the regression chooses."""
@@ -58,9 +63,42 @@ def prior_std(strength: float) -> Array:
 
 
 FORGETTING = np.tile(RATES**2, len(FILTER_STRENGTHS))
-"""Fraction by which each filter's covariance returns to the initial one in a step; shape (filters,)."""
-INITIAL_COVARIANCE = np.array([np.diag(prior_std(strength) ** 2) for strength in FILTER_STRENGTHS for _ in RATES])
-"""Prior covariance of each filter's coefficients, in variances of a step's noise; shape (filters, 3, 3)."""
+"""Fraction by which each filter's covariance returns to the prior one in a step; shape (filters,)."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Disturbance:
+    """The disturbance of the next step, which is constant, or after a change of the robot linear in state and command.
+
+    Attributes:
+        constant: Shape (n,) [units of the state].
+        slopes: Per half range of each state and command coordinate; shape (n, n + m) [units of the state].
+        covariance: Of constant and slopes, for each state coordinate; shape (n, 1 + n + m, 1 + n + m).
+    """
+
+    constant: Array
+    slopes: Array
+    covariance: Array
+
+    def mean(self, inputs: Array) -> Array:
+        """Expected disturbance at states and commands in half ranges; (…, n + m) to (…, n) [units of the state]."""
+        return self.constant + inputs @ self.slopes.T
+
+    def std(self, inputs: Array) -> Array:
+        """Standard deviation of the disturbance; (…, n + m) to (…, n) [units of the state]."""
+        rows = _with_one(inputs)
+        return np.sqrt(np.einsum("...a,nab,...b->...n", rows, self.covariance, rows))
+
+    def std_gradient(self, inputs: Array) -> Array:
+        """∂std/∂inputs; (…, n + m) to (…, n, n + m) [units of the state per half range]."""
+        product = np.einsum("nab,...b->...na", self.covariance, _with_one(inputs))[..., 1:]
+        std = self.std(inputs)[..., None]
+        return np.divide(product, std, out=np.zeros_like(product), where=std > 0)
+
+
+def _with_one(inputs: Array) -> Array:
+    return np.concatenate([np.ones_like(inputs[..., :1]), inputs], axis=-1)
 
 
 @final
@@ -68,62 +106,97 @@ INITIAL_COVARIANCE = np.array([np.diag(prior_std(strength) ** 2) for strength in
 class DisturbanceFilter:
     """Estimate of the disturbance within a deployment; immutable.
 
+    Its q = 3 + n + m regressors are those of the phase, then state and command in half ranges, whose coefficients are
+    zero until the robot changes.
+
     Attributes:
-        coefficients: c of each filter; shape (filters, 3, n).
-        covariance: Covariance of c, in variances of a step's noise; shape (filters, 3, 3).
-        scores: Discounted sums of squared innovations without a filter, then of each filter; shape (1 + filters, n).
+        coefficients: c of each filter; shape (filters, q, n).
+        covariance: Covariance of c, in variances of a step's noise; shape (filters, q, q).
+        prior: Covariance of c a priori; shape (filters, q, q).
+        scores: Discounted sums of squared innovations without a filter, then of each filter, in predicted variances;
+            shape (1 + filters, n).
         weight: Discounted number of steps.
     """
 
     coefficients: Array
     covariance: Array
+    prior: Array
     scores: Array
     weight: float = 0.0
 
     @classmethod
-    def initial(cls, size: int) -> Self:
-        """Returns the estimate before the first step, for n coordinates."""
-        count = len(INITIAL_COVARIANCE)
-        return cls(np.zeros((count, 3, size)), INITIAL_COVARIANCE, np.zeros((1 + count, size)))
+    def initial(cls, size: int, inputs: int = 0) -> Self:
+        """Returns the estimate before the first step, for n state coordinates and n + m inputs."""
+        stds = [np.append(prior_std(strength), np.zeros(inputs)) for strength in FILTER_STRENGTHS for _ in RATES]
+        prior = np.array([np.diag(std**2) for std in stds])
+        return cls(np.zeros((len(prior), 3 + inputs, size)), prior, prior, np.zeros((1 + len(prior), size)))
 
-    def offset(self, phase: float) -> Array:
-        """Offset of the predicted state of a step that starts at a phase [rad], NaN if unknown; shape (n,)."""
-        return self._offsets(regressors(phase))[self._best, np.arange(self.scores.shape[1])]
+    @property
+    def changed(self) -> bool:
+        """Whether it estimates how the robot has changed."""
+        return bool(np.isinf(self.scores[0]).all())
 
-    def std(self, phase: float) -> Array:
-        """Standard deviation of that offset, in standard deviations of a step's noise; shape (n,)."""
-        row = regressors(phase)
-        return np.sqrt(np.append(0.0, self._predicted_covariance() @ row @ row))[self._best]
+    def predict(self, phase: float, noise_std: ArrayLike = 1.0) -> Disturbance:
+        """Returns the disturbance of the next step.
 
-    def updated(self, error: Array, phase: float) -> "DisturbanceFilter":
-        """Returns the estimate after a step from a phase [rad], given the error (n,) of the map without the offset."""
-        row, covariance = regressors(phase), self._predicted_covariance()
-        innovation = error - self._offsets(row)
+        Args:
+            phase: Phase at which the step starts [rad], NaN if it is unknown.
+            noise_std: Standard deviation of a step's noise; shape (n,), or one for all.
+        """
+        of_phase, best, size = regressors(phase), self._best, self.scores.shape[1]
+        inputs = self.coefficients.shape[1] - 3
+        rows = np.zeros((1 + inputs, 3 + inputs))
+        rows[0, :3], rows[1:, 3:] = of_phase, np.eye(inputs)
+        unused = np.zeros((1, 3 + inputs, size))
+        coefficients = rows @ np.concatenate([unused, self.coefficients])[best, :, np.arange(size)].T
+        covariance = np.concatenate([0 * self.prior[:1], self._predicted_covariance()])[best]
+        variance = np.broadcast_to(np.square(noise_std), size)[:, None, None]
+        return Disturbance(coefficients[0], coefficients[1:].T, variance * (rows @ covariance @ rows.T))
+
+    def restarted(self) -> "DisturbanceFilter":
+        """Returns the estimate if the robot changes: a linear function is added, which no filter may leave out."""
+        scores = np.zeros_like(self.scores)
+        scores[0] = np.inf
+        inputs = self.prior.shape[-1] - 3
+        wide = np.diag([CHANGE_STD**2, 0.0, 0.0, *[SLOPE_STD**2] * inputs])
+        prior = self.prior.copy()
+        prior[:, 3:, 3:] = SLOPE_STD**2 * np.eye(inputs)
+        return DisturbanceFilter(self.coefficients, self.covariance + wide, prior, scores)
+
+    def updated(
+        self, error: Array, phase: float, std: ArrayLike = 1.0, inputs: ArrayLike | None = None
+    ) -> "DisturbanceFilter":
+        """Returns the estimate after a step.
+
+        Args:
+            error: Error of the map without the disturbance; shape (n,).
+            phase: Phase at which the step started [rad], NaN if it is unknown.
+            std: Standard deviation of that error as it was predicted, with noise; shape (n,), or one for all.
+            inputs: State and command in half ranges, shape (n + m,); None if there are none.
+        """
+        row, covariance = np.append(regressors(phase), [] if inputs is None else inputs), self._predicted_covariance()
+        predicted = np.einsum("k,fkn->fn", row, self.coefficients)
+        innovation = error - np.vstack([np.zeros((1, predicted.shape[1])), predicted])
         cross = covariance @ row
         gain = cross / (cross @ row + 1.0)[:, None]
         return replace(
             self,
             coefficients=self.coefficients + gain[:, :, None] * innovation[1:, None, :],
             covariance=covariance - gain[:, :, None] * cross[:, None, :],
-            scores=SCORE_MEMORY * self.scores + innovation**2,
+            scores=SCORE_MEMORY * self.scores + (innovation / std) ** 2,
             weight=SCORE_MEMORY * self.weight + 1.0,
         )
 
     @property
     def _best(self) -> NDArray[np.intp]:
         """Index of the filter in use, 0 for none; shape (n,)."""
-        mean_square = self.scores[0] / max(self.weight, 1.0)
+        mean_square = np.minimum(self.scores[0] / max(self.weight, 1.0), 1.0)
         penalty = np.where(np.arange(len(self.scores)) > 0, SWITCHING_PENALTY, 0.0)[:, None] * mean_square
         return np.argmin(self.scores + penalty, axis=0)
 
     def _predicted_covariance(self) -> Array:
-        """Covariances one step later, before its error is known; shape (filters, 3, 3)."""
-        return self.covariance + FORGETTING[:, None, None] * (INITIAL_COVARIANCE - self.covariance)
-
-    def _offsets(self, row: Array) -> Array:
-        """Zero, then the prediction of each filter; shape (1 + filters, n)."""
-        predicted = np.einsum("k,fkn->fn", row, self.coefficients)
-        return np.vstack([np.zeros((1, predicted.shape[1])), predicted])
+        """Covariances one step later, before its error is known; shape (filters, q, q)."""
+        return self.covariance + FORGETTING[:, None, None] * (self.prior - self.covariance)
 
 
 def without_periodic_part(observations: Observations, iteration: int) -> Observations:

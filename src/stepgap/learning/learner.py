@@ -8,50 +8,21 @@ import numpy as np
 
 from stepgap.learning.background import Deferred
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.disturbance_estimator import DisturbanceEstimator
 from stepgap.learning.observations import error_of, history_after, next_history, observe
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.residual_fit import learned_residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
+from stepgap.learning.trust import PredictedStep, Source, Trust
 from stepgap.step import Array, StepMap, StepRecord, StepStatus
 
-MONITORED_STEPS = 10
-"""Number of latest steps over which a correction is compared with the nominal map."""
-SIGNIFICANCE = 2.0
-"""A correction is not used while it predicts worse than the nominal map by this number of standard errors."""
 REFIT_GROWTH = 1.1
 """A new fit begins when the number of steps has grown by this factor."""
 FITTED_PER_STEP = 150
 """Number of known steps for which a fit is given the time of one step of the robot; a slower fit is waited for."""
 _NO_FAILURE = (StepStatus.OK, StepStatus.DOUBTFUL)
 """Statuses of steps that a controller need not avoid: a doubtful sensor is not due to the command."""
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Monitor:
-    """Whether a correction predicts the next state better than the nominal map.
-
-    Attributes:
-        advantages: Squared error of the nominal map minus that of the corrected map, for the latest steps.
-    """
-
-    advantages: tuple[float, ...] = ()
-
-    def updated(self, nominal_error: Array, corrected_error: Array) -> "Monitor":
-        """Returns the monitor after a step, given the scaled prediction errors (n,) of the two maps."""
-        advantage = float(np.sum(nominal_error**2) - np.sum(corrected_error**2))
-        return Monitor((*self.advantages, advantage)[-MONITORED_STEPS:])
-
-    @property
-    def worse(self) -> bool:
-        """Whether the correction was significantly worse over the latest steps."""
-        advantages = np.array(self.advantages)
-        if len(advantages) < MONITORED_STEPS:
-            return False
-        return bool(advantages.sum() < -SIGNIFICANCE * np.sqrt(np.sum(advantages**2)))
 
 
 @final
@@ -88,9 +59,11 @@ class Learner:
         history: History of the next step, as `observations` defines it; shape (2n + m + 1,).
         failures: Points (state, command) of the steps that failed; shape (k, n + m).
         steps_to_learn: Number of further steps of this deployment that will be learned from.
-        disturbance: Estimate of the error that depends on time and phase, not on state and command.
-        monitor: Comparison of the correction with the nominal map.
+        trust: Which map is trusted, and the disturbance of the corrected one.
         outliers: Deployment and number of each step of this deployment that was an outlier when it was executed.
+        alarms: Number of each step after which another hypothesis was trusted, and what this hypothesis takes the next
+            state from.
+        changes: Row in the log of each step after a change of the robot, and by what it had changed there; shape (n,).
         refit: The fit that is running, if there is one.
         refit_from: Number of known steps from which the next fit may begin.
     """
@@ -103,9 +76,10 @@ class Learner:
     history: Array
     failures: Array
     steps_to_learn: float
-    disturbance: DisturbanceEstimator
-    monitor: Monitor
+    trust: Trust
     outliers: tuple[tuple[int, int], ...]
+    alarms: tuple[tuple[int, Source], ...]
+    changes: tuple[tuple[int, Array], ...]
     refit: Refit | None
     refit_from: float
 
@@ -128,20 +102,27 @@ class Learner:
             residual: The residual that was fitted to these steps; None to fit it.
         """
         failed = ~np.isin(log.status, _NO_FAILURE)
+        if residual is None:
+            residual = _fitted(nominal, log, settings, iteration, None)
         return cls(
             nominal=nominal,
             settings=settings,
             iteration=iteration,
             log=log,
-            residual=_fitted(nominal, log, settings, iteration, None) if residual is None else residual,
+            residual=residual,
             history=next_history(log, nominal, iteration),
             failures=join_points(log.state, log.requested)[failed],
             steps_to_learn=settings.steps_to_learn(iteration),
-            disturbance=DisturbanceEstimator.start(
-                nominal.space.state_scale, drift=settings.drift, reject_outliers=settings.reject_outliers
+            trust=Trust.start(
+                nominal.space.state_scale,
+                residual,
+                drift=settings.drift,
+                monitor=settings.monitor,
+                reject_outliers=settings.reject_outliers,
             ),
-            monitor=Monitor(),
             outliers=(),
+            alarms=(),
+            changes=(),
             refit=None,
             refit_from=max(1.0, REFIT_GROWTH * len(log)),
         )
@@ -166,10 +147,10 @@ class Learner:
 
     def step_map(self) -> CorrectedMap:
         """Returns the map that plans the next step."""
-        if self.settings.monitor and self.monitor.worse:
+        if self.trust.trusted.source == "nominal":
             return CorrectedMap(self.nominal, no_residual(*self.residual.sizes))
         residual = self.conditioned_residual
-        return CorrectedMap(self.nominal, residual, *self.disturbance.predict(residual, self.phase))
+        return CorrectedMap(self.nominal, residual, self.trust.predict(residual, self.phase))
 
     def after(self, logged: LoggedStep) -> "Learner":
         """Returns the learner after the step just executed.
@@ -188,19 +169,35 @@ class Learner:
         )
         if not np.isfinite(error).all():
             return learner._with_refit()
-        residual, scale = self.conditioned_residual, self.nominal.space.state_scale
+        residual = self.conditioned_residual
         mean, std = residual.mean(point), residual.std(point, include_noise=True)
         check_prediction(residual.kind, mean, std)
-        remaining = error - mean
-        offset, _ = self.disturbance.predict(residual, self.phase)
-        monitor = self.monitor.updated(error / scale, (remaining - offset) / scale)  # of what was deployed
-        disturbance = self.disturbance.after(residual, remaining, std, self.phase)
-        learner = replace(learner, disturbance=disturbance, monitor=monitor)
-        if disturbance.outlier:
+        step = PredictedStep(self._inputs(record), error, mean, std, self.phase)
+        trust = self.trust.after(residual, step)
+        change, alarms = trust.change(step), [(logged.step, trust.alarm)] if trust.alarm else []
+        learner = replace(learner, trust=trust, alarms=(*self.alarms, *alarms))
+        if change.any():
+            learner = replace(learner, changes=(*self.changes, (len(self.log), change)))
+        if trust.outlier:
             return replace(learner, outliers=(*self.outliers, (logged.iteration, logged.step)))._with_refit()
         if self.steps_to_learn > 0:
-            learner = learner._updated(self.history, point, error)
+            learner = learner._updated(self.history, point, error - change)
         return learner._with_refit()
+
+    @property
+    def _lessons(self) -> Steps:
+        """The steps known, as the robot would have made them before it changed in this deployment."""
+        if not self.changes:
+            return self.log
+        next_state = self.log.next_state
+        for row, change in self.changes:
+            next_state[row] -= change
+        return self.log.with_columns(next_state=next_state)
+
+    def _inputs(self, record: StepRecord) -> Array:
+        """State and requested command of a step from the middle of their ranges on; shape (n + m,) [half ranges]."""
+        space = self.nominal.space
+        return np.append(space.scaled_state(record.state), space.point_of(record.requested))
 
     def _updated(self, history: Array, point: Array, error: Array) -> "Learner":
         """Learns a step: it updates the present residual or that of a fit that is due, or ends with a fit to all."""
@@ -210,7 +207,7 @@ class Learner:
 
         remaining = self.steps_to_learn - 1
         if remaining == 0:
-            fitted = _fitted(self.nominal, self.log, self.settings, self.iteration, self.residual)
+            fitted = _fitted(self.nominal, self._lessons, self.settings, self.iteration, self.residual)
             return replace(self, steps_to_learn=0, residual=fitted, refit=None)
         learner = replace(self, steps_to_learn=remaining)
         if self.refit is None:
@@ -225,7 +222,7 @@ class Learner:
         count = len(self.log)
         if self.refit or self.steps_to_learn == 0 or count < self.refit_from:
             return self
-        known = self.nominal, self.log, self.settings, self.iteration, self.residual
+        known = self.nominal, self._lessons, self.settings, self.iteration, self.residual
         due = count + 1 + count // FITTED_PER_STEP
         refit = Refit(Deferred(lambda: _fitted(*known)), due)
         return replace(self, refit=refit, refit_from=max(REFIT_GROWTH * count, due + 1))
