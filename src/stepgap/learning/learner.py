@@ -9,9 +9,10 @@ import numpy as np
 from stepgap.learning.background import Deferred
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.observations import error_of, history_after, next_history, observe
+from stepgap.learning.outliers import LEAST_KNOWN, improbable_errors
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_check import check_prediction
-from stepgap.learning.residual_fit import learned_residual
+from stepgap.learning.residual_fit import explains_better, learned_residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.learning.trust import PredictedStep, Source, Trust
@@ -19,6 +20,10 @@ from stepgap.step import Array, StepMap, StepRecord, StepStatus
 
 REFIT_GROWTH = 1.1
 """A new fit begins when the number of steps has grown by this factor."""
+FIRST_LESSONS = 2
+"""Number of the latest steps that are learned from where nothing older is right."""
+AT_A_BOUND = 0.99
+"""A command counts as at its bound beyond this part of its half range."""
 FITTED_PER_STEP = 150
 """Number of known steps for which a fit is given the time of one step of the robot; a slower fit is waited for."""
 _NO_FAILURE = (StepStatus.OK, StepStatus.DOUBTFUL)
@@ -147,7 +152,7 @@ class Learner:
 
     def step_map(self) -> CorrectedMap:
         """Returns the map that plans the next step."""
-        if self.trust.trusted.source == "nominal":
+        if self.trust.uses_nominal:
             return CorrectedMap(self.nominal, no_residual(*self.residual.sizes))
         residual = self.conditioned_residual
         return CorrectedMap(self.nominal, residual, self.trust.predict(residual, self.phase))
@@ -169,20 +174,32 @@ class Learner:
         )
         if not np.isfinite(error).all():
             return learner._with_refit()
-        residual = self.conditioned_residual
+        residual, m = self.conditioned_residual, len(record.command)
         mean, std = residual.mean(point), residual.std(point, include_noise=True)
         check_prediction(residual.kind, mean, std)
         step = PredictedStep(self._inputs(record), error, mean, std, self.phase)
-        trust = self.trust.after(residual, step)
+        trust = self.trust.after(residual, step, at_bound=bool((np.abs(step.inputs[-m:]) > AT_A_BOUND).any()))
         change, alarms = trust.change(step), [(logged.step, trust.alarm)] if trust.alarm else []
         learner = replace(learner, trust=trust, alarms=(*self.alarms, *alarms))
         if change.any():
             learner = replace(learner, changes=(*self.changes, (len(self.log), change)))
+        if trust.alarm == "nominal" and self.settings.online:
+            return learner._begun_anew()
         if trust.outlier:
             return replace(learner, outliers=(*self.outliers, (logged.iteration, logged.step)))._with_refit()
         if self.steps_to_learn > 0:
             learner = learner._updated(self.history, point, error - change)
         return learner._with_refit()
+
+    def _begun_anew(self) -> "Learner":
+        """Learns from the latest steps alone, since the nominal map is right about them, and not the residual.
+
+        A later fit decides whether the others explain the steps of this deployment as well.
+        """
+        log = self.log.selected(slice(len(self.log) - FIRST_LESSONS, None))
+        log = log.selected(log.iteration == self.iteration)
+        residual = learned_residual(observe(log, self.nominal), self.settings, self.iteration)
+        return replace(self, residual=residual, trust=self.trust.restarted(residual), refit=None, changes=())
 
     @property
     def _lessons(self) -> Steps:
@@ -231,8 +248,25 @@ class Learner:
 def _fitted(
     nominal: StepMap, log: Steps, settings: LearningSettings, iteration: int, start: Residual | None
 ) -> Residual:
-    """Fits the residual to all known steps; the search for hyper-parameters starts at those of `start`."""
-    return learned_residual(observe(log, nominal), settings, iteration, start)
+    """Fits the residual to all known steps, or where these explain the latest deployment worse, to this one alone.
+
+    The search for hyper-parameters starts at those of `start`.
+    """
+    observations = observe(log, nominal)
+    residual = learned_residual(observations, settings, iteration, start)
+    latest = observations.labels[:, 0] == observations.labels[-1:, 0]
+    if residual.kind == "none" or latest.all() or latest.sum() < LEAST_KNOWN or not _is_surprising(log):
+        return residual
+    alone = learned_residual(observations.selected(latest), settings, iteration, start)
+    return alone if explains_better(alone, residual, observations) else residual
+
+
+def _is_surprising(log: Steps) -> bool:
+    """Whether the latest deployment had improbable steps one after the other, or one that the nominal map planned."""
+    steps = log.selected(log.iteration == log.iteration[-1]).completed()
+    error, scale = steps.next_state - steps.predicted, log.space.state_scale
+    improbable = improbable_errors(np.nan_to_num(error) / scale, steps.std / scale).any(axis=1)
+    return bool((improbable[1:] & improbable[:-1]).any() or (steps.std == 0).any())
 
 
 def _point_of(record: StepRecord) -> Array:

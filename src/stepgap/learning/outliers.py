@@ -7,12 +7,13 @@ survey of sampling from contaminated distributions, 1960; Box and Tiao, A Bayesi
     p(error) = (1 − π) N(error | mean, std²) + π N(error | mean, κ² std²)
 
 A step is *improbable* where the second component is the more likely origin of its error. An improbable step is an
-outlier only if it is alone: errors that persist are a change of the robot, or a model that is wrong, and must be
-learned. So the classification step of a classification EM algorithm (Celeux and Govaert, 1992) has one more condition.
+outlier only if it is alone: errors that persist, or return at similar states and commands, are a change of the robot,
+or a model that is wrong, and must be learned. So the classification step of a classification EM algorithm (Celeux and
+Govaert, 1992) has these further conditions.
 
 - `outliers_among` finds them in a record, from predictions of each step by the others. `residual_fit` fits again
   without them until it finds no more.
-- `is_improbable` judges a step when it has just been executed, by what was known before.
+- `trust` judges a step when it has just been executed, by what was known before.
 """
 
 from math import log, sqrt
@@ -40,6 +41,9 @@ without noise would have outliers wherever a model is not exact."""
 LEAST_KNOWN: Final = 20
 """With fewer steps the standard deviation of their errors is not known well enough for a judgement."""
 
+SIMILAR: Final = 0.2
+"""Steps are similar if their states and commands differ by less in every coordinate [half ranges]."""
+
 MOST_OUTLIERS: Final = 0.2
 """If a larger part of the steps seemed to be outliers, the model is wrong, and no step is called an outlier."""
 
@@ -49,29 +53,24 @@ def improbable_errors(error: Array, std: Array) -> NDArray[np.int64]:
     return np.where(np.abs(error) > IMPROBABLE * np.maximum(std, LEAST_STD), np.sign(error), 0).astype(np.int64)
 
 
-def outliers_among(error: Array, std: Array, follows: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def outliers_among(error: Array, std: Array, follows: NDArray[np.bool_], points: Array) -> NDArray[np.bool_]:
     """Which steps are outliers.
 
     Args:
         error: Error of the prediction of each step from the others; shape (N, n) [half ranges].
         std: Standard deviation of this prediction, with noise; shape (N, n) [half ranges].
         follows: Whether each step is the one after the step in the row above; shape (N,).
+        points: State and command of each step; shape (N, n + m) [half ranges].
 
     Returns:
-        Shape (N,). An improbable error whose neighbour in time is improbable, too, in the same direction, is none.
+        Shape (N,). An improbable error is none if its neighbour in time is improbable, too, in the same direction, or
+        if that of more than half of all similar steps is.
     """
     signs = improbable_errors(error, std)
     same = ((signs[1:] == signs[:-1]) & (signs[1:] != 0)).any(axis=1) & follows[1:]
     persists = np.append(False, same) | np.append(same, False)
+    for row in np.flatnonzero(signs.any(axis=1) & ~persists):
+        similar = (np.abs(points - points[row]) < SIMILAR).all(axis=1)
+        alike = (signs[similar] == signs[row])[:, signs[row] != 0].any(axis=1).sum()
+        persists[row] = alike > max(1, similar.sum() / 2)
     return signs.any(axis=1) & ~persists
-
-
-def is_improbable(error: Array, std: Array, steps: int) -> bool:
-    """Whether a step that has just been executed is improbable; it is an outlier unless the step before it was, too.
-
-    Args:
-        error: Error of its prediction; shape (n,) [half ranges].
-        std: Standard deviation of the prediction, with noise; shape (n,) [half ranges].
-        steps: Number of steps from which it was predicted; with few, no step is improbable.
-    """
-    return steps >= LEAST_KNOWN and bool(improbable_errors(error, std).any())

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stepgap.base.json_data import integer, number, numbers
 from stepgap.base.normal import log_density
-from stepgap.learning.disturbance import without_periodic_part
+from stepgap.learning.disturbance import LEAST_EVIDENCE, without_periodic_part
 from stepgap.learning.entry_points import load_feature_model, load_residual_model, residual_models
 from stepgap.learning.feature_map import FeatureModel, with_features
 from stepgap.learning.observations import Observations
@@ -137,7 +137,39 @@ def _outliers_of(residual: Residual, observations: Observations) -> NDArray[np.b
     error = [one.values - predicted.mean for one, predicted in zip(residual.regressions, predictions, strict=True)]
     same, next_one = np.diff(labels, axis=0, prepend=labels[:1]).T
     std = np.stack([predicted.std for predicted in predictions], axis=1)
-    return outliers_among(np.stack(error, axis=1) / scale, std / scale, (same == 0) & (next_one == 1))
+    space, follows = observations.space, (same == 0) & (next_one == 1)
+    points = np.hstack([space.scaled_state(observations.state), space.point_of(observations.command)])
+    return outliers_among(np.stack(error, axis=1) / scale, std / scale, follows, points)
+
+
+def explains_better(residual: Residual, other: Residual, observations: Observations) -> bool:
+    """Whether a residual that was fitted to the latest deployment alone predicts it better than one fitted to all.
+
+    Each of its steps is predicted from those outside its part of the deployment.
+
+    Args:
+        residual: Fitted to the latest deployment.
+        other: Fitted to all observations.
+        observations: All of them.
+    """
+    own, of_all = (_held_out_densities(each, observations) for each in (residual, other))
+    gains = np.array([own[label] - of_all[label] for label in own.keys() & of_all.keys()])
+    return bool(gains.sum() > LEAST_EVIDENCE + 2 * np.sqrt(np.sum(gains**2)))
+
+
+def _held_out_densities(residual: Residual, observations: Observations) -> dict[tuple[int, int], float]:
+    """Log density of each step of the latest deployment, predicted from those outside its part of it, by its label."""
+    labels = [(int(deployment), int(number)) for deployment, number in observations.labels]
+    count, deployment = len(residual.regressions[0].values), labels[-1][0]
+    kept = [label for label in labels if label not in residual.outliers]
+    rows = np.flatnonzero([label[0] == deployment for label in kept[-count:]])  # a residual of it alone has no others
+    parts = [part for part in np.array_split(rows, SELECTION_FOLDS) if len(part)]
+    blocks = [slice(part[0], part[-1] + 1) for part in parts]
+    total = np.zeros(len(rows))
+    for regression in residual.regressions:
+        mean, std = regression.left_out([slice(0, blocks[0].start), *blocks] if blocks[0].start else blocks)
+        total += log_density(regression.values[rows] - mean[rows], std[rows])
+    return dict(zip(kept[-count:][rows[0] :], total.tolist(), strict=True))
 
 
 def held_out_score(residual: Residual, observations: Observations) -> float:

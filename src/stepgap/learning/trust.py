@@ -13,9 +13,9 @@ The weight of a hypothesis is its posterior probability. From one step to the ne
 probability of `HAZARD`, so no weight falls below that, and what was improbable for a long time is believed again after
 one or two steps. At the first step of a deployment the robot may be another one, with a probability of `FIRST_HAZARD`.
 
-A hypothesis predicts an error with a normal distribution, or, with a probability of `OUTLIER_PROBABILITY`, with one that
-is `OUTLIER_WIDTH` times as wide in all coordinates, since a push, a slip or a wrong measurement disturbs a step as a
-whole. So one large error is an outlier, two of the same kind are a change.
+A hypothesis predicts an error with a normal distribution, or, with a probability of `OUTLIER_PROBABILITY`, with one
+that is `OUTLIER_WIDTH` times as wide in all coordinates, since a push, a slip or a wrong measurement disturbs a step as
+a whole. So one large error is an outlier, two of the same kind are a change.
 """
 
 from dataclasses import dataclass, replace
@@ -32,10 +32,15 @@ from stepgap.step import Array
 Source = Literal["current", "changed", "earlier", "nominal"]
 """What a hypothesis takes the next state from; the module describes each."""
 
-HAZARD = 0.002
+HAZARD = 1e-4
 """Probability that the robot changes from one step to the next."""
 FIRST_HAZARD = 0.1
 """Probability that the robot is another one than in the deployments that were learned from."""
+SWITCHING_ODDS = 4.0
+"""Another hypothesis is trusted from these odds in its favour on, so that two equally good ones do not alternate."""
+MOST_STRAINED = 2
+"""After this number of improbable steps at a bound of the command, the nominal map chooses commands until the corrected
+map predicts again: a robot that does not follow is not pushed any longer."""
 CANDIDATES = 2
 """Number of steps kept at which the disturbance may have begun anew, and of earlier disturbances."""
 NOMINAL_MEMORY = 0.9
@@ -91,7 +96,10 @@ class Trust:
         hypotheses: The first one is `current`.
         nominal_squares: Mean square of the nominal map's errors at the latest steps, and how many that are; shape (n,).
         nominal_count: See above.
-        outlier: Whether the latest step was an outlier: improbable by the hypothesis that is the most probable one.
+        nominal: Whether the nominal map is trusted.
+        strained: Number of the latest steps, one after the other, with errors improbable by the corrected map and a
+            command at its bound.
+        outlier: Whether the latest step was an outlier: improbable by the hypothesis that is trusted now.
         alarm: What is trusted since the latest step, if that has changed with it.
     """
 
@@ -102,6 +110,8 @@ class Trust:
     hypotheses: tuple[Hypothesis, ...]
     nominal_squares: Array
     nominal_count: float = NOMINAL_COUNT
+    nominal: bool = False
+    strained: int = 0
     outlier: bool = False
     alarm: Source | None = None
 
@@ -122,10 +132,20 @@ class Trust:
         trust = cls(state_scale, drift, monitor, reject_outliers, (current,), squares)
         return replace(trust, hypotheses=trust._before_a_step(residual, FIRST_HAZARD))
 
+    def restarted(self, residual: Residual) -> "Trust":
+        """Returns the hypotheses about another residual."""
+        drift, monitor, reject_outliers = self.drift, self.monitor, self.reject_outliers
+        return Trust.start(self.state_scale, residual, drift=drift, monitor=monitor, reject_outliers=reject_outliers)
+
+    @property
+    def uses_nominal(self) -> bool:
+        """Whether the next step is planned with the nominal map."""
+        return self.nominal or self.strained >= MOST_STRAINED
+
     @property
     def trusted(self) -> Hypothesis:
-        """The most probable hypothesis."""
-        return max(self.hypotheses, key=lambda each: each.log_weight)
+        """The hypothesis whose map is used: `current`, or `nominal`."""
+        return self.hypotheses[-1 if self.nominal else 0]
 
     def predict(self, residual: Residual, phase: float) -> Disturbance:
         """The disturbance of the next step, of the residual that it is added to.
@@ -141,8 +161,14 @@ class Trust:
         current = self.hypotheses[0].filter
         return current.predict(step.phase).mean(step.inputs) if current.changed else np.zeros_like(step.error)
 
-    def after(self, residual: Residual, step: PredictedStep) -> "Trust":
-        """Returns the hypotheses after a step that this residual predicted."""
+    def after(self, residual: Residual, step: PredictedStep, *, at_bound: bool) -> "Trust":
+        """Returns the hypotheses after a step.
+
+        Args:
+            residual: The residual that predicted it.
+            step: The step.
+            at_bound: Whether a command was at its bound.
+        """
         judges, judged = len(residual.regressions[0].points) >= LEAST_KNOWN, []
         for each in self._before_a_step(residual, HAZARD) if judges else self.hypotheses:
             innovation, total = self._innovation(each, residual, step)
@@ -153,9 +179,11 @@ class Trust:
             if learns:
                 found = found.updated(step.error - step.mean, step.phase, step.std, step.inputs)
             judged.append((Hypothesis(each.source, found, each.log_weight + likely), improbable))
+        surprised = judged[0][1]
+        strained = self.strained + (at_bound or self.strained >= MOST_STRAINED) if surprised else 0
         memory = NOMINAL_MEMORY * self.nominal_count
         squares = (memory * self.nominal_squares + step.error**2) / (memory + 1)
-        return self._settled(judged, nominal_squares=squares, nominal_count=memory + 1)
+        return self._settled(judged, nominal_squares=squares, nominal_count=memory + 1, strained=strained)
 
     def _before_a_step(self, residual: Residual, hazard: float) -> tuple[Hypothesis, ...]:
         """The hypotheses before a step: none is less probable than a change is, and the disturbance may begin anew."""
@@ -178,10 +206,13 @@ class Trust:
         return error / self.state_scale, np.maximum(std / self.state_scale, LEAST_STD)
 
     def _settled(self, judged: list[tuple[Hypothesis, bool]], **changes: object) -> "Trust":
-        """Keeps the probable hypotheses; where a change is the most probable one, its disturbance is the current one."""
+        """Keeps the probable hypotheses; that of a change becomes the current one where it is trusted."""
         total = float(np.logaddexp.reduce([each.log_weight for each, _ in judged]))
         judged = [(replace(each, log_weight=each.log_weight - total), improbable) for each, improbable in judged]
+        trusted = next(pair for pair in judged if pair[0].source == self.trusted.source)
         best, improbable = max(judged, key=lambda pair: pair[0].log_weight)
+        if best.log_weight < trusted[0].log_weight + np.log(SWITCHING_ODDS):
+            best, improbable = trusted
         ordered = sorted((each for each, _ in judged[1:]), key=lambda each: -each.log_weight)
         groups = {name: [each for each in ordered if each.source == name] for name in ("changed", "earlier", "nominal")}
         current = judged[0][0]
@@ -190,9 +221,9 @@ class Trust:
             groups["earlier"] = [before, *(each for each in groups["earlier"] if each is not best)]
             groups["changed"], current = [], replace(best, source="current")
         kept = [each for group in groups.values() for each in group[:CANDIDATES]]
-        trusted: Source = "nominal" if best.source == "nominal" else "current"
-        alarm = best.source if best.source in ("changed", "earlier") or trusted != self.trusted.source else None
-        return replace(self, hypotheses=(current, *kept), outlier=improbable, alarm=alarm, **changes)  # pyright: ignore[reportArgumentType]
+        alarm = None if best.source == self.trusted.source else best.source
+        known = {"outlier": improbable, "alarm": alarm, "nominal": best.source == "nominal"}
+        return replace(self, hypotheses=(current, *kept), **known, **changes)  # pyright: ignore[reportArgumentType]
 
     def _log_likelihood(self, innovation: Array, std: Array) -> float:
         """Logarithm of the density of an error, which may be that of an outlier; shapes (n,) [half ranges]."""

@@ -5,7 +5,7 @@ standard errors count blocks, not steps.
 
 What is held out is treated as a further deployment of a run: the residual is fitted to the other steps as `Learner`
 fits it, without the periodic part of their errors; then the held-out steps are predicted one after another, each
-with the disturbance that a `DisturbanceEstimator`, as that of `Learner`, finds in the held-out steps before it.
+with the disturbance that `Trust`, as that of a `Learner`, finds in the held-out steps before it.
 """
 
 import warnings
@@ -22,13 +22,13 @@ from scipy.special import stdtrit
 
 from stepgap.base.errors import StepGapWarning
 from stepgap.base.normal import INTERVAL_95, log_density
-from stepgap.learning.disturbance_estimator import DisturbanceEstimator
 from stepgap.learning.observations import Observations
 from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_check import ResidualError, check_prediction
 from stepgap.learning.residual_fit import learned_residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Labels
+from stepgap.learning.trust import PredictedStep, Trust
 from stepgap.step import Array
 
 FOLDS = 10
@@ -335,13 +335,15 @@ def _predict(residual: Residual, steps: Observations, learning: LearningSettings
     if not learning.drift or residual.kind == "none":
         return mean, std
     phase = np.full(len(steps), np.nan) if steps.phase is None else steps.phase
-    disturbance = DisturbanceEstimator.start(
-        steps.space.state_scale, drift=learning.drift, reject_outliers=learning.reject_outliers
-    )
-    remaining, offset, offset_std = steps.error - mean, np.empty_like(mean), np.empty_like(mean)
+    drift, reject = learning.drift, learning.reject_outliers
+    trust = Trust.start(steps.space.state_scale, residual, drift=drift, monitor=False, reject_outliers=reject)
+    inputs = np.hstack([steps.space.scaled_state(steps.state), steps.space.point_of(steps.command)])
+    offset, offset_std = np.empty_like(mean), np.empty_like(mean)
     # As in a run, a step is predicted before its error is known: the disturbance comes from the rows above alone.
     # Neither this nor the fit has seen the step, or the score would reward a residual that follows the noise.
     for row in range(len(steps)):
-        offset[row], offset_std[row] = disturbance.predict(residual, phase[row])
-        disturbance = disturbance.after(residual, remaining[row], std[row], phase[row])
+        disturbance = trust.predict(residual, phase[row])
+        offset[row], offset_std[row] = disturbance.mean(inputs[row]), disturbance.std(inputs[row])
+        step = PredictedStep(inputs[row], steps.error[row], mean[row], std[row], phase[row])
+        trust = trust.after(residual, step, at_bound=False)
     return mean + offset, np.hypot(std, offset_std)
