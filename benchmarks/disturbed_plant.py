@@ -1,0 +1,101 @@
+"""A plant to which something happens between its steps, and one deployment on it.
+
+`benchmarks/changes.py`, `wrong_warm_start.py`, `trust.py` and `coverage.py` use it, so that each measures the same
+robots with the same noise, with learning and without.
+"""
+
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import replace
+from functools import reduce
+
+import numpy as np
+
+from stepgap.control.reference import Reference
+from stepgap.experiment.deployment import deploy
+from stepgap.learning.learner import Learner
+from stepgap.learning.settings import LearningSettings
+from stepgap.learning.steps import Steps
+from stepgap.plants.plant import Plant
+from stepgap.rigs.rig import RigFault
+from stepgap.step import Array, StepMap, StepRecord, StepSpace, StepStatus
+
+Events = Mapping[int, Callable[[], None]]
+"""What happens after a step, by the number of the step, from 1."""
+
+METHODS: Mapping[str, LearningSettings] = {"default": LearningSettings(), "online": LearningSettings(online=True)}
+"""Settings of the methods that are judged."""
+
+UNCORRECTED = LearningSettings(residual="none")
+"""Settings of a learner that does not learn."""
+
+
+class DisturbedPlant(Plant):
+    """A plant to which something happens, or that measures wrongly, after some of its steps.
+
+    Args:
+        plant: The plant itself.
+        events: What happens to it.
+        errors: What is added to the measured state at the end of a step, by the number of the step; shape (n,).
+    """
+
+    def __init__(self, plant: Plant, events: Events, errors: Mapping[int, Array] | None = None):
+        self._plant, self._events, self._errors = plant, events, errors or {}
+        self._number, self._error = 0, np.zeros(len(plant.space.state))
+
+    @property
+    def space(self) -> StepSpace:
+        """Names, units and ranges of the plant."""
+        return self._plant.space
+
+    @property
+    def fault(self) -> str:
+        """The fault of the plant."""
+        return self._plant.fault
+
+    def start(self) -> Array:
+        """Starts the plant."""
+        self._number, self._error = 0, np.zeros(len(self.space.state))
+        return self._plant.start()
+
+    def take_step(self, command: Array) -> StepRecord:
+        """A step of the plant; a wrong state at its end is also the wrong state at the start of the next one."""
+        record, before = self._plant.take_step(command), self._error
+        self._number += 1
+        self._error = self._errors.get(self._number, np.zeros(len(before)))
+        if record.status == StepStatus.OK:
+            self._events.get(self._number, lambda: None)()
+        return replace(record, state=record.state + before, next_state=record.next_state + self._error)
+
+    def stop(self) -> None:
+        """Stops the plant."""
+        self._plant.stop()
+
+
+def tracked(learner: Learner, plant: Plant, reference: Reference, iteration: int) -> Steps:
+    """Steps of one deployment; none if the plant did not reach the start of its first step."""
+    log = Steps(plant.space)
+    with closing(deploy(learner, plant, reference.of(plant.space), iteration)) as steps:
+        try:
+            for logged in steps:
+                log += [logged]
+        except RigFault:
+            if len(log):
+                raise
+    return log
+
+
+def uncorrected(nominal: StepMap) -> Learner:
+    """Learner that knows only the nominal map."""
+    return Learner.start(nominal, Steps(nominal.space), UNCORRECTED, 0)
+
+
+def alarms_after(learner: Learner, steps: Steps) -> tuple[int, ...]:
+    """Numbers of the steps of a deployment at which its learner raised an alarm; none if learners never do."""
+    learner = reduce(Learner.after, steps.completed(), learner)
+    return tuple(int(np.ravel(getattr(alarm, "step", alarm))[-1]) for alarm in getattr(learner, "alarms", ()))
+
+
+def squared_errors(steps: Steps) -> Array:
+    """Squared tracking error of each completed step, summed over the tracked coordinates [half ranges²]; shape (N,)."""
+    return np.nansum((steps.tracking_errors() / steps.space.error_scale) ** 2, axis=1)
