@@ -185,9 +185,8 @@ def print_line(label: str, deployments: Sequence[Row]) -> None:
 
 def print_tables(rows: Sequence[Row]) -> None:
     """Prints a line for each robot and planted change, and totals."""
-    print(
-        f"{'':32}{'number':>6}  falls without  extra    bound  worse than noise   > 1.1   median    p90 of the ratio of errors"
-    )
+    header = "falls without  extra    bound  worse than noise   > 1.1   median    p90"
+    print(f"{'':32}{'number':>6}  {header} of the ratio of errors")
     all_of = [({**row, "deployments": 0} | each) for row in rows for each in row["deployments"]]
     groups: list[tuple[str, Callable[[Row], bool]]] = []
     for name, planted in product(dict.fromkeys(row["robot"] for row in rows), PLANTED):
