@@ -10,7 +10,6 @@ paper's hardware (`PublishedResult.band`); "never" where they do not until the n
 
 import argparse
 from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from itertools import product
 from math import inf
@@ -18,10 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.disturbed_plant import METHODS, DisturbedPlant, alarms_after, tracked, uncorrected
+from benchmarks.disturbed_plant import METHODS, DisturbedPlant, alarms_after, finished, tracked, uncorrected
 from stepgap.base.blas import one_blas_thread
 from stepgap.base.random_streams import random_stream
-from stepgap.base.start_method import process_context, usable_cores
 from stepgap.learning.learner import Learner
 from stepgap.robots.hopper.paper import PAPER_STEPS, paper_reference, paper_result
 from stepgap.robots.hopper.robot import Hopper
@@ -123,8 +121,7 @@ def main() -> None:
     given = parser.parse_args()
     names = given.changes.split(","), given.methods.split(",")
     cases = [Case(*case) for case in product(*names, map(int, given.seeds.split(",")))]
-    with ProcessPoolExecutor(usable_cores(), mp_context=process_context()) as pool:
-        found = dict(zip(cases, pool.map(measure, cases), strict=True))
+    found = dict(finished(measure, cases))
     print("RMSE, median [mm/s / mm], of the hops after the change and after its end; hops to the band: median, p90,")
     print("never (of how many seeds)")
     print(f"{'':26}{'  '.join(f'{part:>12}' for part in PARTS)}   median   p90 never")

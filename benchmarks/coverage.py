@@ -10,16 +10,14 @@ the shares of speeds and of heights for each speed and deployment, and of all tw
 """
 
 import argparse
-from concurrent.futures import ProcessPoolExecutor
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.disturbed_plant import METHODS, tracked, uncorrected
+from benchmarks.disturbed_plant import METHODS, finished, tracked, uncorrected
 from stepgap.base.blas import one_blas_thread
 from stepgap.base.random_streams import random_stream
-from stepgap.base.start_method import process_context, usable_cores
 from stepgap.control.reference import Reference
 from stepgap.experiment.bands import interval_coverage
 from stepgap.learning.learner import Learner
@@ -95,8 +93,8 @@ def main() -> None:
     given = parser.parse_args()
     methods = given.methods.split(",")
     cases = [Case(*case) for case in product(methods, given.twins, given.seeds)]
-    with ProcessPoolExecutor(usable_cores(), mp_context=process_context()) as pool:
-        found = dict(zip(cases, pool.map(measure, cases), strict=True))
+    unordered = dict(finished(measure, cases))
+    found = {case: unordered[case] for case in cases}
     print("95 % intervals: share of speeds / heights within [%], by target of the speed [m/s]")
     print(f"{'':26}{'  '.join(f'{speed:>12}' for speed in SPEEDS)}  {'all':>12}")
     for method in methods:

@@ -1,16 +1,20 @@
-"""A plant to which something happens between its steps, and one deployment on it.
+"""A plant to which something happens between its steps, one deployment on it, and many of them on all cores.
 
 `benchmarks/changes.py`, `wrong_warm_start.py`, `trust.py` and `coverage.py` use it, so that each measures the same
 robots with the same noise, with learning and without.
 """
 
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import closing
 from dataclasses import replace
 from functools import reduce
+from typing import TypeVar
 
 import numpy as np
 
+from stepgap.base.start_method import process_context, usable_cores
 from stepgap.control.reference import Reference
 from stepgap.experiment.deployment import deploy
 from stepgap.learning.learner import Learner
@@ -19,6 +23,9 @@ from stepgap.learning.steps import Steps
 from stepgap.plants.plant import Plant
 from stepgap.rigs.rig import RigFault
 from stepgap.step import Array, StepMap, StepRecord, StepSpace, StepStatus
+
+_Case = TypeVar("_Case")
+_Found = TypeVar("_Found")
 
 Events = Mapping[int, Callable[[], None]]
 """What happens after a step, by the number of the step, from 1."""
@@ -99,3 +106,13 @@ def alarms_after(learner: Learner, steps: Steps) -> tuple[int, ...]:
 def squared_errors(steps: Steps) -> Array:
     """Squared tracking error of each completed step, summed over the tracked coordinates [half ranges²]; shape (N,)."""
     return np.nansum((steps.tracking_errors() / steps.space.error_scale) ** 2, axis=1)
+
+
+def finished(measure: Callable[[_Case], _Found], cases: Sequence[_Case]) -> Iterator[tuple[_Case, _Found]]:
+    """Each case with what was measured, as soon as it is, in as many processes as there are cores."""
+    with ProcessPoolExecutor(usable_cores(), mp_context=process_context()) as pool:
+        waiting = {pool.submit(measure, case): case for case in cases}
+        for number, future in enumerate(as_completed(waiting), 1):
+            yield waiting[future], future.result()
+            print(f"\r{number} of {len(cases)} cases", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)

@@ -22,10 +22,8 @@ interrupted run continues where it was. `--policy` is the folder of a Go1 policy
 
 import argparse
 import json
-import sys
 import tempfile
 from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from functools import partial
 from itertools import count, product
@@ -36,11 +34,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import beta
 
-from benchmarks.disturbed_plant import METHODS, UNCORRECTED, DisturbedPlant, squared_errors
+from benchmarks.disturbed_plant import METHODS, UNCORRECTED, DisturbedPlant, finished, squared_errors
 from benchmarks.trust_robots import TrustRobot, robots
 from benchmarks.wrong_warm_start import SOURCES, known_steps
 from stepgap.base.random_streams import random_stream
-from stepgap.base.start_method import process_context, usable_cores
 from stepgap.experiment.loop import Observer, Plants, Setup, run_experiment
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
@@ -218,16 +215,11 @@ def main() -> None:
     done = {(row["robot"], row["case"]) for row in rows}
     numbers = range(given.first_seed, given.first_seed + given.cases)
     cases = [Case(name, number, given.policy) for number, name in product(numbers, names)]
-    with (
-        ProcessPoolExecutor(usable_cores(), mp_context=process_context()) as pool,
-        given.out.open("a", encoding="utf-8") as out,
-    ):
-        waiting = [pool.submit(measure, case, given.methods.split(",")) for case in cases if case[:2] not in done]
-        for finished, future in enumerate(as_completed(waiting), 1):
-            rows.append(future.result())
-            print(json.dumps(rows[-1]), file=out, flush=True)
-            print(f"\r{finished} of {len(waiting)} cases", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+    waiting = [case for case in cases if case[:2] not in done]
+    with given.out.open("a", encoding="utf-8") as out:
+        for _, row in finished(partial(measure, methods=given.methods.split(",")), waiting):
+            rows.append(row)
+            print(json.dumps(row), file=out, flush=True)
     print_tables(sorted(rows, key=lambda row: (row["robot"], row["case"])))
 
 

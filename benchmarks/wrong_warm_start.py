@@ -17,17 +17,15 @@ learner raised an alarm by hop 2, and at any hop. Falls are counted, and not in 
 
 import argparse
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.disturbed_plant import METHODS, alarms_after, squared_errors, tracked, uncorrected
+from benchmarks.disturbed_plant import METHODS, alarms_after, finished, squared_errors, tracked, uncorrected
 from benchmarks.trust_robots import TrustRobot, hopper
 from stepgap.base.blas import one_blas_thread
 from stepgap.base.random_streams import random_stream
-from stepgap.base.start_method import process_context, usable_cores
 from stepgap.control.reference import Reference
 from stepgap.learning.learner import Learner
 from stepgap.learning.steps import Steps, as_past
@@ -116,8 +114,9 @@ def beginning(reference: Reference) -> Reference:
     return Reference(reference.names, reference.targets[:STEPS])
 
 
-def measure(twin: int, method: str) -> list[tuple[str, str, Outcome]]:
+def measure(case: tuple[int, str]) -> list[tuple[str, str, Outcome]]:
     """All sources on a twin with a method."""
+    twin, method = case
     robot = hopper(twin)
 
     def deployment(known: Steps) -> tuple[Steps, tuple[int, ...]]:
@@ -150,8 +149,7 @@ def main() -> None:
     given = parser.parse_args()
     methods = given.methods.split(",")
     twins = range(given.first_twin, given.first_twin + given.twins)
-    with ProcessPoolExecutor(usable_cores(), mp_context=process_context()) as pool:
-        rows = [row for found in pool.map(measure, *zip(*product(twins, methods), strict=True)) for row in found]
+    rows = [row for _, found in finished(measure, list(product(twins, methods))) for row in found]
     print(
         "error / without warm start: hops 2–5 median, p90, > 1.2 | all hops median, p90, > 1.2 | falls, without | ",
         end="",
