@@ -113,21 +113,29 @@ def print_row(change: str, method: str, found: list[Found]) -> None:
 
 
 def main() -> None:
-    """Prints two rows for each change and method."""
+    """Prints a line for each case when it is done, and then two rows for each change and method."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", default="31,32,33,34")
     parser.add_argument("--methods", default=",".join(METHODS))
     parser.add_argument("--changes", default=",".join(CHANGES))
     given = parser.parse_args()
-    names = given.changes.split(","), given.methods.split(",")
-    cases = [Case(*case) for case in product(*names, map(int, given.seeds.split(",")))]
-    found = dict(finished(measure, cases))
+    names, seeds = (given.changes.split(","), given.methods.split(",")), given.seeds.split(",")
+    cases = [Case(change, method, int(seed)) for seed, change, method in product(seeds, *names)]
+    found = dict[Case, Found]()
+    for case, each in finished(measure, cases):
+        found[case] = each
+        rmse = [[f"{1e3 * speed:.1f}/{1e3 * height:.1f}" for speed, height in part] for part in each.rmse]
+        print(
+            *case,
+            *(f"{' '.join(part)} to band {hops:.0f}," for part, hops in zip(rmse, each.hops, strict=True)),
+            flush=True,
+        )
     print("RMSE, median [mm/s / mm], of the hops after the change and after its end; hops to the band: median, p90,")
     print("never (of how many seeds)")
     print(f"{'':26}{'  '.join(f'{part:>12}' for part in PARTS)}   median   p90 never")
     for change, method in product(*names):
         print_row(change, method, [each for case, each in found.items() if case[:2] == (change, method)])
-    alarms = [f"{case}: {each.alarms}" for case, each in found.items() if each.alarms]
+    alarms = [f"{' '.join(map(str, case))}: alarms at {each.alarms}" for case, each in found.items() if each.alarms]
     print("\n".join(alarms) if alarms else "no alarms (or a learner that has none)")
 
 

@@ -99,8 +99,10 @@ def uncorrected(nominal: StepMap) -> Learner:
 
 def alarms_after(learner: Learner, steps: Steps) -> tuple[int, ...]:
     """Numbers of the steps of a deployment at which its learner raised an alarm; none if learners never do."""
+    if not hasattr(learner, "alarms"):
+        return ()
     learner = reduce(Learner.after, steps.completed(), learner)
-    return tuple(int(np.ravel(getattr(alarm, "step", alarm))[-1]) for alarm in getattr(learner, "alarms", ()))
+    return tuple(int(np.ravel(getattr(alarm, "step", alarm))[-1]) for alarm in learner.alarms)
 
 
 def squared_errors(steps: Steps) -> Array:
