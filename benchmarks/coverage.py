@@ -81,7 +81,7 @@ def print_shares(label: str, inside: Array, counted: Array, falls: int) -> None:
     shares = 100 * inside / np.where(counted, counted, np.nan)
     cells = "  ".join(f"{speed:5.1f} /{height:5.1f}" for speed, height in shares)
     whole = 100 * inside.sum(axis=0) / counted.sum(axis=0)
-    print(f"{label:26}{cells}  {whole[0]:5.1f} /{whole[1]:5.1f}  {falls} falls")
+    print(f"{label:26}{cells}  {whole[0]:5.1f} /{whole[1]:5.1f}  {int(falls)} falls")
 
 
 def main() -> None:
