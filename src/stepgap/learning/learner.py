@@ -263,7 +263,7 @@ def _fitted(
 
 def _is_surprising(log: Steps) -> bool:
     """Whether the latest deployment had improbable steps one after the other, or one that the nominal map planned."""
-    steps = log.selected(log.iteration == log.iteration[-1]).completed()
+    steps = log.of_iteration(int(log.iteration[-1])).completed()
     error, scale = steps.next_state - steps.predicted, log.space.state_scale
     improbable = improbable_errors(np.nan_to_num(error) / scale, steps.std / scale).any(axis=1)
     return bool((improbable[1:] & improbable[:-1]).any() or (steps.std == 0).any())

@@ -32,11 +32,11 @@ from stepgap.step import Array
 Source = Literal["current", "changed", "earlier", "nominal"]
 """What a hypothesis takes the next state from; the module describes each."""
 
-HAZARD = 1e-4
+HAZARD = 5e-4
 """Probability that the robot changes from one step to the next."""
 FIRST_HAZARD = 0.1
 """Probability that the robot is another one than in the deployments that were learned from."""
-SWITCHING_ODDS = 4.0
+SWITCHING_ODDS = 3.0
 """Another hypothesis is trusted from these odds in its favour on, so that two equally good ones do not alternate."""
 MOST_STRAINED = 2
 """After this number of improbable steps at a bound of the command, the nominal map chooses commands until the corrected
