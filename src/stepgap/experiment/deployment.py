@@ -17,6 +17,7 @@ from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.experiment.exploration import exploration_plan, goals_of
 from stepgap.learning.background import BackgroundThread, Deferred
 from stepgap.learning.corrected_map import CorrectedMap
+from stepgap.learning.interval_calibration import IntervalCalibration
 from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.steps import LoggedStep
@@ -69,12 +70,14 @@ class DeploymentController:
         settings: Settings of step control.
         table: Table of the commands of the first map, if the settings want one.
         command: Command of the step before, from which the search for the next one starts; None before the first.
+        calibration: Calibration of the standard deviations of its plans; None before the first step.
     """
 
     learner: AdaptiveMap
     settings: ControlSettings = ALL_RULES
     table: CommandTable | None = None
     command: Array | None = None
+    calibration: IntervalCalibration | None = None
 
     @classmethod
     def start(cls, learner: AdaptiveMap, settings: ControlSettings = ALL_RULES) -> Self:
@@ -107,11 +110,33 @@ class DeploymentController:
             ResidualError: The learned residual has no finite prediction of the step.
         """
         ahead = np.asarray(ahead)[: self.settings.horizon - 1]
-        return tracking_plan(self.step_controller, state, target, self.command, ahead)
+        return self.calibrated(state, tracking_plan(self.step_controller, state, target, self.command, ahead))
+
+    def calibrated(self, state: Array, plan: CautiousPlan) -> CautiousPlan:
+        """Returns a plan of the next step with the calibrated standard deviation of its prediction."""
+        if self.calibration is None or not plan.std.any():
+            return plan
+        share = _share_of_map(self.learner.step_map(), state, plan.command)
+        return replace(plan, std=plan.std * self.calibration.factor(state, plan.predicted, share))
 
     def after(self, logged: LoggedStep) -> Self:
         """Returns the controller after a step that was executed."""
-        return replace(self, learner=self.learner.after(logged), command=logged.record.command)
+        return replace(
+            self,
+            learner=self.learner.after(logged),
+            command=logged.record.command,
+            calibration=self._calibration_after(logged),
+        )
+
+    def _calibration_after(self, logged: LoggedStep) -> IntervalCalibration | None:
+        record, known = logged.record, logged.std > 0
+        if not known.any():
+            return self.calibration
+        step_map = self.learner.step_map()
+        calibration = self.calibration or IntervalCalibration.start(step_map.space)
+        ratio = np.divide(record.next_state - logged.predicted, logged.std, out=np.full(len(known), np.nan), where=known)
+        share = _share_of_map(step_map, record.state, record.command)
+        return calibration.after(record.state, logged.predicted, share, ratio)
 
 
 def deploy(
@@ -165,7 +190,13 @@ def _explored(controller: DeploymentController, reference: Reference, state: Arr
     step_controller = controller.step_controller
     goals = goals_of(reference, step_controller.step_map)
     plan = exploration_plan(step_controller, controller.learner.conditioned_residual, state, goals)
-    return _checked(step_controller.step_map, state, plan)
+    return controller.calibrated(state, _checked(step_controller.step_map, state, plan))
+
+
+def _share_of_map(step_map: StepMap, state: Array, command: Array) -> Array:
+    """Part of the variance of a measured step that is due to the map and not noise, from 0 to 1; shape (n,)."""
+    std, noise_std = step_map.std(state, command), step_map.noise_std
+    return np.divide(std**2, std**2 + noise_std**2, out=np.zeros(len(std)), where=std > 0)
 
 
 def _checked_start(state: Array, space: StepSpace) -> Array:
