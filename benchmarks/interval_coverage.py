@@ -4,7 +4,7 @@ Each twin hops through the paper's reference without correction, learns from tha
 of five speeds and any height, each for 1 to 8 hops. So most hops of the second deployment resemble none of the first. A
 row is a deployment; a bin has the hops of one target speed. Twin −1 is the default one, the others are random.
 
-    ./go python benchmarks/interval_coverage.py --twins -1,0,1,2,3,4,5,6,7,8,9
+    ./go python benchmarks/interval_coverage.py --twins=-1,0,1,2,3,4,5,6,7,8,9
 """
 
 import argparse
@@ -61,7 +61,7 @@ def deployments(twin: int, seed: int, steps: int, online: bool) -> tuple[Steps, 
 
 def without_calibration(steps: Steps, learner: Learner) -> Array:
     """Standard deviations that the corrected maps of a deployment state; shape (N, n)."""
-    stds = []
+    stds: list[Array] = []
     for logged in steps:
         step_map, record = learner.step_map(), logged.record
         stds.append(np.hypot(step_map.std(record.state, record.command), step_map.noise_std))
@@ -94,7 +94,7 @@ def main() -> None:
         for row, name in enumerate(steps.space.state_names):
             for kind, std in kinds.items():
                 inside = covered(steps, std)[:, row]
-                share = np.array([*(np.nanmean(inside[part]) for part in bins), np.nanmean(inside)])
+                share = np.array([*(float(np.nanmean(inside[part])) for part in bins), float(np.nanmean(inside))])
                 shares.setdefault((name, kind), []).append(share)
                 full = [found for found, part in zip(share, bins, strict=False) if part.sum() >= FEWEST]
                 counted.setdefault((name, kind), []).extend(full)

@@ -134,7 +134,9 @@ class DeploymentController:
             return self.calibration
         step_map = self.learner.step_map()
         calibration = self.calibration or IntervalCalibration.start(step_map.space)
-        ratio = np.divide(record.next_state - logged.predicted, logged.std, out=np.full(len(known), np.nan), where=known)
+        ratio = np.divide(
+            record.next_state - logged.predicted, logged.std, out=np.full(len(known), np.nan), where=known
+        )
         share = _share_of_map(step_map, record.state, record.command)
         return calibration.after(record.state, logged.predicted, share, ratio)
 

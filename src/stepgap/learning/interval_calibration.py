@@ -11,10 +11,10 @@ the part of σ² that is not noise. After each step, with the error u in units o
 
     s = u² − 1 + QUANTILE_WEIGHT (1[|u| > 1.96] − 0.05)
 
-along φ. Its first part is the derivative of the log likelihood, by which factors are found quickly (score-driven models:
-Creal, Koopman and Lucas, 2013); the other one is that of the quantile loss, with which 5 % of the errors are outside
-their interval also if they are not normal (Gibbs and Candès, Adaptive conformal inference under distribution shift,
-2021). Older steps count less, and a normal prior keeps w near zero, where it begins. Every error was predicted from
+along φ. Its first part is the derivative of the log likelihood, by which factors are found quickly (score-driven
+models: Creal, Koopman and Lucas, 2013). The other one is that of the quantile loss, with which 5 % of the errors are
+outside their interval even if they are not normal (Gibbs and Candès, Adaptive conformal inference under distribution
+shift, 2021). Older steps count less, and a normal prior keeps w near zero, where it begins. Every error was predicted from
 earlier steps only (Dawid, The prequential approach, 1984), so no step is set aside. Plans do not depend on any of this.
 """
 
@@ -27,22 +27,22 @@ import numpy as np
 from stepgap.base.normal import INTERVAL_95, log_density
 from stepgap.step import Array, StepSpace
 
-PRIOR_STD: Final = 0.3
+WEIGHT_STD: Final = 0.15
 """Standard deviation of each weight a priori."""
 
-MEMORY: Final = 200.0
+MEMORY: Final = 500.0
 """Number of steps in which the influence of a step falls to 1/e."""
 
-QUANTILE_WEIGHT: Final = 10.0
-"""Weight of the quantile loss; with it, both parts of a step have about the same variance."""
+QUANTILE_WEIGHT: Final = 5.0
+"""Weight of the quantile loss in a step."""
 
-LARGEST_ERROR: Final = 3.0
+LARGEST_RATIO: Final = 3.0
 """In the likelihood, |u| counts as no larger: a push says nothing about the usual errors."""
 
 LARGEST_FACTOR: Final = 20.0
 """Bound of the factor, and of its reciprocal."""
 
-FARTHEST: Final = 1.5
+FARTHEST_STATE: Final = 1.5
 """States farther from the middle count as at this distance [half ranges]: beyond, factors are not extrapolated."""
 
 _MISSED: Final = 0.05
@@ -95,8 +95,8 @@ class IntervalCalibration:
                 not finite says nothing.
         """
         features = self._features(state, predicted, share) * np.isfinite(ratio)[:, None]
-        size, precision = np.abs(np.nan_to_num(ratio)), PRIOR_STD**-2
-        likelihood = np.minimum(size, LARGEST_ERROR) ** 2 - 1
+        size, precision = np.abs(np.nan_to_num(ratio)), WEIGHT_STD**-2
+        likelihood = np.minimum(size, LARGEST_RATIO) ** 2 - 1
         score = likelihood + QUANTILE_WEIGHT * ((size > INTERVAL_95) - _MISSED)
         information = _DECAY * self.information + _CURVATURE * features[:, :, None] * features[:, None, :]
         gradient = score[:, None] * features - (1 - _DECAY) * precision * self.weights
@@ -106,6 +106,6 @@ class IntervalCalibration:
     def _features(self, state: Array, predicted: Array, share: Array) -> Array:
         """φ for each state coordinate; shape (n, k)."""
         scaled = self.space.scaled_state(np.stack([state, predicted])).ravel()
-        near = np.clip(np.nan_to_num(scaled), -FARTHEST, FARTHEST)
+        near = np.clip(np.nan_to_num(scaled), -FARTHEST_STATE, FARTHEST_STATE)
         common = np.concatenate([[1.0], near, near**2 - 1 / 3])  # x² has the mean 1/3 over the range of use
         return np.column_stack([np.tile(common, (len(share), 1)), share])

@@ -33,7 +33,7 @@ class LoggedStep:
         target: State wanted at its end; for an exploration step the predicted one; shape (n,).
         predicted: State that the controller's map predicted for the command; NaN where the controller found no
             command that makes a step; shape (n,).
-        std: Standard deviation of that prediction, zero for a map without one; shape (n,).
+        std: Standard deviation of that prediction, calibrated; zero for a map without one. Shape (n,).
         record: Record of the execution.
     """
 

@@ -110,8 +110,8 @@ def _noise(run: Run, found: Diagnosis) -> list[str]:
     verb = "has" if run.steps.std.any() else "would have"
     return [
         f"The unexplained error of {quantity.name} depends on state and command: in some parts of their range it is "
-        f"{decimal(ratio, 2)} times as large as in others. A learned model {verb} one noise level, so its intervals "
-        "are too narrow in the former and too wide in the latter."
+        f"{decimal(ratio, 2)} times as large as in others. A learned model {verb} one noise level, so its own "
+        "intervals are too narrow in the former and too wide in the latter; those of a deployment are calibrated."
         for quantity, ratio in zip(run.space.state, found.heteroscedasticity, strict=True)
         if ratio > WORTH_MENTION
     ]
