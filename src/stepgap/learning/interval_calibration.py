@@ -14,8 +14,8 @@ the part of σ² that is not noise. After each step, with the error u in units o
 along φ. Its first part is the derivative of the log likelihood, by which factors are found quickly (score-driven
 models: Creal, Koopman and Lucas, 2013). The other one is that of the quantile loss, with which 5 % of the errors are
 outside their interval even if they are not normal (Gibbs and Candès, Adaptive conformal inference under distribution
-shift, 2021). Older steps count less, and a normal prior keeps w near zero, where it begins. Every error was predicted from
-earlier steps only (Dawid, The prequential approach, 1984), so no step is set aside. Plans do not depend on any of this.
+shift, 2021). Older steps count less, and a normal prior keeps w near zero, where it begins. Every error was predicted
+from earlier steps only (Dawid, The prequential approach, 1984), so no step is set aside. No plan depends on any of this.
 """
 
 from dataclasses import dataclass, replace
