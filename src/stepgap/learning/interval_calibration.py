@@ -15,7 +15,7 @@ along φ. Its first part is the derivative of the log likelihood, by which facto
 models: Creal, Koopman and Lucas, 2013). The other one is that of the quantile loss, with which 5 % of the errors are
 outside their interval even if they are not normal (Gibbs and Candès, Adaptive conformal inference under distribution
 shift, 2021). Older steps count less, and a normal prior keeps w near zero, where it begins. Every error was predicted
-from earlier steps only (Dawid, The prequential approach, 1984), so no step is set aside. No plan depends on any of this.
+from earlier steps only (Dawid, The prequential approach, 1984), so no step is set aside. Plans do not depend on this.
 """
 
 from dataclasses import dataclass, replace
