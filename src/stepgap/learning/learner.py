@@ -197,7 +197,7 @@ class Learner:
         A later fit decides whether the others explain the steps of this deployment as well.
         """
         log = self.log.selected(slice(len(self.log) - FIRST_LESSONS, None))
-        log = log.selected(log.iteration == self.iteration)
+        log = log.of_iteration(self.iteration)
         residual = learned_residual(observe(log, self.nominal), self.settings, self.iteration)
         return replace(self, residual=residual, trust=self.trust.restarted(residual), refit=None, changes=())
 

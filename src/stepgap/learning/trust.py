@@ -32,7 +32,7 @@ from stepgap.step import Array
 Source = Literal["current", "changed", "earlier", "nominal"]
 """What a hypothesis takes the next state from; the module describes each."""
 
-HAZARD = 5e-4
+HAZARD = 1e-3
 """Probability that the robot changes from one step to the next."""
 FIRST_HAZARD = 0.1
 """Probability that the robot is another one than in the deployments that were learned from."""

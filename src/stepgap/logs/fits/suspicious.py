@@ -60,8 +60,9 @@ def improbable_rows(observed: Observations, follows: NDArray[np.bool_], validati
         best = validation.held_out[min(typical, key=lambda kind: float(typical[kind]))]
         std = np.maximum(1.4826 * typical[best.kind], LEAST_STD * scale)
         ratios[:, column] = best.remaining[:, column] / np.maximum(std, best.std[:, column])
-    limited = ratios * IMPROBABLE / LARGE
-    rows, names = np.flatnonzero(outliers_among(limited, np.ones_like(limited), follows)), observed.space.state_names
+    limited, space = ratios * IMPROBABLE / LARGE, observed.space
+    points = np.hstack([space.scaled_state(observed.state), space.point_of(observed.command)])
+    rows, names = np.flatnonzero(outliers_among(limited, np.ones_like(limited), follows, points)), space.state_names
     return _few({int(row): _error_of(names, observed.error[row], np.abs(ratios[row])) for row in rows}, len(observed))
 
 
