@@ -3,6 +3,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 from stepgap.learning.corrected_map import CorrectedMap
+from stepgap.learning.disturbance import Disturbance
 from stepgap.learning.observations import Observations
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_fit import fit_residual
@@ -126,21 +127,26 @@ def test_standard_deviation_is_the_residual_s(corrected: CorrectedMap, residual:
     np.testing.assert_array_equal(corrected.std_gradient(state, command), residual.std_gradient(point))
 
 
-def test_an_offset_adds_to_the_state_and_its_standard_deviation_to_that(residual: Residual) -> None:
-    offset, offset_std = np.array([0.01, -0.002]), np.array([0.004, 0.0])
-    plain, shifted = CorrectedMap(NOMINAL, residual), CorrectedMap(NOMINAL, residual, offset, offset_std)
+def test_a_disturbance_adds_to_the_state_and_its_standard_deviation_to_that(residual: Residual) -> None:
+    rng = np.random.default_rng(8)
+    roots = rng.normal(0, 1e-3, (2, 4, 4))
+    added = Disturbance(np.array([0.01, -0.002]), rng.normal(0, 0.01, (2, 3)), roots @ roots.transpose(0, 2, 1))
+    plain, shifted = CorrectedMap(NOMINAL, residual), CorrectedMap(NOMINAL, residual, added)
     state, command = apexes(20, seed=7)
     state[:, 0] *= 0.9  # away from the falls
-    np.testing.assert_allclose(shifted(state, command) - plain(state, command), np.tile(offset, (20, 1)), atol=1e-12)
+    inputs = np.hstack([SPACE.scaled_state(state), SPACE.point_of(command)])
+    np.testing.assert_allclose(shifted(state, command) - plain(state, command), added.mean(inputs), atol=1e-12)
     std = shifted.std(state, command)
-    np.testing.assert_allclose(std**2 - plain.std(state, command) ** 2, np.tile(offset_std**2, (20, 1)), atol=1e-12)
+    np.testing.assert_allclose(std**2 - plain.std(state, command) ** 2, added.std(inputs) ** 2, atol=1e-12)
     np.testing.assert_array_equal(shifted.noise_std, plain.noise_std)
     points, scale = join_points(state, command), 1e-5 * np.concatenate([SPACE.state_scale, SPACE.command_scale])
+    gradient, jacobian = shifted.std_gradient(state, command), shifted.jacobian(state, command)
     for column, step in enumerate(np.diag(scale)):
-        ahead, behind = (shifted.std(moved[:, :2], moved[:, 2:]) for moved in (points + step, points - step))
-        expected = (ahead - behind) / 2
-        gradient = shifted.std_gradient(state, command)[..., column] * scale[column]
-        np.testing.assert_allclose(gradient, expected, rtol=1e-4, atol=1e-11)
+        moved = [(moved[:, :2], moved[:, 2:]) for moved in (points + step, points - step)]
+        ahead, behind = (shifted.std(*each) for each in moved)
+        np.testing.assert_allclose(gradient[..., column] * scale[column], (ahead - behind) / 2, rtol=1e-4, atol=1e-11)
+        ahead, behind = (shifted(*each) for each in moved)
+        np.testing.assert_allclose(jacobian[..., column] * scale[column], (ahead - behind) / 2, rtol=1e-3, atol=1e-9)
 
 
 def test_without_a_residual_the_map_is_the_nominal_one() -> None:

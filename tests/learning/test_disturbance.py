@@ -6,7 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stepgap.learning.disturbance import LEAST_EVIDENCE, RATES, STRENGTHS, DisturbanceFilter, without_periodic_part
+from stepgap.learning.disturbance import (
+    CHANGE_STD,
+    LEAST_EVIDENCE,
+    RATES,
+    SLOPE_STD,
+    STRENGTHS,
+    DisturbanceFilter,
+    without_periodic_part,
+)
 from stepgap.learning.observations import Observations
 from stepgap.learning.polynomial import PRIOR_COUNT, PRIOR_STD, monomials
 from stepgap.learning.steps import Labels
@@ -25,14 +33,19 @@ def offsets_over(remaining: np.ndarray, yaws: np.ndarray = UNKNOWN) -> np.ndarra
     """The offset before each step, given the errors (steps, n) of the steps and their yaws."""
     filters, offsets = DisturbanceFilter.initial(remaining.shape[1]), []
     for error, yaw in zip(remaining, yaws, strict=False):
-        offsets.append(filters.offset(yaw))
+        offsets.append(filters.predict(yaw).constant)
         filters = filters.updated(error, yaw)
     return np.array(offsets)
 
 
+def std_of(filters: DisturbanceFilter, yaw: float) -> Array:
+    """Standard deviation of the disturbance of a step from a yaw; shape (n,)."""
+    return filters.predict(yaw).std(np.empty(0))
+
+
 def test_nothing_is_added_before_the_first_step() -> None:
     for yaw in (nan, 0.0, 1e6):
-        np.testing.assert_array_equal(DisturbanceFilter.initial(3).offset(yaw), np.zeros(3))
+        np.testing.assert_array_equal(DisturbanceFilter.initial(3).predict(yaw).constant, np.zeros(3))
 
 
 def test_each_filter_is_the_recursive_regression() -> None:
@@ -72,7 +85,7 @@ def test_the_variance_of_an_unobserved_coefficient_does_not_exceed_the_initial_o
     for step in range(3000):
         filters = filters.updated(np.array([3 * np.sin(step / 20)]), 0.0)
     assert (np.linalg.eigvalsh(filters.covariance) < 1 + 1e-9).all()
-    assert filters.std(np.pi / 2) < np.sqrt(2)
+    assert std_of(filters, np.pi / 2) < np.sqrt(2)
 
 
 def test_the_standard_deviation_of_an_offset_is_that_of_its_error() -> None:
@@ -81,11 +94,11 @@ def test_the_standard_deviation_of_an_offset_is_that_of_its_error() -> None:
     yaws, innovations, stds = np.cumsum(rng.uniform(0.05, 0.35, 227)), [], []
     for _ in range(20):
         filters, phase = DisturbanceFilter.initial(1), rng.uniform(0, 2 * np.pi)
-        assert filters.std(0.0) == 0
+        assert std_of(filters, 0.0) == 0
         for yaw in yaws:
             added = 1.5 * np.sin(yaw + phase)
-            innovations.append(added - filters.offset(yaw)[0])
-            stds.append(filters.std(yaw)[0])
+            innovations.append(added - filters.predict(yaw).constant[0])
+            stds.append(std_of(filters, yaw)[0])
             filters = filters.updated(np.array([added + rng.normal()]), yaw)
     late = np.arange(len(innovations)) % 227 > 100
     assert 0.7 < np.std(np.array(innovations)[late]) / np.mean(np.array(stds)[late]) < 1.3
@@ -118,6 +131,36 @@ def test_a_yaw_dependent_disturbance_is_known_after_one_turn() -> None:
     after = yaws > 2 * np.pi
     assert np.std((remaining - offsets_over(remaining, yaws))[after]) < 1.05
     assert np.std((remaining - offsets_over(remaining))[after]) > 1.12
+
+
+def test_a_constant_error_of_any_size_is_followed_at_once() -> None:
+    for size in (14.0, 200.0):
+        remaining = np.full((4, 1), size) + np.random.default_rng(7).normal(0, 1, (4, 1))
+        assert offsets_over(remaining)[2] > 0.6 * size
+        restarted = DisturbanceFilter.initial(1).restarted().updated(remaining[0], nan)
+        assert abs(restarted.predict(nan).constant[0] - remaining[0, 0]) < 0.01 * size
+
+
+def test_a_change_of_the_robot_is_the_bayesian_regression_on_state_and_command() -> None:
+    """Oracle: the slowest filter is the posterior of a linear model with this prior, by the normal equations."""
+    rng, weights = np.random.default_rng(8), np.array([4.0, -2.0, 0.0, 3.0])
+    inputs, filters = rng.uniform(-1, 1, (30, 3)), DisturbanceFilter.initial(1, 3).restarted()
+    errors = weights[0] + inputs @ weights[1:] + rng.normal(0, 1, 30)
+    for row, error in zip(inputs, errors, strict=True):
+        filters = filters.updated(np.array([error]), nan, 1.0, row)
+    rows = np.column_stack([np.ones(30), inputs])
+    prior = np.diag([1 + CHANGE_STD**2, *[SLOPE_STD**2] * 3])
+    covariance = np.linalg.inv(rows.T @ rows + np.linalg.inv(prior))
+    np.testing.assert_allclose(filters.coefficients[0][[0, 3, 4, 5], 0], covariance @ rows.T @ errors, atol=0.3)
+    slowest = replace(filters, scores=np.where(np.arange(len(filters.scores)) == 1, 0.0, 9.0)[:, None])
+    disturbance, points = slowest.predict(nan), rng.uniform(-1, 1, (5, 3))
+    np.testing.assert_allclose(disturbance.mean(points)[:, 0], weights[0] + points @ weights[1:], atol=1.0)
+    there = np.column_stack([np.ones(5), points])
+    variance = np.einsum("ka,ab,kb->k", there, covariance, there)
+    np.testing.assert_allclose(disturbance.std(points)[:, 0], np.sqrt(variance), rtol=0.02)
+    step = 1e-6 * np.eye(3)
+    differences = [(disturbance.std(points + h) - disturbance.std(points - h)) / 2e-6 for h in step]
+    np.testing.assert_allclose(disturbance.std_gradient(points), np.stack(differences, axis=-1), atol=1e-6)
 
 
 def test_after_the_drift_the_offset_returns_to_zero() -> None:

@@ -91,12 +91,23 @@ def test_clean_steps_are_rarely_called_outliers(seed: int) -> None:
 def test_steps_that_deviate_together_are_a_change_and_are_kept() -> None:
     error, std = np.zeros((6, 2)), np.ones((6, 2))
     error[[1, 3, 4], 0] = 9.0
-    follows = np.array([False, True, True, True, True, True])
-    assert outliers_among(error, std, follows).tolist() == [False, True, False, False, False, False]
+    follows, points = np.array([False, True, True, True, True, True]), 0.3 * np.arange(6.0)[:, None]
+    assert outliers_among(error, std, follows, points).tolist() == [False, True, False, False, False, False]
     apart = np.array([False, True, True, True, False, True])
-    assert outliers_among(error, std, apart).tolist() == [False, True, False, True, True, False]
+    assert outliers_among(error, std, apart, points).tolist() == [False, True, False, True, True, False]
     error[4, 0] = -9.0
-    assert outliers_among(error, std, follows).tolist() == [False, True, False, True, True, False]
+    assert outliers_among(error, std, follows, points).tolist() == [False, True, False, True, True, False]
+
+
+def test_what_returns_at_similar_steps_is_no_outlier() -> None:
+    """Two of three similar steps deviate in the same direction: kept; one of three, or in other directions: left out."""
+    error, std, follows = np.zeros((9, 2)), np.ones((9, 2)), np.full(9, fill_value=True)
+    points = np.repeat([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]], 3, axis=0) + 0.01 * np.arange(9.0)[:, None]
+    error[[0, 2], 0] = 9.0
+    error[[3, 5], 1] = 9.0, -9.0
+    error[7, 0] = 9.0
+    expected = [False, False, False, True, False, True, False, True, False]
+    assert outliers_among(error, std, follows, points).tolist() == expected
 
 
 def test_if_too_many_steps_seem_to_be_outliers_all_are_learned() -> None:
@@ -130,11 +141,15 @@ def test_a_push_during_a_deployment_does_not_shift_the_correction() -> None:
 
 
 def test_a_lasting_change_is_learned_after_its_first_step() -> None:
+    """After a large error in the first step of a deployment at once: the robot may be another one."""
     known = log_of(hops(60, 10, {}))
-    learner = Learner.start(NOMINAL, known, LearningSettings(online=True), 1)
-    changed = hops(12, 11, dict.fromkeys(range(1, 13), 0.3), iteration=1)
-    for logged in changed:
-        learner = learner.after(logged)
-    assert learner.outliers == ((1, 1),)
+    for first, outliers in ((1, ()), (5, ((1, 5),))):
+        learner = Learner.start(NOMINAL, known, LearningSettings(online=True), 1)
+        changed = hops(12, 11, dict.fromkeys(range(first, 13), 0.3), iteration=1)
+        for logged in changed[: first + 1]:
+            learner = learner.after(logged)
+        assert learner.outliers == outliers
+        for logged in changed[first + 1 :]:
+            learner = learner.after(logged)
     last = changed[-1].record
     assert abs(learner.step_map()(last.state, last.command)[0] - last.next_state[0]) < 0.1

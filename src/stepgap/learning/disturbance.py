@@ -81,6 +81,10 @@ class Disturbance:
     slopes: Array
     covariance: Array
 
+    def removed(self) -> "Disturbance":
+        """No disturbance, of the same sizes."""
+        return Disturbance(0 * self.constant, 0 * self.slopes, 0 * self.covariance)
+
     def mean(self, inputs: Array) -> Array:
         """Expected disturbance at states and commands in half ranges; (…, n + m) to (…, n) [units of the state]."""
         return self.constant + inputs @ self.slopes.T

@@ -1,4 +1,4 @@
-"""The state of learning at every step: a residual fitted to a log, monitored, and updated online if wanted."""
+"""The state of learning at every step: a residual fitted to a log, trusted or not, and updated online if wanted."""
 
 from dataclasses import dataclass, replace
 from math import nan
@@ -15,13 +15,11 @@ from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.residual_fit import explains_better, learned_residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
-from stepgap.learning.trust import PredictedStep, Source, Trust
+from stepgap.learning.trust import Alarm, PredictedStep, Trust
 from stepgap.step import Array, StepMap, StepRecord, StepStatus
 
 REFIT_GROWTH = 1.1
 """A new fit begins when the number of steps has grown by this factor."""
-FIRST_LESSONS = 2
-"""Number of the latest steps that are learned from where nothing older is right."""
 AT_A_BOUND = 0.99
 """A command counts as at its bound beyond this part of its half range."""
 FITTED_PER_STEP = 150
@@ -49,8 +47,8 @@ class Refit:
 class Learner:
     """State of learning between two steps of a deployment; `Learner.start` returns the first one, `after` the next one.
 
-    A correction that predicted the latest steps significantly worse than the nominal map is not used until it predicts
-    better again. It is shifted by the estimated disturbance. A learner that learns online updates its residual with
+    `Trust` decides by likelihood which map plans the next step: the corrected one with its disturbance, or the nominal
+    one. A learner that learns online updates its residual with
     every step before the next one is planned, and also finds new hyper-parameters: the fit is deferred, so that a
     `BackgroundThread` can compute `pending` while the robot moves, and its result is used from a fixed number of steps
     later on, by `FITTED_PER_STEP`. So the same steps give the same learner, however long a fit takes.
@@ -66,8 +64,7 @@ class Learner:
         steps_to_learn: Number of further steps of this deployment that will be learned from.
         trust: Which map is trusted, and the disturbance of the corrected one.
         outliers: Deployment and number of each step of this deployment that was an outlier when it was executed.
-        alarms: Number of each step after which another hypothesis was trusted, and what this hypothesis takes the next
-            state from.
+        alarms: Of the steps of this deployment.
         changes: Row in the log of each step after a change of the robot, and by what it had changed there; shape (n,).
         refit: The fit that is running, if there is one.
         refit_from: Number of known steps from which the next fit may begin.
@@ -83,7 +80,7 @@ class Learner:
     steps_to_learn: float
     trust: Trust
     outliers: tuple[tuple[int, int], ...]
-    alarms: tuple[tuple[int, Source], ...]
+    alarms: tuple[Alarm, ...]
     changes: tuple[tuple[int, Array], ...]
     refit: Refit | None
     refit_from: float
@@ -152,10 +149,9 @@ class Learner:
 
     def step_map(self) -> CorrectedMap:
         """Returns the map that plans the next step."""
-        if self.trust.uses_nominal:
-            return CorrectedMap(self.nominal, no_residual(*self.residual.sizes))
         residual = self.conditioned_residual
-        return CorrectedMap(self.nominal, residual, self.trust.predict(residual, self.phase))
+        used = residual if self.trust.uses_residual else no_residual(*residual.sizes)
+        return CorrectedMap(self.nominal, used, self.trust.predict(residual, self.phase))
 
     def after(self, logged: LoggedStep) -> "Learner":
         """Returns the learner after the step just executed.
@@ -179,27 +175,15 @@ class Learner:
         check_prediction(residual.kind, mean, std)
         step = PredictedStep(self._inputs(record), error, mean, std, self.phase)
         trust = self.trust.after(residual, step, at_bound=bool((np.abs(step.inputs[-m:]) > AT_A_BOUND).any()))
-        change, alarms = trust.change(step), [(logged.step, trust.alarm)] if trust.alarm else []
+        change, alarms = trust.change(step), [Alarm(logged.step, trust.alarm)] if trust.alarm else []
         learner = replace(learner, trust=trust, alarms=(*self.alarms, *alarms))
         if change.any():
             learner = replace(learner, changes=(*self.changes, (len(self.log), change)))
-        if trust.alarm == "nominal" and self.settings.online:
-            return learner._begun_anew()
         if trust.outlier:
             return replace(learner, outliers=(*self.outliers, (logged.iteration, logged.step)))._with_refit()
         if self.steps_to_learn > 0:
             learner = learner._updated(self.history, point, error - change)
         return learner._with_refit()
-
-    def _begun_anew(self) -> "Learner":
-        """Learns from the latest steps alone, since the nominal map is right about them, and not the residual.
-
-        A later fit decides whether the others explain the steps of this deployment as well.
-        """
-        log = self.log.selected(slice(len(self.log) - FIRST_LESSONS, None))
-        log = log.of_iteration(self.iteration)
-        residual = learned_residual(observe(log, self.nominal), self.settings, self.iteration)
-        return replace(self, residual=residual, trust=self.trust.restarted(residual), refit=None, changes=())
 
     @property
     def _lessons(self) -> Steps:
