@@ -142,24 +142,22 @@ def test_a_constant_error_of_any_size_is_followed_at_once() -> None:
 
 
 def test_a_change_of_the_robot_is_the_bayesian_regression_on_state_and_command() -> None:
-    """Oracle: the slowest filter is the posterior of a linear model with this prior, by the normal equations."""
+    """Oracle: a filter that forgets nothing is the posterior of a linear model with this prior."""
     rng, weights = np.random.default_rng(8), np.array([4.0, -2.0, 0.0, 3.0])
     inputs, filters = rng.uniform(-1, 1, (30, 3)), DisturbanceFilter.initial(1, 3).restarted()
     errors = weights[0] + inputs @ weights[1:] + rng.normal(0, 1, 30)
+    assert filters.changed
     for row, error in zip(inputs, errors, strict=True):
-        filters = filters.updated(np.array([error]), nan, 1.0, row)
+        filters = replace(filters, prior=filters.covariance).updated(np.array([error]), nan, 1.0, row)
     rows = np.column_stack([np.ones(30), inputs])
-    prior = np.diag([1 + CHANGE_STD**2, *[SLOPE_STD**2] * 3])
-    covariance = np.linalg.inv(rows.T @ rows + np.linalg.inv(prior))
-    np.testing.assert_allclose(filters.coefficients[0][[0, 3, 4, 5], 0], covariance @ rows.T @ errors, atol=0.3)
-    slowest = replace(filters, scores=np.where(np.arange(len(filters.scores)) == 1, 0.0, 9.0)[:, None])
-    disturbance, points = slowest.predict(nan), rng.uniform(-1, 1, (5, 3))
-    np.testing.assert_allclose(disturbance.mean(points)[:, 0], weights[0] + points @ weights[1:], atol=1.0)
+    covariance = np.linalg.inv(rows.T @ rows + np.diag([1 / (1 + CHANGE_STD**2), *[1 / SLOPE_STD**2] * 3]))
+    slowest = replace(filters, prior=filters.covariance, scores=1.0 - np.eye(len(filters.scores))[1][:, None])
+    disturbance, points = slowest.predict(nan, 2.0), rng.uniform(-1, 1, (5, 3))
     there = np.column_stack([np.ones(5), points])
-    variance = np.einsum("ka,ab,kb->k", there, covariance, there)
-    np.testing.assert_allclose(disturbance.std(points)[:, 0], np.sqrt(variance), rtol=0.02)
-    step = 1e-6 * np.eye(3)
-    differences = [(disturbance.std(points + h) - disturbance.std(points - h)) / 2e-6 for h in step]
+    np.testing.assert_allclose(disturbance.mean(points)[:, 0], there @ covariance @ rows.T @ errors, rtol=1e-9)
+    variance = 4.0 * np.einsum("ka,ab,kb->k", there, covariance, there)
+    np.testing.assert_allclose(disturbance.std(points)[:, 0] ** 2, variance, rtol=1e-9)
+    differences = [(disturbance.std(points + h) - disturbance.std(points - h)) / 2e-6 for h in 1e-6 * np.eye(3)]
     np.testing.assert_allclose(disturbance.std_gradient(points), np.stack(differences, axis=-1), atol=1e-6)
 
 

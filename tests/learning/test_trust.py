@@ -73,7 +73,7 @@ def test_a_change_is_followed_from_its_second_step_on_and_forgotten_when_it_ends
     errors[20:45] += changed[20:45]
     trust, _, alarms = after(started(residual), residual, errors[:35])
     assert [alarm.source for alarm in alarms] == ["changed"]
-    assert alarms[0].step in (20, 21)
+    assert alarms[0].step in (20, 21, 22)
     found = trust.predict(residual, YAWS[35])
     assert (np.abs(found.mean(INPUTS[35]) - changed[35]) < 6 * NOISE).all()
     _, _, alarms = after(started(residual), residual, errors)
@@ -84,36 +84,37 @@ def test_a_change_is_followed_from_its_second_step_on_and_forgotten_when_it_ends
 def test_healthy_steps_raise_no_alarm() -> None:
     residual = fitted()
     found = [after(started(residual), residual, noise(seed))[2] for seed in range(60)]
-    assert sum(map(len, found)) <= 1, "3,600 healthy steps"
+    assert sum(map(len, found)) <= 2, "3,600 healthy steps"
 
 
-def test_a_residual_that_is_worse_than_none_is_left_out_after_one_or_two_steps() -> None:
+@pytest.mark.parametrize("drift", [True, False])
+def test_a_residual_that_is_worse_than_none_is_left_out_after_its_first_step(drift: bool) -> None:
     """Where it is wrong in another way at every step, so that no disturbance explains it."""
     rng, residual = np.random.default_rng(6), fitted()
-    for drift in (True, False):
-        trust, alarms = started(residual, drift=drift), []
-        for number in range(6):
-            wrong = rng.normal(0, 0.3, 2) * [1, 0.2]
-            step = PredictedStep(INPUTS[number], rng.normal(0, NOISE), wrong, residual.noise_std, nan)
-            trust = trust.after(residual, step, at_bound=False)
-            alarms += [number] if trust.uses_nominal else []
-        assert alarms[0] <= 1
-        assert alarms[-1] == 5
-    assert not after(started(residual, monitor=False), residual, noise() + 1.0)[0].uses_nominal
+    trust, used = started(residual, drift=drift), []
+    for number in range(6):
+        wrong = rng.normal(0, 0.3, 2) * [1, 0.2]
+        step = PredictedStep(INPUTS[number], rng.normal(0, NOISE), wrong, residual.noise_std, nan)
+        trust = trust.after(residual, step, at_bound=False)
+        used.append(trust.uses_residual)
+    assert not any(used)
+    assert after(started(residual, monitor=False), residual, noise() + 1.0)[0].uses_residual
 
 
 def test_a_robot_that_does_not_follow_is_pushed_against_a_bound_for_two_steps_only() -> None:
+    """Then neither residual nor disturbance is used, until a prediction is right."""
     rng, residual = np.random.default_rng(7), fitted()
     errors = np.abs(rng.normal(0.3, 0.15, (12, 2))) * [1, 0.2]
     for at_bound in (True, False):
-        trust, used = started(residual, drift=False), []
+        trust, used = started(residual, drift=False, monitor=False), []
         for number, error in enumerate(errors):
             step = PredictedStep(INPUTS[number], error + 1.0, np.ones(2), residual.noise_std, nan)
             trust = trust.after(residual, step, at_bound=at_bound)
-            used.append(trust.uses_nominal and not trust.nominal)
-        assert used[MOST_STRAINED - 1 :] == [at_bound] * (len(used) - MOST_STRAINED + 1)
+            used.append(trust.uses_residual)
+        assert used[: MOST_STRAINED - 1] == [True] * (MOST_STRAINED - 1)
+        assert used[MOST_STRAINED - 1 :] == [not at_bound] * (len(used) - MOST_STRAINED + 1)
         again, _, _ = after(trust, residual, noise()[:1], mean=np.ones(2))
-        assert not again.uses_nominal
+        assert again.uses_residual
 
 
 def test_outliers_are_used_if_that_is_wanted_or_too_little_is_known() -> None:

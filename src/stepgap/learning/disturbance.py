@@ -102,7 +102,7 @@ class Disturbance:
 
 
 def _with_one(inputs: Array) -> Array:
-    return np.concatenate([np.ones_like(inputs[..., :1]), inputs], axis=-1)
+    return np.concatenate([np.ones((*inputs.shape[:-1], 1)), inputs], axis=-1)
 
 
 @final

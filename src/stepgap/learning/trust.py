@@ -10,7 +10,7 @@ multiple model algorithm, 1988). The *hypotheses* are
 - `earlier`: map and disturbance are again those from before an alarm.
 
 The weight of a hypothesis is its posterior probability. From one step to the next the robot may change with a
-probability of `HAZARD`, so no weight falls below that, and what was improbable for a long time is believed again after
+probability in `HAZARDS`, so no weight falls below that, and what was improbable for a long time is believed again after
 one or two steps. At the first step of a deployment the robot may be another one, with a probability of `FIRST_HAZARD`.
 
 A hypothesis predicts an error with a normal distribution, or, with a probability of `OUTLIER_PROBABILITY`, with one
@@ -18,7 +18,9 @@ that is `OUTLIER_WIDTH` times as wide in all coordinates, or as wide as a change
 measurement disturbs a step as a whole. So one large error is an outlier, two of the same kind are a change.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import inf, log, log1p
 from typing import Literal, NamedTuple, Self, final
 
 import numpy as np
@@ -32,8 +34,9 @@ from stepgap.step import Array
 Source = Literal["current", "changed", "nominal", "earlier"]
 """What a hypothesis takes the next state from; the module describes each."""
 
-HAZARD = 1e-3
-"""Probability that the robot changes from one step to the next."""
+HAZARDS = {"changed": 1e-3, "earlier": 1e-3, "nominal": 1e-6}
+"""Probability of each kind of change from one step to the next. A linear disturbance of the nominal map soon predicts
+steps at one target as well as a residual does, which knows more; so it must be needed for several steps."""
 FIRST_HAZARD = 0.1
 """Probability that the robot is another one than in the deployments that were learned from."""
 SWITCHING_ODDS = 3.0
@@ -131,7 +134,7 @@ class Trust:
         """
         current = Hypothesis("current", DisturbanceFilter.initial(len(state_scale), sum(residual.sizes)), 0.0)
         trust = cls(state_scale, drift, monitor, reject_outliers, (current,))
-        return replace(trust, hypotheses=trust._before_a_step(residual, FIRST_HAZARD))
+        return replace(trust, hypotheses=trust._before_a_step(residual, dict.fromkeys(HAZARDS, FIRST_HAZARD)))
 
     @property
     def uses_residual(self) -> bool:
@@ -164,12 +167,12 @@ class Trust:
             at_bound: Whether a command was at its bound.
         """
         judges, judged = len(residual.regressions[0].points) >= LEAST_KNOWN, []
-        hypotheses = self._before_a_step(residual, HAZARD) if judges else self.hypotheses
+        hypotheses = self._before_a_step(residual, HAZARDS) if judges else self.hypotheses
         predictions = [self._innovation(each, residual, step) for each in hypotheses]
-        widest = np.max([total for _, total in predictions], axis=0)
+        outlier = self._outlier_density(predictions)
         for each, (innovation, total) in zip(hypotheses, predictions, strict=True):
             improbable = judges and self.reject_outliers and bool(improbable_errors(innovation, total).any())
-            likely = self._log_likelihood(innovation, total, widest) if judges else 0.0
+            likely = _log_likelihood(innovation, total, outlier) if judges else 0.0
             learns = self.drift and residual.kind != "none" and each.source != "earlier" and not improbable
             found = each.filter
             if learns:
@@ -180,24 +183,23 @@ class Trust:
         strained = self.strained + (at_bound or self.strained >= MOST_STRAINED) if surprised else 0
         return self._settled(judged, strained)
 
-    def _before_a_step(self, residual: Residual, hazard: float) -> tuple[Hypothesis, ...]:
+    def _before_a_step(self, residual: Residual, hazards: Mapping[str, float]) -> tuple[Hypothesis, ...]:
         """The hypotheses before a step: none is less probable than a change is, and each disturbance may begin anew."""
-        least, current = float(np.log(hazard)), self.hypotheses[0]
-        kept = [replace(each, log_weight=max(each.log_weight, least)) for each in self.hypotheses]
+        least, current = {source: log(hazard) for source, hazard in hazards.items()}, self.hypotheses[0]
+        others = [replace(each, log_weight=max(each.log_weight, least[each.source])) for each in self.hypotheses[1:]]
         if residual.kind == "none":
-            return tuple(kept)
+            return (current, *others)
         initial = DisturbanceFilter.initial(len(self.state_scale), len(current.filter.prior[0]) - 3)
         changed = (current.filter if current.corrected else initial).restarted()
-        born = [Hypothesis("changed", changed, least)] if self.drift else []
-        born += [Hypothesis("nominal", initial.restarted(), least, corrected=False)] if self.monitor else []
-        return (*kept, *born)
+        born = [Hypothesis("changed", changed, least["changed"])] if self.drift else []
+        born += [Hypothesis("nominal", initial.restarted(), least["nominal"], corrected=False)] if self.monitor else []
+        return (current, *others, *born)
 
     def _innovation(self, hypothesis: Hypothesis, residual: Residual, step: PredictedStep) -> tuple[Array, Array]:
         """Error of a hypothesis' prediction, and the standard deviation of that; shapes (n,) [half ranges]."""
         disturbance = hypothesis.filter.predict(step.phase, residual.noise_std)
         mean = step.mean if hypothesis.corrected else 0.0
-        std = step.std if hypothesis.corrected else residual.noise_std
-        total = np.hypot(std, disturbance.std(step.inputs)) / self.state_scale
+        total = np.hypot(step.std, disturbance.std(step.inputs)) / self.state_scale
         return (step.error - mean - disturbance.mean(step.inputs)) / self.state_scale, np.maximum(total, LEAST_STD)
 
     def _settled(self, judged: list[tuple[Hypothesis, bool]], strained: int) -> "Trust":
@@ -207,7 +209,7 @@ class Trust:
         (current, improbable), alarm = judged[0], None
         others = sorted((each for each, _ in judged[1:]), key=lambda each: -each.log_weight)
         best, best_improbable = max(judged, key=lambda pair: pair[0].log_weight)
-        if best.log_weight > current.log_weight + np.log(SWITCHING_ODDS):
+        if best.log_weight > current.log_weight + log(SWITCHING_ODDS):
             before = replace(current, source="earlier")
             others = [before, *(each for each in others if each is not best and each.source == "earlier")]
             current, improbable, alarm = replace(best, source="current"), best_improbable, best.source
@@ -215,13 +217,19 @@ class Trust:
         kept = [each for group in groups for each in group[:CANDIDATES]]
         return replace(self, hypotheses=(current, *kept), strained=strained, outlier=improbable, alarm=alarm)
 
-    def _log_likelihood(self, innovation: Array, std: Array, widest: Array) -> float:
-        """Logarithm of the density of an error, which may be that of an outlier; shapes (n,) [half ranges].
+    def _outlier_density(self, predictions: Sequence[tuple[Array, Array]]) -> float:
+        """Logarithm of the density of an outlier's error, the same by all hypotheses; −inf where there are none.
 
-        An outlier may be as large as any change: otherwise a very large one would be a change.
+        It is as wide as the widest hypothesis: otherwise a very large error would be a change. The same, since far out
+        the densities of hypotheses differ by much that means nothing.
         """
-        regular = float(np.sum(log_density(innovation, std)))
         if not self.reject_outliers:
-            return regular
-        outlier = float(np.sum(log_density(innovation, np.maximum(OUTLIER_WIDTH * std, widest))))
-        return float(np.logaddexp(regular + np.log1p(-OUTLIER_PROBABILITY), outlier + np.log(OUTLIER_PROBABILITY)))
+            return -inf
+        widest = np.max([OUTLIER_WIDTH * predictions[0][1], *(std for _, std in predictions)], axis=0)
+        return max(float(np.sum(log_density(innovation, widest))) for innovation, _ in predictions)
+
+
+def _log_likelihood(innovation: Array, std: Array, outlier: float) -> float:
+    """Logarithm of the density of an error (n,) [half ranges], which may be that of an outlier."""
+    regular = float(np.sum(log_density(innovation, std)))
+    return float(np.logaddexp(regular + log1p(-OUTLIER_PROBABILITY), outlier + log(OUTLIER_PROBABILITY)))

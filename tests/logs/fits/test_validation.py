@@ -156,7 +156,7 @@ def test_errors_that_depend_on_the_yaw_do_not_hide_what_can_be_learned() -> None
     folds = deployment_folds(steps.labels[:, 0])
     as_run, as_noise = (validate(("none", "linear"), steps, folds, each) for each in (LearningSettings(), STATIC))
     assert (as_noise.held_out["linear"].rmse > [0.3, 0.03]).all(), "the amplitude 0.5 is an RMSE of 0.35"
-    assert (as_run.held_out["linear"].rmse < [0.2, 0.02]).all(), "the noise is 0.1"
+    assert (as_run.held_out["linear"].rmse < [0.25, 0.025]).all(), "the noise is 0.1"
     np.testing.assert_array_equal(as_run.held_out["none"].mean, 0)
 
 
