@@ -100,7 +100,7 @@ def test_steps_that_deviate_together_are_a_change_and_are_kept() -> None:
 
 
 def test_what_returns_at_similar_steps_is_no_outlier() -> None:
-    """Two of three similar steps deviate in the same direction: kept; one of three, or in other directions: left out."""
+    """If two of three similar steps deviate in the same direction, they are kept; otherwise they are left out."""
     error, std, follows = np.zeros((9, 2)), np.ones((9, 2)), np.full(9, fill_value=True)
     points = np.repeat([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]], 3, axis=0) + 0.01 * np.arange(9.0)[:, None]
     error[[0, 2], 0] = 9.0

@@ -121,7 +121,7 @@ def test_outliers_are_used_if_that_is_wanted_or_too_little_is_known() -> None:
     errors = noise()
     errors[12, 0] += 0.5
     few = fitted(LEAST_KNOWN - 1)
-    trust, outliers, alarms = after(started(few), few, errors)
+    _, outliers, alarms = after(started(few), few, errors)
     assert (outliers, alarms) == ([], [])
     assert after(started(fitted(), reject_outliers=False), fitted(), errors)[1] == []
 
