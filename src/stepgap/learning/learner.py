@@ -20,7 +20,7 @@ from stepgap.step import Array, StepMap, StepRecord, StepStatus
 
 REFIT_GROWTH = 1.1
 """A new fit begins when the number of steps has grown by this factor."""
-AT_A_BOUND = 0.99
+AT_A_BOUND = 0.9
 """A command counts as at its bound beyond this part of its half range."""
 FITTED_PER_STEP = 150
 """Number of known steps for which a fit is given the time of one step of the robot; a slower fit is waited for."""

@@ -42,8 +42,10 @@ FIRST_HAZARD = 0.1
 SWITCHING_ODDS = 3.0
 """Another hypothesis is trusted from these odds in its favour on, so that two equally good ones do not alternate."""
 MOST_STRAINED = 2
-"""After this number of improbable steps at a bound of the command, the nominal map chooses commands until the corrected
-map predicts again: a robot that does not follow is not pushed any longer."""
+"""After this number of improbable steps at a bound of the command, the nominal map chooses commands until a prediction
+is right: a robot that does not follow is not pushed any longer."""
+YOUNG = 10
+"""A disturbance that began fewer steps ago explains anything: whether a step is improbable is judged without it."""
 CANDIDATES = 2
 """Number of steps kept at which the disturbance may have begun anew, and of earlier disturbances."""
 
@@ -88,12 +90,14 @@ class Hypothesis:
         filter: Its disturbance.
         log_weight: Logarithm of its probability.
         corrected: Whether it uses the residual.
+        age: Number of steps since its disturbance began.
     """
 
     source: Source
     filter: DisturbanceFilter
     log_weight: float
     corrected: bool = True
+    age: int = 0
 
 
 @final
@@ -132,7 +136,9 @@ class Trust:
             state_scale: See `Trust`.
             residual: The residual before the deployment.
         """
-        current = Hypothesis("current", DisturbanceFilter.initial(len(state_scale), sum(residual.sizes)), 0.0)
+        current = Hypothesis(
+            "current", DisturbanceFilter.initial(len(state_scale), sum(residual.sizes)), 0.0, age=YOUNG
+        )
         trust = cls(state_scale, drift, monitor, reject_outliers, (current,))
         return replace(trust, hypotheses=trust._before_a_step(residual, dict.fromkeys(HAZARDS, FIRST_HAZARD)))
 
@@ -174,12 +180,16 @@ class Trust:
             improbable = judges and self.reject_outliers and bool(improbable_errors(innovation, total).any())
             likely = _log_likelihood(innovation, total, outlier) if judges else 0.0
             learns = self.drift and residual.kind != "none" and each.source != "earlier" and not improbable
-            found = each.filter
+            disturbance = each.filter
             if learns:
                 remaining = step.error - step.mean if each.corrected else step.error
-                found = found.updated(remaining, step.phase, step.std, step.inputs)
-            judged.append((replace(each, filter=found, log_weight=each.log_weight + likely), improbable))
+                disturbance = disturbance.updated(remaining, step.phase, step.std, step.inputs)
+            found = replace(each, filter=disturbance, log_weight=each.log_weight + likely, age=each.age + 1)
+            judged.append((found, improbable))
         surprised = judged[0][1]
+        if self.hypotheses[0].age < YOUNG:
+            alone = (step.error - step.mean) / self.state_scale
+            surprised = judges and bool(improbable_errors(alone, step.std / self.state_scale).any())
         strained = self.strained + (at_bound or self.strained >= MOST_STRAINED) if surprised else 0
         return self._settled(judged, strained)
 
