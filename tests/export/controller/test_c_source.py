@@ -1,4 +1,4 @@
-"""The exported C code, compiled here, computes what Python computes: map, derivatives, filter and plans."""
+"""The exported C code, compiled here, computes what Python computes: map, derivatives and plans."""
 
 import ctypes
 import shutil
@@ -14,12 +14,9 @@ import pytest
 
 from stepgap.base.errors import InputError
 from stepgap.export.controller.c_source import Real, c_source
-from stepgap.export.controller.model_document import filter_after
 from stepgap.export.controller.portable_controller import PortableController
-from stepgap.learning.steps import LoggedStep, Steps
-from stepgap.step import Array, StepFailed, StepRecord, StepStatus
+from stepgap.step import Array, StepFailed, StepStatus
 from tests.base.test_names import HOSTILE
-from tests.control.maps import YAW
 from tests.export.controller.learned import KINDS, SPACE, learned, steps
 
 COMPILER = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
@@ -49,7 +46,7 @@ class Compiled:
         self.n, self.m = len(controller.space.state), len(controller.space.command)
         self._library, self._real = ctypes.CDLL(str(library)), np.float64 if real == "double" else np.float32
         self._number = ctypes.c_double if real == "double" else ctypes.c_float
-        self.filter = ctypes.create_string_buffer(8192)
+        self.filter = ctypes.create_string_buffer(2**18)
         self._library.controller_filter_init(self.filter)
 
     def call(self, name: str, *arguments: Any) -> Any:
@@ -140,30 +137,6 @@ def test_plans_are_those_of_python(kind: str, compile_in: Callable[..., Compiled
     assert same >= 38
 
 
-def test_the_filter_is_that_of_python_also_after_a_push(compile_in: Callable[..., Compiled]) -> None:
-    controller = replace(learned("gp"), reject_outliers=True, monitor=False)
-    code, rng, logged = compile_in(controller), np.random.default_rng(6), []
-    states, commands = steps(50, spread=0.8)
-    yaw = np.append(np.nan, np.cumsum(rng.uniform(0, 0.7, 50)))  # a log does not contain that of the first step
-    for row, (state, command) in enumerate(zip(states, commands, strict=True)):
-        shift = SPACE.state_scale * [0.3 + 0.1 * np.sin(np.nan_to_num(yaw[row])), 0.1]
-        push = np.array([0.7, 0.0]) if row in (17, 30) else np.zeros(2)
-        after = controller.map(state, command) + shift + push + rng.normal(0, 0.01, 2) * SPACE.state_scale
-        given = map(code.array, (state, command, after))
-        assert code.call("filter_update", code.filter, *given, float(yaw[row])) == 0
-        record = StepRecord(state, command, command, after, StepStatus.OK, {"yaw": float(yaw[row + 1])})
-        logged.append(LoggedStep(0, row + 1, after, after, np.zeros(2), record))
-    logged = Steps(replace(SPACE, context=(YAW,)), logged)
-    python = filter_after(controller, logged)
-    without = filter_after(replace(controller, reject_outliers=False), logged)
-    for angle in (0.3, 2.0, float("nan")):
-        offset, spread = code.array(2), code.array(2)
-        code.call("filter_offset", code.filter, angle, offset, spread)
-        np.testing.assert_allclose(offset, python.offset(angle), atol=1e-12)
-        np.testing.assert_allclose(spread, python.std(angle) * controller.map.noise_std, atol=1e-12)
-        assert np.abs(python.offset(angle) - without.offset(angle)).max() > 1e-4
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
 def test_what_is_not_a_number_never_becomes_a_command(bad: float, compile_in: Callable[..., Compiled]) -> None:
     controller = learned("gp_on_linear")
@@ -222,7 +195,7 @@ static double number(double lower, double upper)
 
 int main(void)
 {
-    controller_filter filter;
+    static controller_filter filter;
     int planned = 0;
     double before[2] = {0, 0};
     controller_filter_init(&filter);
@@ -283,7 +256,7 @@ ANSWERS = """
 /* Reads state, target and phase; prints the status of a plan and of an update, then the command. */
 int main(void)
 {
-    controller_filter filter;
+    static controller_filter filter;
     controller_real x[5], command[2];
     char word[40];
     controller_filter_init(&filter);

@@ -73,7 +73,7 @@ def _content(
     run: "Run", controller: "PortableController", to: str, deployment: int | None, fmi: Literal[2, 3]
 ) -> str | bytes:
     from stepgap.export.controller.casadi_function import casadi_text
-    from stepgap.export.controller.model_document import filter_after, model_document, model_text
+    from stepgap.export.controller.model_document import model_document, model_text, trust_at_end
     from stepgap.export.controller.onnx_model import onnx_model
 
     if to == "fmu":
@@ -85,4 +85,4 @@ def _content(
     if to == "casadi":
         return casadi_text(model_document(controller))
     steps = run.steps.of_iteration(deployment) if deployment is not None else None
-    return model_text(controller, filter_after(controller, steps) if steps else None)
+    return model_text(controller, trust_at_end(controller, steps) if steps else None)

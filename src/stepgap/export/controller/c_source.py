@@ -1,10 +1,10 @@
 """A portable controller as C99: one source file and its header, without libraries, dynamic memory or global variables.
 
-The code is that of `controller.c.txt`, a port of `CautiousController`, of the searches that it uses and of
-`DisturbanceFilter`. This module writes the numbers into it: the ranges, the nominal map, the residual, the failures,
+The code is that of `controller.c.txt`, a port of `CautiousController`, of the searches that it uses and of `Trust`. This module writes the numbers into it: the ranges, the nominal map, the residual, the failures,
 and the settings and constants of the Python modules, so that both agree.
 """
 
+import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from stepgap.base.versions import versions_here
 from stepgap.control import bounded_search, cautious_controller, gauss_newton, horizon
 from stepgap.control.box_points import box_points, composite_design, irrational_steps
 from stepgap.export.controller.portable_controller import SAMPLE_RESOLUTION, PortableController
-from stepgap.learning import disturbance, learner, outliers
+from stepgap.learning import disturbance, learner, outliers, trust
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.kernel import SQUARED_EXPONENTIAL
 from stepgap.learning.polynomial import Polynomial
@@ -38,6 +38,9 @@ _WORDS = (
 )
 KEYWORDS: Final = frozenset(_WORDS.split())
 """Words that cannot begin the names of the functions."""
+
+HYPOTHESES: Final = 3 + 2 * trust.CANDIDATES
+"""Most hypotheses at once: current, nominal and a change at this step, and the kept changes and earlier disturbances."""
 
 PER_LINE: Final = 6
 """Numbers in a line of an array."""
@@ -170,12 +173,20 @@ def _header(controller: PortableController, arithmetic: _Arithmetic, stack: int)
         "approximations": "\n".join(f"   - {_in_comment(note)}" for note in notes) or "   none",
         "real": arithmetic.type,
         "filters": str(len(disturbance.FORGETTING)),
-        "monitored": str(learner.MONITORED_STEPS),
+        "hypotheses": str(HYPOTHESES),
+        "bytes": f"about {_filter_size(len(space.state), len(space.command), arithmetic.type):,}",
         "statuses": ",\n".join(f"    PREFIX_{status.name} = {status.value}" for status in StepStatus),
         "angle": f"{arithmetic.largest_angle:g}",
         "stack": str(stack),
     }
     return re.sub("@([a-z]+)@", lambda found: fields[found[1]], _template("controller.h.txt"))
+
+
+def _filter_size(n: int, m: int, real: Real) -> int:
+    """About how large the state of trust is [bytes]."""
+    filters, regressors = len(disturbance.FORGETTING), 3 + n + m
+    bank = filters * (regressors * n + regressors * (regressors + 1) // 2) + (1 + filters) * n + 2
+    return ((HYPOTHESES - 1) * bank + 2 * HYPOTHESES + n + 3) * (8 if real == "double" else 4)
 
 
 def _quantities(quantities: Iterable[Quantity], what: str) -> str:
@@ -232,6 +243,7 @@ class _Tables:
         return -(-numbers * (8 if self.arithmetic.type == "double" else 4) // 1000)
 
     def _numbers(self) -> dict[str, float]:
+        n = len(self.controller.space.state)
         return {
             **self.arithmetic.tolerances,
             "NEARBY": gauss_newton.NEARBY,
@@ -246,10 +258,20 @@ class _Tables:
             "FAILURE_RADIUS": cautious_controller.FAILURE_RADIUS,
             "SCORE_MEMORY": disturbance.SCORE_MEMORY,
             "SWITCHING_PENALTY": disturbance.SWITCHING_PENALTY,
-            "SIGNIFICANCE": learner.SIGNIFICANCE,
+            "CHANGE_STD": disturbance.CHANGE_STD,
+            "SLOPE_STD": disturbance.SLOPE_STD,
+            "LOG_HAZARD": math.log(trust.HAZARD),
+            "LOG_FIRST_HAZARD": math.log(trust.FIRST_HAZARD),
+            "LOG_SWITCHING_ODDS": math.log(trust.SWITCHING_ODDS),
+            "NOMINAL_MEMORY": trust.NOMINAL_MEMORY,
+            "NOMINAL_COUNT": trust.NOMINAL_COUNT,
+            "AT_A_BOUND": learner.AT_A_BOUND,
             "SAMPLE_RESOLUTION": SAMPLE_RESOLUTION,
             "IMPROBABLE": outliers.IMPROBABLE,
             "LEAST_STD": outliers.LEAST_STD,
+            "OUTLIER_WIDTH": outliers.OUTLIER_WIDTH,
+            "LOG_REGULAR": math.log1p(-outliers.OUTLIER_PROBABILITY),
+            "LOG_OUTLIER": math.log(outliers.OUTLIER_PROBABILITY) - n * math.log(outliers.OUTLIER_WIDTH),
             "LARGEST_ANGLE": self.arithmetic.largest_angle,
         }
 
@@ -280,12 +302,15 @@ class _Tables:
             "AVOID_FAILURES": int(settings.avoid_failures),
             "DRIFT": int(self.controller.drift),
             "MONITOR": int(self.controller.monitor),
+            "JUDGES": int(self.controller.judges),
             "REJECT_OUTLIERS": int(self.controller.reject_outliers),
+            "CANDIDATES": trust.CANDIDATES,
+            "MOST_STRAINED": trust.MOST_STRAINED,
         }
 
     def _space(self) -> list[str]:
         space, failures = self.controller.space, self.controller.failures
-        names = "state_scale", "command_scale", "command_centre", "command_lower", "command_upper"
+        names = "state_scale", "state_centre", "command_scale", "command_centre", "command_lower", "command_upper"
         arrays = [self._array(name, getattr(space, name)) for name in names]
         arrays.append(self._array("error_scale", np.where(space.tracked, space.error_scale, 0.0)))
         arrays.append(self._array("irrational_steps", irrational_steps(len(space.command))))
@@ -296,6 +321,7 @@ class _Tables:
         return [
             self._array("filter_strength", strengths),
             self._array("filter_forgetting", disturbance.FORGETTING),
+            self._array("nominal_squares", self.controller.trust.nominal_squares),
         ]
 
     def _nominal(self) -> str:

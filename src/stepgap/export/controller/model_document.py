@@ -12,24 +12,14 @@ import numpy as np
 from stepgap.base.errors import InputError
 from stepgap.control.cautious_controller import FAILURE_RADIUS, RISK
 from stepgap.export.controller.portable_controller import PortableController
-from stepgap.learning.disturbance import (
-    FORGETTING,
-    INITIAL_COVARIANCE,
-    SCORE_MEMORY,
-    SWITCHING_PENALTY,
-    DisturbanceFilter,
-)
-from stepgap.learning.disturbance_estimator import DisturbanceEstimator
+from stepgap.export.controller.trust_document import trust_document
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.kernel import MATERN_52, SQUARED_EXPONENTIAL
-from stepgap.learning.learner import MONITORED_STEPS, SIGNIFICANCE
-from stepgap.learning.observations import error_of
-from stepgap.learning.outliers import IMPROBABLE, LEAST_STD
 from stepgap.learning.polynomial import Polynomial, monomials
 from stepgap.learning.regression import Regression
-from stepgap.learning.residual import join_points
 from stepgap.learning.sparse_gaussian_process import SparseGaussianProcess
 from stepgap.learning.steps import Steps
+from stepgap.learning.trust import Trust
 from stepgap.learning.zero import Zero
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.surrogate_map import NEIGHBOURS, SurrogateMap, exponents_of
@@ -38,16 +28,16 @@ from stepgap.step import Quantity, StepMap, StepStatus
 FORMAT: Final = "StepGap model"
 """Value of the key `format`."""
 
-MODEL_SCHEMA: Final = 2
+MODEL_SCHEMA: Final = 3
 """Number of the format; it grows with every change that a reader must know of."""
 
 
-def model_document(controller: PortableController, last: DisturbanceFilter | None = None) -> dict[str, Any]:
+def model_document(controller: PortableController, last: Trust | None = None) -> dict[str, Any]:
     """The documented model of a controller, as objects for JSON.
 
     Args:
         controller: The controller.
-        last: The disturbance filter after the last step of the deployment; None if there was none.
+        last: Which map is trusted after the last step of the deployment; None if there was none.
 
     Raises:
         InputError: Its residual has a kernel that is not documented.
@@ -64,9 +54,7 @@ def model_document(controller: PortableController, last: DisturbanceFilter | Non
             "kind": residual.kind,
             "regressions": [_regression(each) for each in residual.regressions],
         },
-        "disturbance": _disturbance(controller.drift, len(controller.space.state), last),
-        "outliers": {"used": controller.reject_outliers, "improbable": IMPROBABLE, "least_std": LEAST_STD},
-        "monitor": {"used": controller.monitor, "steps": MONITORED_STEPS, "significance": SIGNIFICANCE},
+        **trust_document(controller, last),
         "control": {
             "cautious": settings.cautious,
             "viability": settings.viability,
@@ -83,24 +71,17 @@ def model_document(controller: PortableController, last: DisturbanceFilter | Non
     }
 
 
-def model_text(controller: PortableController, last: DisturbanceFilter | None = None) -> str:
+def model_text(controller: PortableController, last: Trust | None = None) -> str:
     """Text of the model file of a controller; its arguments are those of `model_document`."""
     return json.dumps(model_document(controller, last), ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def filter_after(controller: PortableController, steps: Steps) -> DisturbanceFilter:
-    """The disturbance filter after the steps of one deployment, as an exported controller computes it."""
-    residual = controller.map.residual
-    disturbance = DisturbanceEstimator.start(
-        controller.space.state_scale, drift=controller.drift, reject_outliers=controller.reject_outliers
-    )
+def trust_at_end(controller: PortableController, steps: Steps) -> Trust:
+    """Which map is trusted after the steps of one deployment, as an exported controller computes it."""
+    trust = controller.trust
     for logged, phase in zip(steps, steps.phase, strict=True):
-        record = logged.record
-        point = join_points(record.state, record.requested)
-        error = error_of(record, controller.map.nominal) - residual.mean(point)
-        if np.isfinite(error).all():
-            disturbance = disturbance.after(residual, error, residual.std(point, include_noise=True), phase)
-    return disturbance.filter
+        trust = controller.trust_after(trust, logged.record, phase)
+    return trust
 
 
 def _quantity(quantity: Quantity) -> dict[str, Any]:
@@ -170,20 +151,3 @@ def _gaussian_process(process: SparseGaussianProcess) -> dict[str, Any]:
         "centre_factor": process.inducing_factor.assembled().tolist(),
         "weight_factor": process.posterior.factor.assembled().tolist(),
     }
-
-
-def _disturbance(used: bool, size: int, last: DisturbanceFilter | None) -> dict[str, Any]:
-    return {
-        "used": used,
-        "forgetting": FORGETTING.tolist(),
-        "initial_covariance": INITIAL_COVARIANCE.tolist(),
-        "score_memory": SCORE_MEMORY,
-        "switching_penalty": SWITCHING_PENALTY,
-        "start": _filter(DisturbanceFilter.initial(size)),
-        "end": None if last is None else _filter(last),
-    }
-
-
-def _filter(state: DisturbanceFilter) -> dict[str, Any]:
-    arrays = {name: getattr(state, name).tolist() for name in ("coefficients", "covariance", "scores")}
-    return {**arrays, "weight": state.weight}

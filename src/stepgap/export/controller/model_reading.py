@@ -13,8 +13,8 @@ from stepgap.base.json_data import boolean, integer, numbers
 from stepgap.control.settings import ControlSettings
 from stepgap.export.controller.model_document import FORMAT, MODEL_SCHEMA, model_document
 from stepgap.export.controller.portable_controller import PortableController
+from stepgap.export.controller.trust_document import sized, trust_from
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.disturbance import FORGETTING, DisturbanceFilter
 from stepgap.learning.residual import Residual
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.records.summary import read_text
@@ -51,7 +51,7 @@ def read_portable(path: Path) -> PortableController:
         if saved.get("schema") != MODEL_SCHEMA:
             raise ValueError(f"schema must be {MODEL_SCHEMA}, not {saved.get('schema')!r:.40}")
         controller = _controller(saved)
-        _check_same(saved, model_document(controller, _last_filter(saved)))
+        _check_same(saved, model_document(controller, trust_from(saved, controller)))
     except InputError:
         raise
     except OSError as error:
@@ -78,7 +78,7 @@ def _controller(saved: Mapping[str, Any]) -> PortableController:
             largest_change=float(numbers(control, "largest_change", 0)),
         ),
         drift=boolean(saved["disturbance"], "used"),
-        monitor=boolean(saved["monitor"], "used"),
+        monitor=boolean(saved["trust"], "nominal"),
         reject_outliers=boolean(saved["outliers"], "used"),
         notes=tuple(map(str, (*saved["approximations"], *saved["notes"]))),
     )
@@ -94,17 +94,17 @@ def _quantities(saved: Mapping[str, Any], key: str) -> tuple[Quantity, ...]:
 def _nominal(space: StepSpace, saved: Mapping[str, Any]) -> StepMap:
     n, m = len(space.state), len(space.command)
     if saved["kind"] == "affine":
-        arrays = [_sized(saved, *each) for each in (("state", n), ("command", m), ("next_state", n))]
-        return AffineMap(space, *arrays, matrix=_sized(saved, "matrix", n, n + m))
+        arrays = [sized(saved, *each) for each in (("state", n), ("command", m), ("next_state", n))]
+        return AffineMap(space, *arrays, matrix=sized(saved, "matrix", n, n + m))
     if saved["kind"] != "legendre":
         raise ValueError(f'nominal.kind must be "affine" or "legendre", not {saved["kind"]!r:.40}')
     degree = int(numbers(saved, "degrees", 2).max())
     if degree > LARGEST_DEGREE:
         raise ValueError(f"nominal.degrees must be at most {LARGEST_DEGREE}")
     centre, scale, error = (
-        _sized(saved, key, size) for key, size in (("centre", n + m), ("scale", n + m), ("error", n))
+        sized(saved, key, size) for key, size in (("centre", n + m), ("scale", n + m), ("error", n))
     )
-    weights = _sized(saved, "weights", len(saved["degrees"]), n)
+    weights = sized(saved, "weights", len(saved["degrees"]), n)
     return SurrogateMap(space, centre, scale, degree, weights, error, _samples(saved["samples"], n, n + m))
 
 
@@ -126,29 +126,9 @@ def _residual(space: StepSpace, saved: Mapping[str, Any]) -> Residual:
     })  # fmt: skip
 
 
-def _last_filter(saved: Mapping[str, Any]) -> DisturbanceFilter | None:
-    end, n, count = saved["disturbance"]["end"], len(saved["state"]), len(FORGETTING)
-    if end is None:
-        return None
-    return DisturbanceFilter(
-        _sized(end, "coefficients", count, 3, n),
-        _sized(end, "covariance", count, 3, 3),
-        _sized(end, "scores", 1 + count, n),
-        float(numbers(end, "weight", 0)),
-    )
-
-
 def _points(saved: Mapping[str, Any], key: str, count: int, d: int) -> Array:
     """The points under a key; an empty list has no columns."""
-    return _sized(saved, key, count, d) if saved[key] else np.empty((0, d))
-
-
-def _sized(saved: Mapping[str, Any], key: str, *shape: int) -> Array:
-    """The array of finite numbers under a key, of this shape."""
-    array = np.asarray(saved[key], float)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"{key} must be finite numbers of shape {shape}, not {array.shape}")
-    return array
+    return sized(saved, key, count, d) if saved[key] else np.empty((0, d))
 
 
 def _check_same(saved: Any, computed: Any, where: str = "") -> None:

@@ -24,16 +24,19 @@ from stepgap.experiment.run import Run
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process import GaussianProcess
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
+from stepgap.learning.learner import AT_A_BOUND
+from stepgap.learning.observations import error_of
 from stepgap.learning.outliers import LEAST_KNOWN
 from stepgap.learning.polynomial import Polynomial
 from stepgap.learning.regression import Regression
-from stepgap.learning.residual import HistoryInputs, Residual, join_points
+from stepgap.learning.residual import HistoryInputs, Residual, join_points, no_residual
 from stepgap.learning.settings import NO_FEATURE_MAP
 from stepgap.learning.sparse_gaussian_process import SparseGaussianProcess, condition_sparse, spread_points
+from stepgap.learning.trust import PredictedStep, Trust
 from stepgap.learning.zero import Zero
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.surrogate_map import WIDENED, Samples, SurrogateMap, fit_surrogate
-from stepgap.step import Array, StepMap, StepSpace, StepStatus
+from stepgap.step import Array, StepMap, StepRecord, StepSpace, StepStatus
 
 SURROGATE_ERROR = 1e-5
 """Error of the surrogate of a nominal map in half ranges of the state below which no further samples are taken."""
@@ -92,8 +95,8 @@ class PortableController:
         failures: Points (state, command) of steps that failed; shape (k, n + m).
         settings: Settings of step control, without a table.
         drift: Whether the disturbance of a deployment is estimated.
-        monitor: Whether a correction that predicted the latest steps worse than the nominal map is not used.
-        reject_outliers: Whether the disturbance is not estimated from single steps with improbable errors.
+        monitor: Whether the nominal map may be trusted more than the corrected one.
+        reject_outliers: Whether single steps with improbable errors are outliers.
         approximations: What was replaced, and by how much it differs.
         notes: Sentences on what the portable form does not do.
     """
@@ -116,6 +119,40 @@ class PortableController:
     def controller(self) -> CautiousController:
         """The controller of the first step, before any disturbance is estimated."""
         return CautiousController(self.map, self.map.nominal, self.failures, self.settings)
+
+    @property
+    def judges(self) -> bool:
+        """Whether enough steps are known for a judgement on which map is right."""
+        return len(self.map.residual.regressions[0].points) >= LEAST_KNOWN
+
+    @cached_property
+    def trust(self) -> Trust:
+        """Which map is trusted before the first step."""
+        used = {"drift": self.drift, "monitor": self.monitor, "reject_outliers": self.reject_outliers}
+        return Trust.start(self.space.state_scale, self.map.residual, **used)
+
+    def trust_after(self, trust: Trust, record: StepRecord, phase: float) -> Trust:
+        """Returns which map is trusted after a step, as an exported controller computes it.
+
+        Args:
+            trust: That before the step.
+            record: The step.
+            phase: Phase at which it started [rad], NaN if it is unknown.
+        """
+        residual, point = self.map.residual, join_points(record.state, record.requested)
+        error = error_of(record, self.map.nominal)
+        if not np.isfinite(error).all():
+            return trust
+        command = self.space.point_of(record.requested)
+        inputs = np.append(self.space.scaled_state(record.state), command)
+        step = PredictedStep(inputs, error, residual.mean(point), residual.std(point, include_noise=True), phase)
+        return trust.after(residual, step, at_bound=bool((np.abs(command) > AT_A_BOUND).any()))
+
+    def map_by(self, trust: Trust, phase: float) -> CorrectedMap:
+        """Returns the map that plans a step which starts at a phase [rad], NaN if it is unknown."""
+        if trust.uses_nominal:
+            return replace(self.map, residual=no_residual(*self.map.residual.sizes))
+        return replace(self.map, disturbance=trust.predict(self.map.residual, phase))
 
 
 def portable_controller(run: Run, deployment: int | None, rng: np.random.Generator) -> PortableController:
@@ -146,8 +183,8 @@ def portable_controller(run: Run, deployment: int | None, rng: np.random.Generat
         learner.failures,
         replace(settings.control, table=0),
         drift=learning.drift and residual.kind != "none",
-        monitor=learning.monitor,
-        reject_outliers=learning.reject_outliers and len(residual.regressions[0].points) >= LEAST_KNOWN,
+        monitor=learning.monitor and residual.kind != "none",
+        reject_outliers=learning.reject_outliers,
         approximations=(*replaced, *(loss for _, loss in found if loss)),
         notes=_notes(nominal.space, settings.control, learner.steps_to_learn),
     )
