@@ -11,7 +11,7 @@ from tests.export.controller.learned import CENTRE, SCALE, SPACE
 PUSHES = (17, 30)
 SHIFTS = {"loaded": (0.5, -0.4), "heavier": (-0.6, 0.3)}
 SLOPES = {"loaded": ((0.1, 0.0, -0.1, 0.05), (0.0, 0.1, 0.0, 0.1)), "heavier": ((0.0, 0.0, 0.2, 0.0), (0.1, 0.0, 0.0, 0.0))}
-PHASES = (
+LIFE = (
     ("as learned", 40), ("loaded", 20), ("heavier", 20), ("as learned", 20), ("loaded", 4), ("as learned", 16),
     ("nominal", 25), ("as learned", 25), ("stuck", 8), ("as learned", 12),
 )  # fmt: skip
@@ -26,10 +26,10 @@ class ChangingStep:
     phase: float
 
 
-def changing_steps(controller: PortableController, seed: int = 6) -> list[ChangingStep]:
+def changing_steps(controller: PortableController, life: tuple[tuple[str, int], ...] = LIFE) -> list[ChangingStep]:
     """The steps of a deployment with such a robot."""
-    rng, steps, yaw = np.random.default_rng(seed), [], np.nan
-    for name in [name for name, count in PHASES for _ in range(count)]:
+    rng, steps, yaw = np.random.default_rng(6), list[ChangingStep](), np.nan
+    for name in [name for name, count in life for _ in range(count)]:
         point = rng.uniform(-0.8, 0.8, 4)
         if name == "stuck":
             point[2:] = np.sign(point[2:])
