@@ -2,6 +2,8 @@
 
 import json
 import re
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +15,16 @@ from hypothesis import strategies as st
 
 from stepgap.base.errors import InputError
 from stepgap.export.controller import model_reading
-from stepgap.export.controller.model_document import filter_after, model_document, model_text
+from stepgap.export.controller.model_document import model_document, model_text, trust_at_end
 from stepgap.export.controller.model_reading import read_portable
-from stepgap.learning.disturbance import DisturbanceFilter
+from stepgap.export.controller.portable_controller import PortableController
+from stepgap.export.controller.trust_document import SOURCES, trust_from
 from stepgap.learning.steps import LoggedStep, Steps
-from stepgap.step import StepRecord, StepSpace, StepStatus
+from stepgap.learning.trust import Trust
+from stepgap.step import StepSpace, StepStatus
 from tests.control.maps import YAW
-from tests.export.controller.learned import CENTRE, KINDS, SPACE, learned, steps
+from tests.export.controller.changing_robot import changing_steps
+from tests.export.controller.learned import CENTRE, KINDS, SCALE, SPACE, learned, steps
 
 PAGE = Path(__file__).parents[3] / "docs" / "model_file.md"
 READER, ONLINE = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
@@ -27,10 +32,10 @@ READER, ONLINE = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.
 SCHEMA = json.loads(Path(model_reading.__file__).with_name("model_file.schema.json").read_text("utf-8"))
 
 
-def reader(kind: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, **options: bool) -> dict[str, Any]:
+def reader(controller: PortableController, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, Any]:
     """What the code of the page defines, given a model file."""
     monkeypatch.chdir(tmp_path)
-    Path("model.json").write_text(model_text(learned(kind, **options)), "utf-8")
+    Path("model.json").write_text(model_text(controller), "utf-8")
     names: dict[str, Any] = {}
     exec(compile(READER + ONLINE, "model_file.md", "exec"), names)  # noqa: S102  (our own page)
     return names
@@ -39,7 +44,8 @@ def reader(kind: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, **options
 @pytest.mark.parametrize("linear", [False, True], ids=["legendre", "affine"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_forty_lines_of_the_page_compute_the_same_map(kind: str, linear: bool, monkeypatch, tmp_path) -> None:
-    names, step_map = reader(kind, monkeypatch, tmp_path, linear=linear), learned(kind, linear=linear).map
+    controller = learned(kind, linear=linear)
+    names, step_map = reader(controller, monkeypatch, tmp_path), controller.map
     for state, command in zip(*steps(40), strict=True):
         point = np.concatenate([state, command])
         mean, std = np.transpose([names["mean_and_std"](part, point) for part in names["regressions"]])
@@ -51,19 +57,29 @@ def test_the_reader_has_forty_lines() -> None:
     assert len([line for line in READER.splitlines() if line.strip()]) <= 40
 
 
-@pytest.mark.parametrize("kind", KINDS[1:])
-def test_the_page_follows_a_drift_as_the_filter_does(kind: str, monkeypatch, tmp_path) -> None:
-    names, rng = reader(kind, monkeypatch, tmp_path), np.random.default_rng(3)
-    found, expected = names["f"], DisturbanceFilter.initial(2)
-    used = 0
-    for yaw in [np.nan, *rng.uniform(0, 7, 60)]:
-        offset, std = names["offset_and_std"](found, yaw)
-        assert np.abs(offset - expected.offset(yaw)).max() < 1e-9
-        assert np.abs(std - expected.std(yaw) * names["noise"]).max() < 1e-9
-        used += bool(np.any(offset))
-        error = np.array([0.05, 0.01]) * (1 + np.nan_to_num(np.sin(yaw))) + 0.002 * rng.normal(size=2)
-        found, expected = names["after"](found, error, yaw), expected.updated(error, yaw)
-    assert used > 20, "the filter is in use"
+@pytest.mark.parametrize(("kind", "options"), [
+    ("gp", {}), ("quadratic", {"reject_outliers": False}), ("gp_on_linear", {"monitor": False}), ("none", {}),
+])  # fmt: skip
+def test_the_page_trusts_what_python_trusts(kind: str, options: dict[str, bool], monkeypatch, tmp_path) -> None:
+    controller = replace(learned(kind), **{"reject_outliers": True, **options})
+    names, rng = reader(controller, monkeypatch, tmp_path), np.random.default_rng(3)
+    found, expected, alarms = names["start"], controller.trust, set()
+    for step in changing_steps(controller):
+        record, yaw = step.record, float(rng.uniform(0, 7))
+        point = np.concatenate([record.state, record.command])
+        inputs = (point - CENTRE) / SCALE
+        mean, std = names["disturbance"](found["hypotheses"][0], names["regressors"](point, yaw))
+        disturbance = expected.predict(controller.map.residual, yaw)
+        assert np.abs(mean - disturbance.mean(inputs)).max() < 1e-9
+        assert np.abs(std - disturbance.std(inputs)).max() < 1e-9
+        found = names["after"](found, point, record.next_state, step.phase)
+        expected = controller.trust_after(expected, record, step.phase)
+        alarms |= {expected.alarm}
+        assert [each["source"] for each in found["hypotheses"]] == [each.source for each in expected.hypotheses]
+        weights = [each["log_weight"] for each in found["hypotheses"]]
+        assert np.allclose(weights, [each.log_weight for each in expected.hypotheses], rtol=0, atol=1e-6)
+        assert (found["nominal"], found["strained"]) == (expected.nominal, expected.strained)
+    assert {"changed", "earlier"} <= alarms or kind == "none"
 
 
 @pytest.mark.parametrize("failing", [False, True])
@@ -81,31 +97,63 @@ def test_a_file_read_back_is_the_same_controller(kind: str, failing: bool, tmp_p
     assert np.array_equal(found.failures, written.failures)
     assert (found.settings, found.drift, found.monitor, found.space) == (
         written.settings, written.drift, written.monitor, written.space)  # fmt: skip
-    assert json.loads(file.read_text("utf-8"))["disturbance"]["end"] is None
+    assert json.loads(file.read_text("utf-8"))["trust"]["end"] is None
 
 
-def test_the_filter_at_the_end_of_a_deployment_is_in_the_file(tmp_path: Path) -> None:
-    controller, rng = learned("gp"), np.random.default_rng(2)
-    log, expected, yaw = [], DisturbanceFilter.initial(2), np.nan
-    for number, (state, command) in enumerate(zip(*steps(8, spread=0.9), strict=True)):
-        error = 0.02 * rng.normal(size=2)
-        failed, after = number == 5, float(rng.uniform(0, 6))
-        record = StepRecord(
-            state, command, command, np.full(2, np.nan) if failed else controller.map(state, command) + error,
-            StepStatus.FELL if failed else StepStatus.OK, {} if failed else {"yaw": after})  # fmt: skip
-        log.append(LoggedStep(0, number, state, state, np.zeros(2), record))
-        expected = expected if failed else expected.updated(error, yaw)
-        yaw = record.context.get("yaw", np.nan)
-    file = tmp_path / "model.json"
-    file.write_text(
-        model_text(controller, filter_after(controller, Steps(StepSpace(SPACE.state, SPACE.command, (YAW,)), log))),
-        "utf-8",
-    )
-    read_portable(file)  # which refuses a filter that cannot be read
-    found = json.loads(file.read_text("utf-8"))["disturbance"]["end"]
-    assert np.allclose(found["coefficients"], expected.coefficients, rtol=0, atol=1e-12)
-    assert np.allclose(found["scores"], expected.scores, rtol=0, atol=1e-12)
-    assert found["weight"] == pytest.approx(expected.weight)
+def deployed(tmp_path: Path) -> tuple[Path, Trust]:
+    """A model file after a deployment with a step that fell, and the trust at its end."""
+    controller = replace(learned("gp"), reject_outliers=True)
+    log, expected = [], controller.trust
+    robot = changing_steps(controller, (("as learned", 8), ("loaded", 4), ("as learned", 3), ("nominal", 2)))
+    for number, (each, following) in enumerate(pairwise(robot)):
+        record = replace(each.record, context={"yaw": following.phase})
+        if number == 5:
+            record = replace(record, next_state=np.full(2, np.nan), status=StepStatus.FELL, context={})
+        log.append(LoggedStep(0, number, record.state, record.state, np.zeros(2), record))
+        expected = controller.trust_after(expected, record, np.nan if number == 6 else each.phase)
+    file, logged = tmp_path / "model.json", Steps(StepSpace(SPACE.state, SPACE.command, (YAW,)), log)
+    file.write_text(model_text(controller, trust_at_end(controller, logged)), "utf-8")
+    return file, expected
+
+
+def test_the_trust_at_the_end_of_a_deployment_is_in_the_file(tmp_path: Path) -> None:
+    file, expected = deployed(tmp_path)
+    document = json.loads(file.read_text("utf-8"))
+    jsonschema.validate(document, SCHEMA)
+    assert {each.source for each in expected.hypotheses} == set(SOURCES)
+    for found in (document["trust"]["end"], model_document(read_portable(file), trust_of(file))["trust"]["end"]):
+        for each, hypothesis in zip(found["hypotheses"], expected.hypotheses, strict=True):
+            assert each["source"] == hypothesis.source
+            assert each["log_weight"] == pytest.approx(hypothesis.log_weight)
+            if hypothesis.source != "nominal":
+                assert each["changed"] == hypothesis.filter.changed
+                assert np.allclose(each["coefficients"], hypothesis.filter.coefficients, rtol=0, atol=1e-12)
+                assert np.allclose(each["covariance"], hypothesis.filter.covariance, rtol=0, atol=1e-9)
+        assert np.allclose(found["nominal_squares"], expected.nominal_squares)
+
+
+def trust_of(file: Path) -> Trust | None:
+    """The trust at the end of the deployment in a file."""
+    return trust_from(json.loads(file.read_text("utf-8")), read_portable(file))
+
+
+@pytest.mark.parametrize(("keys", "value", "message"), [
+    (("hypotheses", 0, "source"), "nominal", "one of current, changed, earlier, nominal after the other"),
+    (("hypotheses", 0, "source"), "other", "must be one of current, changed, earlier, nominal, not 'other'"),
+    (("hypotheses", 0, "coefficients"), [[1.0]], "coefficients must be finite numbers of shape"),
+    (("hypotheses", 0, "changed"), 1, "changed"), (("hypotheses",), [], "one of current"), (("strained",), -1, "strained"),
+    (("nominal_squares",), [1.0], "nominal_squares must be"), (("nominal_count",), None, "nominal_count"),
+])  # fmt: skip
+def test_a_wrong_end_is_refused(keys: tuple[Any, ...], value: Any, message: str, tmp_path: Path) -> None:
+    file, _ = deployed(tmp_path)
+    document = json.loads(file.read_text("utf-8"))
+    part = document["trust"]["end"]
+    for key in keys[:-1]:
+        part = part[key]
+    part[keys[-1]] = value
+    file.write_text(json.dumps(document), "utf-8")
+    with pytest.raises(InputError, match=message):
+        read_portable(file)
 
 
 def paths_in(value: Any, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
@@ -143,7 +191,7 @@ def test_a_wrong_value_anywhere_is_one_clear_line(
         assert message.startswith(str(file)), message
         assert "\n" not in message
     else:
-        assert path[0] in ("failures", "state", "command", "nominal", "control", "disturbance", "monitor"), path
+        assert path[0] in ("failures", "state", "command", "nominal", "control", "outliers"), path
         assert np.isfinite(read_portable(file).map(*MIDDLE)).all()
 
 
@@ -158,8 +206,8 @@ def refusal(file: Path) -> str:
 
 @pytest.mark.parametrize(("text", "message"), [
     ("", "Expecting value"), ("[]", "format must be"), ("{", "not a model file"), ('{"format": "x"}', "format must be"),
-    ('{"format": "StepGap model", "schema": 3}', "schema must be 2, not 3"), ("[" * 100_000, "not a model file"),
-    ('{"format": "StepGap model", "schema": 2}', "not a model file"),
+    ('{"format": "StepGap model", "schema": 4}', "schema must be 3, not 4"), ("[" * 100_000, "not a model file"),
+    ('{"format": "StepGap model", "schema": 3}', "not a model file"),
 ])  # fmt: skip
 def test_another_file_is_refused(text: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "other.json"
