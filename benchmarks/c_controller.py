@@ -156,7 +156,7 @@ def compare_plans(code: Code, controller: PortableController, count: int, rng: n
 def compare_commands(code: Code, run: Run, seed: int) -> str:
     """Differences of the commands on the steps of one deployment of the twin, which Python hops."""
     plant = TwinSimulation(Hopper(), random_stream(seed)).plant(random_stream(seed, 0))
-    filter_, command, phase, apart = ctypes.create_string_buffer(16384), None, float("nan"), []
+    filter_, command, phase, apart = ctypes.create_string_buffer(2**20), None, float("nan"), []
     code.call("filter_init", filter_)
     ahead = run.needed(run.settings).control.horizon
     for logged in deploy(run.learner(1), plant, paper_reference(), 1, control=run.needed(run.settings).control):

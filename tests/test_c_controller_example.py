@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from stepgap.export.controller.c_source import c_source
-from stepgap.export.controller.model_document import filter_after
+from stepgap.export.controller.model_document import trust_at_end
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import StepRecord, StepStatus
 from tests.control.maps import YAW
@@ -21,8 +21,7 @@ pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler
 
 
 def test_it_plans_section_after_section(tmp_path: Path) -> None:
-    controller = learned("gp_on_linear")
-    controller = replace(controller, monitor=False, reject_outliers=False)
+    controller = replace(learned("gp_on_linear"), reject_outliers=True)
     source = c_source(controller, "controller")
     (tmp_path / "controller.c").write_text(source.code)
     (tmp_path / "controller.h").write_text(source.header)
@@ -41,13 +40,9 @@ def test_it_plans_section_after_section(tmp_path: Path) -> None:
                 if number:
                     record = StepRecord(before, guess, guess, state, StepStatus.OK, {"yaw": yaw})
                     logged.append(LoggedStep(0, number, target, target, np.zeros(2), record))
-                drift = filter_after(controller, Steps(replace(SPACE, context=(YAW,)), logged))
-                corrected = replace(
-                    controller.map,
-                    offset=drift.offset(yaw),
-                    offset_std=drift.std(yaw) * controller.map.noise_std,
-                )
-                plan = replace(controller.controller, step_map=corrected)(state, target, guess)
+                trust = trust_at_end(controller, Steps(replace(SPACE, context=(YAW,)), logged))
+                present = controller.map_by(trust, yaw)
+                plan = replace(controller.controller, step_map=present)(state, target, guess)
                 print(*state.tolist(), *target.tolist(), yaw, file=robot.stdin, flush=True)
                 status, *command = map(float, robot.stdout.readline().split())
                 assert status == StepStatus.OK

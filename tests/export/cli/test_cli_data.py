@@ -420,8 +420,8 @@ def test_what_was_learned_is_exported_for_other_programs(run: Path, stepgap: Com
     found = read_portable(Path("run/export/model_1.json"))
     state, command = SPACE.state_centre, SPACE.command_centre
     assert np.abs(found.map(state, command) - load_run(run).corrected(1)(state, command)).max() < 1e-4
-    last = json.loads(Path("run/export/model_1.json").read_text("utf-8"))["disturbance"]["end"]
-    assert last["weight"] == pytest.approx(1 + 0.98 + 0.98**2), "three steps"
+    last = json.loads(Path("run/export/model_1.json").read_text("utf-8"))["trust"]["end"]
+    assert last["hypotheses"][0]["weight"] == pytest.approx(1 + 0.98 + 0.98**2), "three steps"
     refused(stepgap("export", run, "--to", "model", "--deployment", 7), "has no deployment 7")
 
 

@@ -10,7 +10,10 @@ from tests.export.controller.learned import CENTRE, SCALE, SPACE
 
 PUSHES = (17, 30)
 SHIFTS = {"loaded": (0.5, -0.4), "heavier": (-0.6, 0.3)}
-SLOPES = {"loaded": ((0.1, 0.0, -0.1, 0.05), (0.0, 0.1, 0.0, 0.1)), "heavier": ((0.0, 0.0, 0.2, 0.0), (0.1, 0.0, 0.0, 0.0))}
+SLOPES = {
+    "loaded": ((0.1, 0.0, -0.1, 0.05), (0.0, 0.1, 0.0, 0.1)),
+    "heavier": ((0.0, 0.0, 0.2, 0.0), (0.1, 0.0, 0.0, 0.0)),
+}
 LIFE = (
     ("as learned", 40), ("loaded", 20), ("heavier", 20), ("as learned", 20), ("loaded", 4), ("as learned", 16),
     ("nominal", 25), ("as learned", 25), ("stuck", 8), ("as learned", 12),

@@ -13,9 +13,6 @@ from stepgap.export.controller.fmu.controller_fmu import controller_fmu
 from stepgap.export.controller.fmu.description import FmiVersion
 from stepgap.export.controller.fmu.package import COMPILERS
 from stepgap.export.controller.portable_controller import PortableController
-from stepgap.learning.disturbance import DisturbanceFilter
-from stepgap.learning.observations import error_of
-from stepgap.learning.residual import join_points
 from stepgap.step import Array, StepRecord, StepStatus
 from tests.export.controller.learned import SPACE, learned
 
@@ -39,16 +36,13 @@ def inputs() -> np.ndarray[Any, Any]:
 def python_plans(controller: PortableController, rows: np.ndarray[Any, Any]) -> Array:
     """Command, prediction and standard deviation of every step, by the classes of Python; (COUNT, 6)."""
     table = np.array([list(row) for row in rows])
-    drift, command, plans = DisturbanceFilter.initial(2), None, []
-    corrected = controller.map
+    trust, command, plans = controller.trust, None, []
     for k in range(COUNT):
         state, target, yaw = table[k, 1:3], table[k, 3:5], table[k, 5]
         if command is not None:
             before = StepRecord(table[k - 1, 1:3], command, command, state, StepStatus.OK)
-            error = error_of(before, corrected.nominal) - corrected.residual.mean(join_points(before.state, command))
-            drift = drift.updated(error, table[k - 1, 5])
-        present = replace(
-            corrected, offset=drift.offset(yaw), offset_std=drift.std(yaw) * corrected.residual.noise_std)  # fmt: skip
+            trust = controller.trust_after(trust, before, table[k - 1, 5])
+        present = controller.map_by(trust, yaw)
         plan = tracking_plan(replace(controller.controller, step_map=present), state, target, command)
         command = plan.command
         plans.append(np.concatenate([plan.command, plan.predicted, plan.std]))
@@ -57,7 +51,7 @@ def python_plans(controller: PortableController, rows: np.ndarray[Any, Any]) -> 
 
 @pytest.mark.parametrize("version", [2, 3])
 def test_it_plans_what_python_plans_twice_in_a_row(version: FmiVersion, tmp_path: Path) -> None:
-    controller = replace(learned("gp"), monitor=False)
+    controller = replace(learned("gp"), reject_outliers=True)
     file = tmp_path / "controller.fmu"
     file.write_bytes(controller_fmu(controller, version))
     outputs = [f"{name}_{each.name}" for name, group in (

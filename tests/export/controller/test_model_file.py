@@ -141,7 +141,8 @@ def trust_of(file: Path) -> Trust | None:
     (("hypotheses", 0, "source"), "nominal", "one of current, changed, earlier, nominal after the other"),
     (("hypotheses", 0, "source"), "other", "must be one of current, changed, earlier, nominal, not 'other'"),
     (("hypotheses", 0, "coefficients"), [[1.0]], "coefficients must be finite numbers of shape"),
-    (("hypotheses", 0, "changed"), 1, "changed"), (("hypotheses",), [], "one of current"), (("strained",), -1, "strained"),
+    (("hypotheses", 0, "changed"), 1, "changed"), (("hypotheses",), [], "one of current"),
+    (("strained",), -1, "strained"),
     (("nominal_squares",), [1.0], "nominal_squares must be"), (("nominal_count",), None, "nominal_count"),
 ])  # fmt: skip
 def test_a_wrong_end_is_refused(keys: tuple[Any, ...], value: Any, message: str, tmp_path: Path) -> None:

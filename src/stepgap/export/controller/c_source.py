@@ -1,7 +1,8 @@
 """A portable controller as C99: one source file and its header, without libraries, dynamic memory or global variables.
 
-The code is that of `controller.c.txt`, a port of `CautiousController`, of the searches that it uses and of `Trust`. This module writes the numbers into it: the ranges, the nominal map, the residual, the failures,
-and the settings and constants of the Python modules, so that both agree.
+The code is that of `controller.c.txt`, a port of `CautiousController`, of the searches that it uses and of `Trust`.
+This module writes the numbers into it: the ranges, the nominal map, the residual, the failures, and the settings and
+constants of the Python modules, so that both agree.
 """
 
 import math
@@ -40,7 +41,7 @@ KEYWORDS: Final = frozenset(_WORDS.split())
 """Words that cannot begin the names of the functions."""
 
 HYPOTHESES: Final = 3 + 2 * trust.CANDIDATES
-"""Most hypotheses at once: current, nominal and a change at this step, and the kept changes and earlier disturbances."""
+"""Most hypotheses at once: current, nominal, a change at this step, and those of earlier changes that are kept."""
 
 PER_LINE: Final = 6
 """Numbers in a line of an array."""

@@ -145,7 +145,8 @@ class PortableController:
             return trust
         command = self.space.point_of(record.requested)
         inputs = np.append(self.space.scaled_state(record.state), command)
-        step = PredictedStep(inputs, error, residual.mean(point), residual.std(point, include_noise=True), phase)
+        mean, std = residual.mean(point), residual.std(point, include_noise=True)
+        step = PredictedStep(inputs=inputs, error=error, mean=mean, std=std, phase=phase)
         return trust.after(residual, step, at_bound=bool((np.abs(command) > AT_A_BOUND).any()))
 
     def map_by(self, trust: Trust, phase: float) -> CorrectedMap:
