@@ -1,12 +1,15 @@
 """The exported C code trusts the map that Python trusts, with its disturbance, step by step of a changing robot."""
 
+import re
+import subprocess
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from stepgap.export.controller.c_source import Real
+from stepgap.export.controller.c_source import Real, c_source
 from stepgap.export.controller.portable_controller import PortableController
 from stepgap.learning.trust import MOST_STRAINED, Trust
 from stepgap.step import Array
@@ -125,3 +128,17 @@ def test_a_step_that_is_no_number_changes_nothing(bad: float, compile_in: Callab
         record = replace(last.record, **{name: np.array([bad, getattr(last.record, name)[1]])})
         assert update(code, replace(last, record=record)) != 0
         assert apart(code, controller, trust, np.random.default_rng(3)) < 1e-9
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_the_header_says_how_large_its_state_is(real: Real, tmp_path: Path) -> None:
+    source = c_source(learned("gp"), "controller", real)
+    (tmp_path / "controller.h").write_text(source.header)
+    (tmp_path / "size.c").write_text(
+        '#include <stdio.h>\n#include "controller.h"\n'
+        'int main(void) { printf("%d", (int)sizeof(controller_filter)); return 0; }\n'
+    )
+    subprocess.run([str(COMPILER), "size.c", "-o", "size"], cwd=tmp_path, check=True)
+    size = int(subprocess.run([tmp_path / "size"], capture_output=True, text=True, check=True).stdout)
+    (stated,) = re.findall(r"about (\d+) kB: the hypotheses", source.header)
+    assert 1000 * int(stated) == pytest.approx(size, abs=1000)

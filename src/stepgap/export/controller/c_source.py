@@ -175,7 +175,7 @@ def _header(controller: PortableController, arithmetic: _Arithmetic, stack: int)
         "real": arithmetic.type,
         "filters": str(len(disturbance.FORGETTING)),
         "hypotheses": str(HYPOTHESES),
-        "bytes": f"about {_filter_size(len(space.state), len(space.command), arithmetic.type):,}",
+        "size": str(_filter_size(len(space.state), len(space.command), arithmetic.type)),
         "statuses": ",\n".join(f"    PREFIX_{status.name} = {status.value}" for status in StepStatus),
         "angle": f"{arithmetic.largest_angle:g}",
         "stack": str(stack),
@@ -184,10 +184,10 @@ def _header(controller: PortableController, arithmetic: _Arithmetic, stack: int)
 
 
 def _filter_size(n: int, m: int, real: Real) -> int:
-    """About how large the state of trust is [bytes]."""
+    """About how large the state of trust is [kB]."""
     filters, regressors = len(disturbance.FORGETTING), 3 + n + m
     bank = filters * (regressors * n + regressors * (regressors + 1) // 2) + (1 + filters) * n + 2
-    return ((HYPOTHESES - 1) * bank + 2 * HYPOTHESES + n + 3) * (8 if real == "double" else 4)
+    return -(-(HYPOTHESES - 1) * bank * (8 if real == "double" else 4) // 1000)
 
 
 def _quantities(quantities: Iterable[Quantity], what: str) -> str:
