@@ -238,7 +238,7 @@ class _Tables:
         """About how much stack the deepest calls need [kB]: a plan of several steps, as gcc compiles it."""
         n, m = len(self.controller.space.state), len(self.controller.space.command)
         sizes = self._sizes()
-        variables, rows = sizes["HORIZON"] * m, n * max(2, sizes["HORIZON"])
+        variables, rows = sizes["HORIZON"] * m, 2 * n * sizes["HORIZON"]
         search = variables * (3 * (rows + variables) + variables + rows)
         numbers = 600 + 4 * sizes["CENTRES"] + 10 * n * (n + m) + search
         return -(-numbers * (8 if self.arithmetic.type == "double" else 4) // 1000)
