@@ -40,7 +40,7 @@ _WORDS = (
 KEYWORDS: Final = frozenset(_WORDS.split())
 """Words that cannot begin the names of the functions."""
 
-HYPOTHESES: Final = 3 + 2 * trust.CANDIDATES
+HYPOTHESES: Final = 3 + 3 * trust.CANDIDATES
 """Most hypotheses at once: current, nominal, a change at this step, and those of earlier changes that are kept."""
 
 PER_LINE: Final = 6
@@ -187,7 +187,7 @@ def _filter_size(n: int, m: int, real: Real) -> int:
     """About how large the state of trust is [kB]."""
     filters, regressors = len(disturbance.FORGETTING), 3 + n + m
     bank = filters * (regressors * n + regressors * (regressors + 1) // 2) + (1 + filters) * n + 2
-    return -(-(HYPOTHESES - 1) * bank * (8 if real == "double" else 4) // 1000)
+    return -(-HYPOTHESES * bank * (8 if real == "double" else 4) // 1000)
 
 
 def _quantities(quantities: Iterable[Quantity], what: str) -> str:
@@ -244,7 +244,6 @@ class _Tables:
         return -(-numbers * (8 if self.arithmetic.type == "double" else 4) // 1000)
 
     def _numbers(self) -> dict[str, float]:
-        n = len(self.controller.space.state)
         return {
             **self.arithmetic.tolerances,
             "NEARBY": gauss_newton.NEARBY,
@@ -261,18 +260,15 @@ class _Tables:
             "SWITCHING_PENALTY": disturbance.SWITCHING_PENALTY,
             "CHANGE_STD": disturbance.CHANGE_STD,
             "SLOPE_STD": disturbance.SLOPE_STD,
-            "LOG_HAZARD": math.log(trust.HAZARD),
             "LOG_FIRST_HAZARD": math.log(trust.FIRST_HAZARD),
             "LOG_SWITCHING_ODDS": math.log(trust.SWITCHING_ODDS),
-            "NOMINAL_MEMORY": trust.NOMINAL_MEMORY,
-            "NOMINAL_COUNT": trust.NOMINAL_COUNT,
             "AT_A_BOUND": learner.AT_A_BOUND,
             "SAMPLE_RESOLUTION": SAMPLE_RESOLUTION,
             "IMPROBABLE": outliers.IMPROBABLE,
             "LEAST_STD": outliers.LEAST_STD,
             "OUTLIER_WIDTH": outliers.OUTLIER_WIDTH,
             "LOG_REGULAR": math.log1p(-outliers.OUTLIER_PROBABILITY),
-            "LOG_OUTLIER": math.log(outliers.OUTLIER_PROBABILITY) - n * math.log(outliers.OUTLIER_WIDTH),
+            "LOG_OUTLIER": math.log(outliers.OUTLIER_PROBABILITY),
             "LARGEST_ANGLE": self.arithmetic.largest_angle,
         }
 
@@ -322,7 +318,7 @@ class _Tables:
         return [
             self._array("filter_strength", strengths),
             self._array("filter_forgetting", disturbance.FORGETTING),
-            self._array("nominal_squares", self.controller.trust.nominal_squares),
+            self._array("log_hazard", np.log([1.0, *(trust.HAZARDS[key] for key in ("changed", "nominal", "earlier"))])),
         ]
 
     def _nominal(self) -> str:

@@ -151,9 +151,9 @@ class PortableController:
 
     def map_by(self, trust: Trust, phase: float) -> CorrectedMap:
         """Returns the map that plans a step which starts at a phase [rad], NaN if it is unknown."""
-        if trust.uses_nominal:
-            return replace(self.map, residual=no_residual(*self.map.residual.sizes))
-        return replace(self.map, disturbance=trust.predict(self.map.residual, phase))
+        residual = self.map.residual
+        used = residual if trust.uses_residual else no_residual(*residual.sizes)
+        return replace(self.map, residual=used, disturbance=trust.predict(residual, phase))
 
 
 def portable_controller(run: Run, deployment: int | None, rng: np.random.Generator) -> PortableController:
