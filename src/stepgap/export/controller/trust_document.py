@@ -13,7 +13,7 @@ from stepgap.learning.learner import AT_A_BOUND
 from stepgap.learning.trust import Hypothesis, Trust
 from stepgap.step import Array
 
-SOURCES = ("current", "changed", "earlier", "nominal")
+SOURCES = ("current", "changed", "nominal", "earlier")
 """What a hypothesis takes the next state from, in the order of the hypotheses."""
 
 
@@ -41,12 +41,11 @@ def trust_document(controller: PortableController, last: Trust | None) -> dict[s
         "trust": {
             "judges": controller.judges,
             "nominal": controller.monitor,
-            "hazard": trust.HAZARD,
+            "hazards": dict(trust.HAZARDS),
             "switching_odds": trust.SWITCHING_ODDS,
             "candidates": trust.CANDIDATES,
             "most_strained": trust.MOST_STRAINED,
             "at_a_bound": AT_A_BOUND,
-            "nominal_memory": trust.NOMINAL_MEMORY,
             "start": _state(controller.trust),
             "end": None if last is None else _state(last),
         },
@@ -66,20 +65,14 @@ def trust_from(saved: Mapping[str, Any], controller: PortableController) -> Trus
     hypotheses = tuple(_hypothesis(each, start) for each in end["hypotheses"])
     places = [SOURCES.index(each.source) for each in hypotheses]
     allowed = sorted(places) == places and places.count(0) == 1
-    if not allowed or max(places.count(1), places.count(2)) > trust.CANDIDATES or places.count(3) > 1:
+    if not allowed or max(map(places.count, (1, 2, 3))) > trust.CANDIDATES:
         raise ValueError(f"trust.end.hypotheses must be one of {', '.join(SOURCES)} after the other")
-    nominal = boolean(end, "nominal")
-    if nominal and places[-1] != SOURCES.index("nominal"):
-        raise ValueError("trust.end.nominal must be false where no hypothesis is nominal")
     return Trust(
         start.state_scale,
         start.drift,
         start.monitor,
         start.reject_outliers,
         hypotheses,
-        sized(end, "nominal_squares", len(start.state_scale)),
-        float(numbers(end, "nominal_count", 0)),
-        nominal,
         integer(end, "strained", 0),
     )
 
@@ -100,20 +93,16 @@ def sized(saved: Mapping[str, Any], key: str, *shape: int) -> Array:
 def _state(state: Trust) -> dict[str, Any]:
     return {
         "hypotheses": [_described(each) for each in state.hypotheses],
-        "nominal_squares": state.nominal_squares.tolist(),
-        "nominal_count": state.nominal_count,
-        "nominal": state.nominal,
         "strained": state.strained,
     }
 
 
 def _described(hypothesis: Hypothesis) -> dict[str, Any]:
-    """A hypothesis; the nominal map needs no disturbance, and of a change the scores without a filter are not used."""
+    """A hypothesis; of a change, the scores without a filter are not used."""
     found, head = hypothesis.filter, {"source": hypothesis.source, "log_weight": float(hypothesis.log_weight)}
-    if hypothesis.source == "nominal":
-        return head
     return {
         **head,
+        "corrected": hypothesis.corrected,
         "changed": found.changed,
         "coefficients": found.coefficients.tolist(),
         "covariance": found.covariance.tolist(),
@@ -127,8 +116,6 @@ def _hypothesis(saved: Mapping[str, Any], start: Trust) -> Hypothesis:
     if source not in SOURCES:
         raise ValueError(f"trust.end.hypotheses.source must be one of {', '.join(SOURCES)}, not {source!r:.40}")
     initial = start.hypotheses[0].filter
-    if source == "nominal":
-        return Hypothesis(source, initial, log_weight)
     changed, (count, q, n) = boolean(saved, "changed"), initial.coefficients.shape
     like = initial.restarted() if changed else initial
     scores = sized(saved, "scores", 1 + count, n)
@@ -139,4 +126,4 @@ def _hypothesis(saved: Mapping[str, Any], start: Trust) -> Hypothesis:
         np.where(np.isinf(like.scores), np.inf, scores),
         float(numbers(saved, "weight", 0)),
     )
-    return Hypothesis(source, found, log_weight)
+    return Hypothesis(source, found, log_weight, boolean(saved, "corrected"))
