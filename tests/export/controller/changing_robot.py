@@ -16,7 +16,7 @@ SLOPES = {
 }
 LIFE = (
     ("as learned", 40), ("loaded", 20), ("heavier", 20), ("as learned", 20), ("loaded", 4), ("as learned", 16),
-    ("nominal", 60), ("as learned", 25), ("stuck", 8), ("as learned", 12),
+    ("nominal", 25), ("as learned", 25), ("stuck", 8), ("as learned", 12),
 )  # fmt: skip
 """What the robot is like, and for how many steps."""
 

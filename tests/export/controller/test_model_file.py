@@ -69,7 +69,7 @@ def test_the_page_trusts_what_python_trusts(kind: str, options: dict[str, bool],
         point = np.concatenate([record.state, record.command])
         inputs = (point - CENTRE) / SCALE
         mean, std = names["disturbance"](found["hypotheses"][0], names["regressors"](point, yaw))
-        disturbance = expected.predict(controller.map.residual, yaw)
+        disturbance = expected.hypotheses[0].filter.predict(yaw, controller.map.noise_std)
         assert np.abs(mean - disturbance.mean(inputs)).max() < 1e-9
         assert np.abs(std - disturbance.std(inputs)).max() < 1e-9
         found = names["after"](found, point, record.next_state, step.phase)
@@ -78,7 +78,7 @@ def test_the_page_trusts_what_python_trusts(kind: str, options: dict[str, bool],
         assert [each["source"] for each in found["hypotheses"]] == [each.source for each in expected.hypotheses]
         weights = [each["log_weight"] for each in found["hypotheses"]]
         assert np.allclose(weights, [each.log_weight for each in expected.hypotheses], rtol=0, atol=1e-6)
-        assert (found["nominal"], found["strained"]) == (expected.nominal, expected.strained)
+        assert found["strained"] == expected.strained
     assert {"changed", "earlier"} <= alarms or kind == "none"
 
 
@@ -125,11 +125,9 @@ def test_the_trust_at_the_end_of_a_deployment_is_in_the_file(tmp_path: Path) -> 
         for each, hypothesis in zip(found["hypotheses"], expected.hypotheses, strict=True):
             assert each["source"] == hypothesis.source
             assert each["log_weight"] == pytest.approx(hypothesis.log_weight)
-            if hypothesis.source != "nominal":
-                assert each["changed"] == hypothesis.filter.changed
-                assert np.allclose(each["coefficients"], hypothesis.filter.coefficients, rtol=0, atol=1e-12)
-                assert np.allclose(each["covariance"], hypothesis.filter.covariance, rtol=0, atol=1e-9)
-        assert np.allclose(found["nominal_squares"], expected.nominal_squares)
+            assert (each["changed"], each["corrected"]) == (hypothesis.filter.changed, hypothesis.corrected)
+            assert np.allclose(each["coefficients"], hypothesis.filter.coefficients, rtol=0, atol=1e-12)
+            assert np.allclose(each["covariance"], hypothesis.filter.covariance, rtol=0, atol=1e-9)
 
 
 def trust_of(file: Path) -> Trust | None:
@@ -138,12 +136,11 @@ def trust_of(file: Path) -> Trust | None:
 
 
 @pytest.mark.parametrize(("keys", "value", "message"), [
-    (("hypotheses", 0, "source"), "nominal", "one of current, changed, earlier, nominal after the other"),
-    (("hypotheses", 0, "source"), "other", "must be one of current, changed, earlier, nominal, not 'other'"),
+    (("hypotheses", 0, "source"), "nominal", "one of current, changed, nominal, earlier after the other"),
+    (("hypotheses", 0, "source"), "other", "must be one of current, changed, nominal, earlier, not 'other'"),
     (("hypotheses", 0, "coefficients"), [[1.0]], "coefficients must be finite numbers of shape"),
     (("hypotheses", 0, "changed"), 1, "changed"), (("hypotheses",), [], "one of current"),
     (("strained",), -1, "strained"),
-    (("nominal_squares",), [1.0], "nominal_squares must be"), (("nominal_count",), None, "nominal_count"),
 ])  # fmt: skip
 def test_a_wrong_end_is_refused(keys: tuple[Any, ...], value: Any, message: str, tmp_path: Path) -> None:
     file, _ = deployed(tmp_path)

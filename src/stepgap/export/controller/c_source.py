@@ -318,7 +318,9 @@ class _Tables:
         return [
             self._array("filter_strength", strengths),
             self._array("filter_forgetting", disturbance.FORGETTING),
-            self._array("log_hazard", np.log([1.0, *(trust.HAZARDS[key] for key in ("changed", "nominal", "earlier"))])),
+            self._array(
+                "log_hazard", np.log([1.0, *(trust.HAZARDS[key] for key in ("changed", "nominal", "earlier"))])
+            ),
         ]
 
     def _nominal(self) -> str:
