@@ -35,12 +35,12 @@ def started(residual: Residual, *, drift: bool = True, monitor: bool = True, rej
     return Trust.start(SCALE, residual, drift=drift, monitor=monitor, reject_outliers=reject_outliers)
 
 
-def after(trust: Trust, residual: Residual, errors: Array, *, mean: Array = MEAN, at_bound: bool = False):
+def after(trust: Trust, residual: Residual, errors: Array, *, mean: Array = MEAN):
     """Trust after steps with these errors of the residual, the numbers of the outliers, and the alarms, from 0 on."""
     outliers, alarms = [], []
     for number, (error, yaw, inputs) in enumerate(zip(errors, YAWS, INPUTS, strict=False)):
         step = PredictedStep(inputs, error + mean, mean, residual.noise_std, yaw)
-        trust = trust.after(residual, step, at_bound=at_bound)
+        trust = trust.after(residual, step)
         outliers += [number] if trust.outlier else []
         alarms += [Alarm(number, trust.alarm)] if trust.alarm else []
     return trust, outliers, alarms
@@ -95,7 +95,7 @@ def test_a_residual_that_is_worse_than_none_is_left_out_after_its_first_step(dri
     for number in range(6):
         wrong = rng.normal(0, 0.3, 2) * [1, 0.2]
         step = PredictedStep(INPUTS[number], rng.normal(0, NOISE), wrong, residual.noise_std, nan)
-        trust = trust.after(residual, step, at_bound=False)
+        trust = trust.after(residual, step)
         used.append(trust.uses_residual)
     assert not any(used)
     assert after(started(residual, monitor=False), residual, noise() + 1.0)[0].uses_residual
@@ -108,8 +108,9 @@ def test_a_robot_that_does_not_follow_is_pushed_against_a_bound_for_two_steps_on
     for at_bound in (True, False):
         trust, used = started(residual, drift=False, monitor=False), []
         for number, error in enumerate(errors):
-            step = PredictedStep(INPUTS[number], error + 1.0, np.ones(2), residual.noise_std, nan)
-            trust = trust.after(residual, step, at_bound=at_bound)
+            inputs = np.append(INPUTS[number][:3], 1.0 if at_bound else 0.5)
+            step = PredictedStep(inputs, error + 1.0, np.ones(2), residual.noise_std, nan)
+            trust = trust.after(residual, step)
             used.append(trust.uses_residual)
         assert used[: MOST_STRAINED - 1] == [True] * (MOST_STRAINED - 1)
         assert used[MOST_STRAINED - 1 :] == [not at_bound] * (len(used) - MOST_STRAINED + 1)

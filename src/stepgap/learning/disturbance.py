@@ -187,7 +187,7 @@ class DisturbanceFilter:
             self,
             coefficients=self.coefficients + gain[:, :, None] * innovation[1:, None, :],
             covariance=covariance - gain[:, :, None] * cross[:, None, :],
-            scores=SCORE_MEMORY * self.scores + (innovation / std) ** 2,
+            scores=SCORE_MEMORY * self.scores + (innovation / np.asarray(std)) ** 2,
             weight=SCORE_MEMORY * self.weight + 1.0,
         )
 

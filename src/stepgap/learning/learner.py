@@ -20,8 +20,6 @@ from stepgap.step import Array, StepMap, StepRecord, StepStatus
 
 REFIT_GROWTH = 1.1
 """A new fit begins when the number of steps has grown by this factor."""
-AT_A_BOUND = 0.9
-"""A command counts as at its bound beyond this part of its half range."""
 FITTED_PER_STEP = 150
 """Number of known steps for which a fit is given the time of one step of the robot; a slower fit is waited for."""
 _NO_FAILURE = (StepStatus.OK, StepStatus.DOUBTFUL)
@@ -170,11 +168,11 @@ class Learner:
         )
         if not np.isfinite(error).all():
             return learner._with_refit()
-        residual, m = self.conditioned_residual, len(record.command)
+        residual = self.conditioned_residual
         mean, std = residual.mean(point), residual.std(point, include_noise=True)
         check_prediction(residual.kind, mean, std)
         step = PredictedStep(self._inputs(record), error, mean, std, self.phase)
-        trust = self.trust.after(residual, step, at_bound=bool((np.abs(step.inputs[-m:]) > AT_A_BOUND).any()))
+        trust = self.trust.after(residual, step)
         change, alarms = trust.change(step), [Alarm(logged.step, trust.alarm)] if trust.alarm else []
         learner = replace(learner, trust=trust, alarms=(*self.alarms, *alarms))
         if change.any():
@@ -249,8 +247,9 @@ def _is_surprising(log: Steps) -> bool:
     """Whether the latest deployment had improbable steps one after the other, or one that the nominal map planned."""
     steps = log.of_iteration(int(log.iteration[-1])).completed()
     error, scale = steps.next_state - steps.predicted, log.space.state_scale
-    improbable = improbable_errors(np.nan_to_num(error) / scale, steps.std / scale).any(axis=1)
-    return bool((improbable[1:] & improbable[:-1]).any() or (steps.std == 0).any())
+    signs = improbable_errors(np.nan_to_num(error) / scale, steps.std / scale)
+    improbable = np.any(signs != 0, axis=1)
+    return bool(np.any(improbable[1:] & improbable[:-1]) or np.any(steps.std == 0))
 
 
 def _point_of(record: StepRecord) -> Array:

@@ -41,6 +41,8 @@ FIRST_HAZARD = 0.1
 """Probability that the robot is another one than in the deployments that were learned from."""
 SWITCHING_ODDS = 3.0
 """Another hypothesis is trusted from these odds in its favour on, so that two equally good ones do not alternate."""
+STRAINING = 0.9
+"""A command strains the robot beyond this part of its half range."""
 MOST_STRAINED = 2
 """After this number of improbable steps at a bound of the command, the nominal map chooses commands until a prediction
 is right: a robot that does not follow is not pushed any longer."""
@@ -111,8 +113,7 @@ class Trust:
         monitor: Whether the nominal map may be trusted more than the corrected one.
         reject_outliers: Whether single steps with improbable errors are outliers.
         hypotheses: The first one is `current`.
-        strained: Number of the latest steps, one after the other, with errors improbable by the current hypothesis and
-            a command at its bound.
+        strained: Number of the latest steps, one after the other, with improbable errors and a straining command.
         outlier: Whether the latest step was an outlier: improbable by the hypothesis that is trusted now.
         alarm: What is trusted since the latest step, if that has changed with it.
     """
@@ -164,14 +165,8 @@ class Trust:
             return np.zeros_like(step.error)
         return current.filter.predict(step.phase).mean(step.inputs)
 
-    def after(self, residual: Residual, step: PredictedStep, *, at_bound: bool) -> "Trust":
-        """Returns the hypotheses after a step.
-
-        Args:
-            residual: The residual that predicted it.
-            step: The step.
-            at_bound: Whether a command was at its bound.
-        """
+    def after(self, residual: Residual, step: PredictedStep) -> "Trust":
+        """Returns the hypotheses after a step that this residual predicted."""
         judges, judged = len(residual.regressions[0].points) >= LEAST_KNOWN, []
         hypotheses = self._before_a_step(residual, HAZARDS) if judges else self.hypotheses
         predictions = [self._innovation(each, residual, step) for each in hypotheses]
@@ -186,12 +181,17 @@ class Trust:
                 disturbance = disturbance.updated(remaining, step.phase, step.std, step.inputs)
             found = replace(each, filter=disturbance, log_weight=each.log_weight + likely, age=each.age + 1)
             judged.append((found, improbable))
-        surprised = judged[0][1]
-        if self.hypotheses[0].age < YOUNG:
+        return self._settled(judged, self._strained(step, surprised=judged[0][1], judges=judges))
+
+    def _strained(self, step: PredictedStep, *, surprised: bool, judges: bool) -> int:
+        """`strained` after a step, and whether that was improbable by the current hypothesis."""
+        if judges and self.reject_outliers and self.hypotheses[0].age < YOUNG:
             alone = (step.error - step.mean) / self.state_scale
-            surprised = judges and bool(improbable_errors(alone, step.std / self.state_scale).any())
-        strained = self.strained + (at_bound or self.strained >= MOST_STRAINED) if surprised else 0
-        return self._settled(judged, strained)
+            surprised = bool(improbable_errors(alone, step.std / self.state_scale).any())
+        if not surprised:
+            return 0
+        strains = (np.abs(step.inputs[len(step.error) :]) > STRAINING).any() or self.strained >= MOST_STRAINED
+        return self.strained + int(strains)
 
     def _before_a_step(self, residual: Residual, hazards: Mapping[str, float]) -> tuple[Hypothesis, ...]:
         """The hypotheses before a step: none is less probable than a change is, and each disturbance may begin anew."""

@@ -20,7 +20,7 @@ from stepgap.base.versions import versions_here
 from stepgap.control import bounded_search, cautious_controller, gauss_newton, horizon
 from stepgap.control.box_points import box_points, composite_design, irrational_steps
 from stepgap.export.controller.portable_controller import SAMPLE_RESOLUTION, PortableController
-from stepgap.learning import disturbance, learner, outliers, trust
+from stepgap.learning import disturbance, outliers, trust
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.kernel import SQUARED_EXPONENTIAL
 from stepgap.learning.polynomial import Polynomial
@@ -262,7 +262,7 @@ class _Tables:
             "SLOPE_STD": disturbance.SLOPE_STD,
             "LOG_FIRST_HAZARD": math.log(trust.FIRST_HAZARD),
             "LOG_SWITCHING_ODDS": math.log(trust.SWITCHING_ODDS),
-            "AT_A_BOUND": learner.AT_A_BOUND,
+            "STRAINING": trust.STRAINING,
             "SAMPLE_RESOLUTION": SAMPLE_RESOLUTION,
             "IMPROBABLE": outliers.IMPROBABLE,
             "LEAST_STD": outliers.LEAST_STD,
@@ -303,6 +303,7 @@ class _Tables:
             "REJECT_OUTLIERS": int(self.controller.reject_outliers),
             "CANDIDATES": trust.CANDIDATES,
             "MOST_STRAINED": trust.MOST_STRAINED,
+            "YOUNG": trust.YOUNG,
         }
 
     def _space(self) -> list[str]:

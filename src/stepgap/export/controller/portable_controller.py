@@ -24,7 +24,6 @@ from stepgap.experiment.run import Run
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process import GaussianProcess
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
-from stepgap.learning.learner import AT_A_BOUND
 from stepgap.learning.observations import error_of
 from stepgap.learning.outliers import LEAST_KNOWN
 from stepgap.learning.polynomial import Polynomial
@@ -147,7 +146,7 @@ class PortableController:
         inputs = np.append(self.space.scaled_state(record.state), command)
         mean, std = residual.mean(point), residual.std(point, include_noise=True)
         step = PredictedStep(inputs=inputs, error=error, mean=mean, std=std, phase=phase)
-        return trust.after(residual, step, at_bound=bool((np.abs(command) > AT_A_BOUND).any()))
+        return trust.after(residual, step)
 
     def map_by(self, trust: Trust, phase: float) -> CorrectedMap:
         """Returns the map that plans a step which starts at a phase [rad], NaN if it is unknown."""

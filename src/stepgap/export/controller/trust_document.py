@@ -9,7 +9,6 @@ from stepgap.base.json_data import boolean, integer, numbers
 from stepgap.export.controller.portable_controller import PortableController
 from stepgap.learning import disturbance, outliers, trust
 from stepgap.learning.disturbance import FORGETTING, DisturbanceFilter
-from stepgap.learning.learner import AT_A_BOUND
 from stepgap.learning.trust import Hypothesis, Trust
 from stepgap.step import Array
 
@@ -45,7 +44,8 @@ def trust_document(controller: PortableController, last: Trust | None) -> dict[s
             "switching_odds": trust.SWITCHING_ODDS,
             "candidates": trust.CANDIDATES,
             "most_strained": trust.MOST_STRAINED,
-            "at_a_bound": AT_A_BOUND,
+            "young": trust.YOUNG,
+            "straining": trust.STRAINING,
             "start": _state(controller.trust),
             "end": None if last is None else _state(last),
         },
@@ -103,6 +103,7 @@ def _described(hypothesis: Hypothesis) -> dict[str, Any]:
     return {
         **head,
         "corrected": hypothesis.corrected,
+        "age": hypothesis.age,
         "changed": found.changed,
         "coefficients": found.coefficients.tolist(),
         "covariance": found.covariance.tolist(),
@@ -126,4 +127,4 @@ def _hypothesis(saved: Mapping[str, Any], start: Trust) -> Hypothesis:
         np.where(np.isinf(like.scores), np.inf, scores),
         float(numbers(saved, "weight", 0)),
     )
-    return Hypothesis(source, found, log_weight, boolean(saved, "corrected"))
+    return Hypothesis(source, found, log_weight, boolean(saved, "corrected"), integer(saved, "age", 0))

@@ -345,5 +345,5 @@ def _predict(residual: Residual, steps: Observations, learning: LearningSettings
         disturbance = trust.predict(residual, phase[row])
         offset[row], offset_std[row] = disturbance.mean(inputs[row]), disturbance.std(inputs[row])
         step = PredictedStep(inputs[row], steps.error[row], mean[row], std[row], phase[row])
-        trust = trust.after(residual, step, at_bound=False)
+        trust = trust.after(residual, step)
     return mean + offset, np.hypot(std, offset_std)
