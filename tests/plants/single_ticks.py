@@ -23,6 +23,10 @@ class SingleTicks(Rig):
     def truth(self) -> tuple[float, ...]:
         return self._twin.truth
 
+    @property
+    def released(self) -> tuple[float, ...]:
+        return self._twin.released
+
     def connect(self) -> None:
         self._twin.connect()
 

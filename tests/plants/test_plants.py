@@ -122,6 +122,29 @@ def test_without_any_gap_the_twin_hops_as_the_model():
     assert height_error < 0.003
 
 
+def test_the_hop_after_the_release_is_a_step_from_the_height_at_which_the_robot_was_held():
+    plant = twin_plant(0, RealityGap.none(), tick=1e-4)
+    assert plant.first_step is None
+    with plant:
+        state = plant.start()
+        first = plant.first_step
+        assert first is not None and first.next_state is state
+        np.testing.assert_array_equal(first.state, [0.0, 0.55])
+        np.testing.assert_array_equal(first.requested, [0.0, 0.0])
+        predicted = ApexMap().evaluate(first.state, first.requested).next_state
+        np.testing.assert_allclose(state, predicted, atol=[0.005, 0.001])
+        assert plant.take_step(COMMAND).state is state
+
+
+def test_a_rig_whose_robot_is_lowered_by_hand_knows_no_first_step():
+    class Lowered(SingleTicks):
+        released = ()
+
+    with RigPlant(Lowered(Twin(ROBOT, RealityGap(), np.random.default_rng(0))), CONTROL) as plant:
+        plant.start()
+        assert plant.first_step is None
+
+
 def test_a_first_hop_that_fails_is_a_fault_with_advice():
     with twin_plant(0, RealityGap(torque_limit=1.0)) as plant, pytest.raises(RigFault, match="first step failed"):
         plant.start()  # motors too weak to carry the robot at all

@@ -22,7 +22,7 @@ from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.steps import LoggedStep
 from stepgap.plants.plant import Plant
-from stepgap.step import Array, StepFailed, StepMap, StepSpace, StepStatus
+from stepgap.step import Array, StepFailed, StepMap, StepRecord, StepSpace, StepStatus
 
 ExecutedSteps = Generator[LoggedStep, None, None]
 """Generator of steps as they are executed; closing it stops the plant."""
@@ -119,6 +119,13 @@ class DeploymentController:
         share = _share_of_map(self.learner.step_map(), state, plan.command)
         return replace(plan, std=plan.std * self.calibration.factor(state, plan.predicted, share))
 
+    def logged_first(self, iteration: int, number: int, record: StepRecord) -> LoggedStep:
+        """The step that a robot took before the first planned one, without a target, with what the map predicts."""
+        controller, point = self.step_controller, (record.state, record.requested)
+        predicted = controller.step_map.evaluate(*point).next_state
+        nowhere = np.full_like(record.state, np.nan)
+        return LoggedStep(iteration, number, nowhere, predicted, controller.step_std(*point), record)
+
     def after(self, logged: LoggedStep) -> Self:
         """Returns the controller after a step that was executed."""
         return replace(
@@ -157,7 +164,8 @@ def deploy(
         plant: Executes the steps.
         reference: Reference to track from step 1 on.
         iteration: Number of the deployment.
-        exploration: Number of exploratory steps before step 1, which are numbered up to 0.
+        exploration: Number of exploratory steps before step 1, which are numbered up to 0. The plant's `first_step`
+            comes before them, with number −`exploration`.
         control: Settings of step control.
         on_time: Called with "planning" or "learning", and how long that took for one step [s].
 
@@ -168,6 +176,10 @@ def deploy(
     controller = DeploymentController.start(learner, control)
     with BackgroundThread() as background, plant:
         state = _checked_start(plant.start(), plant.space)
+        if record := plant.first_step:
+            logged = controller.logged_first(iteration, -exploration, record)
+            yield logged
+            controller = controller.after(logged)
         for number in range(1 - exploration, len(reference) + 1):
             begin = perf_counter()
             if number < 1:

@@ -93,7 +93,7 @@ def replay(
         RecordError: The simulated steps differ from the recorded ones.
     """
     settings, steps, tables = run.needed(run.settings), _steps_of(run, iteration), list[TickTable]()
-    for done, table in enumerate(_replayed_steps(run, steps, every)):
+    for done, table in enumerate(_replayed_steps(run, steps, every), int(steps.unplanned[0])):
         tables.append(table)
         progress(done, len(steps))
     if not any(map(len, tables)):
@@ -180,9 +180,10 @@ def _replayed_steps(run: Run, steps: Steps, every: int) -> Iterator[TickTable]:
         )
     units, rows = tick_units_of(settings), list[Array]()
     first, *_ = steps
+    before = first.step - 1 + int(steps.unplanned[0])  # number of the step that the plant takes when it starts
 
     def on_ticks(ticks: Rows, step: int) -> None:
-        rows.extend(numbered(ticks, step + first.step - 1))
+        rows.extend(numbered(ticks, before + step))
 
     def drained() -> TickTable:
         table = TickTable(units, np.array(rows, float).reshape(len(rows), len(units)))
@@ -195,9 +196,11 @@ def _replayed_steps(run: Run, steps: Steps, every: int) -> Iterator[TickTable]:
             plant.start()
         except RigFault as fault:
             raise RecordError(f"{_mismatch(run, first)} ({fault})") from None
-        yield drained()
+        if not steps.unplanned[0]:
+            yield drained()
         for logged in steps:
-            simulated = replace(logged, record=plant.take_step(logged.record.command))
+            taken = plant.first_step if logged.step == before else plant.take_step(logged.record.command)
+            simulated = replace(logged, record=taken)
             if row_of(simulated, steps.space) != row_of(logged, steps.space):
                 raise RecordError(_mismatch(run, logged))
             yield drained()

@@ -16,6 +16,7 @@ from stepgap.learning.residual_fit import explains_better, learned_residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.learning.trust import Alarm, PredictedStep, Trust
+from stepgap.learning.zero import NONE
 from stepgap.step import Array, StepMap, StepRecord, StepStatus
 
 REFIT_GROWTH = 1.1
@@ -180,7 +181,9 @@ class Learner:
         if trust.outlier:
             return replace(learner, outliers=(*self.outliers, (logged.iteration, logged.step)))._with_refit()
         if self.steps_to_learn > 0:
-            learner = learner._updated(self.history, point, error - change)
+            learner = learner._updated(
+                self.history, point, error - change, counts=logged.step > -self.settings.exploration
+            )
         return learner._with_refit()
 
     @property
@@ -198,13 +201,16 @@ class Learner:
         space = self.nominal.space
         return np.append(space.scaled_state(record.state), space.point_of(record.requested))
 
-    def _updated(self, history: Array, point: Array, error: Array) -> "Learner":
-        """Learns a step: it updates the present residual or that of a fit that is due, or ends with a fit to all."""
+    def _updated(self, history: Array, point: Array, error: Array, *, counts: bool) -> "Learner":
+        """Learns a step: it updates the present residual or that of a fit that is due, or ends with a fit to all.
+
+        The step before the first one that was planned does not count among the steps to learn.
+        """
 
         def update(residual: Residual) -> Residual:
             return residual.conditioned_on(history).append(point, error)
 
-        remaining = self.steps_to_learn - 1
+        remaining = self.steps_to_learn - counts
         if remaining == 0:
             fitted = _fitted(self.nominal, self._lessons, self.settings, self.iteration, self.residual)
             return replace(self, steps_to_learn=0, residual=fitted, refit=None)
@@ -223,6 +229,8 @@ class Learner:
             return self
         known = self.nominal, self._lessons, self.settings, self.iteration, self.residual
         due = count + 1 + count // FITTED_PER_STEP
+        if self.residual.kind == NONE.name:  # a fit to the first steps takes no time, and nothing else is known
+            return replace(self, residual=_fitted(*known), refit_from=due)
         refit = Refit(Deferred(lambda: _fitted(*known)), due)
         return replace(self, refit=refit, refit_from=max(REFIT_GROWTH * count, due + 1))
 

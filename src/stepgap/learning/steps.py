@@ -29,8 +29,10 @@ class LoggedStep:
 
     Attributes:
         iteration: Deployment it belongs to, from 0.
-        step: Its number within the deployment, from 1; exploration steps come before, up to number 0.
-        target: State wanted at its end; for an exploration step the predicted one; shape (n,).
+        step: Its number within the deployment, from 1; exploration steps, and before them the first step of a plant
+            that knows it (`Plant.first_step`), come before, up to number 0.
+        target: State wanted at its end; for an exploration step the predicted one, for the first step of a plant NaN;
+            shape (n,).
         predicted: State that the controller's map predicted for the command; NaN where the controller found no
             command that makes a step; shape (n,).
         std: Standard deviation of that prediction, calibrated; zero for a map without one. Shape (n,).
@@ -170,8 +172,13 @@ class Steps:
         return self.selected(self.iteration < iteration)
 
     def tracking(self) -> Self:
-        """The steps that tracked the reference; exploration steps, up to number 0, had other targets."""
+        """The steps that tracked the reference; those up to number 0 had other targets, or none."""
         return self.selected(self.number > 0)
+
+    @property
+    def unplanned(self) -> NDArray[np.bool_]:
+        """Whether each step is the first one of a plant (`Plant.first_step`), which had no target; shape (N,)."""
+        return (self.number < 1) & np.isnan(self.target).all(axis=1)
 
     def completed(self) -> Self:
         """The steps that ended at their section: those with status OK."""

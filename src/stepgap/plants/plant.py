@@ -25,6 +25,15 @@ class Plant(ABC):
         """Why the last deployment was aborted, if the plant knows more than the status of the step; else empty."""
         return ""
 
+    @property
+    def first_step(self) -> StepRecord | None:
+        """The step that ended at the first state, if it began at a section like any other; else None.
+
+        Known after `start`. A robot that is held at rest in the air and then released has begun it at an apex; one that
+        is lowered to the ground by hand has not.
+        """
+        return None
+
     @abstractmethod
     def start(self) -> Array:
         """Releases the robot and returns its first state at the section; shape (n,)."""

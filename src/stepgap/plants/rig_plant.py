@@ -51,6 +51,7 @@ class RigPlant(Plant):
         """Resets control and time for a new deployment."""
         self._control = self._robot_control.control(self._rig)
         self._time, self._status, self._fault, self._number = 0.0, StepStatus.OK, "", 0
+        self._first_step: StepRecord | None = None
         self._no_torques = (0.0,) * self._control.motors
         self._applied: Torques | None = self._no_torques
 
@@ -64,6 +65,11 @@ class RigPlant(Plant):
         """Message of the rig's fault; empty if there was none."""
         return self._fault
 
+    @property
+    def first_step(self) -> StepRecord | None:
+        """The step of `start`, without a command, if the rig knows at which section the robot was released."""
+        return self._first_step
+
     def start(self) -> Array:
         """Connects, holds the posture until the robot is released, and takes a step without a command.
 
@@ -72,33 +78,39 @@ class RigPlant(Plant):
         """
         self._rig.connect()
         self._begin()
-        self._state = self._step((0.0,) * len(self._space.command)).state
+        released, nothing = self._rig.released, np.zeros(len(self._space.command))
+        self._state = np.array(released) if released else np.full(len(self._space.state), np.nan)
+        first = self._taken(nothing, nothing)
         if self._status != StepStatus.OK:
             detail = f" ({self._fault})" if self._fault else ""
             raise RigFault(
                 f"the first step failed: {self._status.label}{detail}: {self._space.advice_on(self._status)}; "
                 "on a simulated robot, check whether it can step with the differences in [gap]"
             )
+        self._first_step = first if released else None
         return self._state
 
     def take_step(self, command: Array) -> StepRecord:
         """Takes a step; after a fall, a fault or a safety stop the record has no next state, and torque is off."""
         command = np.asarray(command, float)
         within = np.clip(command, self._space.command_lower, self._space.command_upper)
-        state = self._state
         self._number += 1
         if np.isnan(within).any():
             self._status = StepStatus.INVALID
-        self._state, _, lost, context = self._step(tuple(within.tolist()))
-        true_state = np.full(len(state), np.nan)
-        if self._status == StepStatus.OK and self._rig.truth:
-            true_state[:] = self._rig.truth
-        named = self._space.named_context(context)
-        return StepRecord(state, command, within - lost, self._state, self._status, named, within, true_state)
+        return self._taken(command, within)
 
     def stop(self) -> None:
         """Switches torque off."""
         self._rig.close()
+
+    def _taken(self, command: Array, within: Array) -> StepRecord:
+        """Takes a step with a command, which is limited to `within`, from the present state to the next."""
+        state, true_state = self._state, np.full(len(self._state), np.nan)
+        self._state, _, lost, context = self._step(tuple(within.tolist()))
+        if self._status == StepStatus.OK and self._rig.truth:
+            true_state[:] = self._rig.truth
+        named = self._space.named_context(context)
+        return StepRecord(state, command, within - lost, self._state, self._status, named, within, true_state)
 
     def _step(self, command: tuple[float, ...]) -> FinishedStep:
         """Runs the ticks of one step; its result."""

@@ -75,7 +75,7 @@ def _legend(space: StepSpace) -> dict[str, tuple[str, str]]:
 
     return {
         "iteration": ("", "number of the deployment, from 0"),
-        "step": ("", "number of the step in the deployment, from 1; exploratory steps have smaller numbers"),
+        "step": ("", "number of the step in the deployment, from 1; steps before it, such as exploratory ones, have smaller numbers"),
         **of(space.state, STATE_MEANINGS),
         **of(space.command, COMMAND_MEANINGS),
         **{

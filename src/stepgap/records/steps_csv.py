@@ -141,7 +141,8 @@ def _check_order(last: LoggedStep | None, logged: LoggedStep) -> None:
     """Raises ValueError unless a step can follow the previous one."""
     here = (logged.iteration, logged.step)
     first = (0, min(1, logged.step))
-    following = [first] if last is None else [(last.iteration, last.step + 1), (last.iteration + 1, 1)]
+    begin = int(logged.step != 0)  # 0 is the step with which a plant starts
+    following = [first] if last is None else [(last.iteration, last.step + 1), (last.iteration + 1, begin)]
     if last is not None and last.record.status != StepStatus.OK:
         del following[0]
     if here not in following:

@@ -203,6 +203,15 @@ class Rig(ABC):
         """
         return ()
 
+    @property
+    def released(self) -> tuple[float, ...]:
+        """State at which the robot, held after `connect`, is released; empty where it is unknown, or at no section.
+
+        A stand that holds a hopper at rest in the air releases it at an apex, so that its first step is one like any
+        other. A robot that a person lowers to the ground begins at no apex.
+        """
+        return ()
+
     @abstractmethod
     def connect(self) -> None:
         """Prepares the rig for the first tick, without torque."""

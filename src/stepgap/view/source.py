@@ -81,7 +81,7 @@ class Source:
         return sorted(self._steps)
 
     def steps(self, iteration: int) -> list[LoggedStep]:
-        """Recorded steps of a deployment."""
+        """Recorded steps of a deployment that were planned; the one before them is its start."""
         return self._steps.get(iteration, [])
 
     def motion_count(self, iteration: int) -> int:
@@ -131,7 +131,7 @@ class Source:
         if residual is None or not 0 < number <= len(steps):
             return None
         log = self._run.steps
-        row = np.flatnonzero(log.iteration == iteration)[number - 1]
+        row = np.flatnonzero((log.iteration == iteration) & ~log.unplanned)[number - 1]
         return residual.conditioned_on(next_history(log.selected(slice(row)), self.nominal, iteration))
 
     def poll(self) -> bool:
@@ -168,7 +168,8 @@ class Source:
             return False
         self._run, self._size = Run(self.folder, settings=self.settings, space=self.space, nominal=self.nominal), size
         steps = defaultdict(list)
-        for logged in self._run.steps:
+        log = self._run.steps
+        for logged in log.selected(~log.unplanned):  # the first step belongs to the start
             steps[logged.iteration].append(logged)
         self._steps = dict(steps)
         return True

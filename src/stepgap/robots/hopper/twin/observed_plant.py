@@ -72,6 +72,10 @@ class _ObservedRig(Rig):
     def truth(self) -> tuple[float, ...]:
         return self._rig.truth
 
+    @property
+    def released(self) -> tuple[float, ...]:
+        return self._rig.released
+
     def connect(self) -> None:
         self._rig.connect()
 

@@ -181,6 +181,11 @@ class Twin(CompiledRig):
         speed, height = float(self._apex["speed"][0]), float(self._apex["height"][0])
         return (speed, height) if isfinite(height) else ()
 
+    @property
+    def released(self) -> tuple[float, ...]:
+        """Forward speed [m/s] and height [m] of the held hip, which its sensors show as they show an apex."""
+        return self._start_speed, self._start_height
+
     def connect(self) -> None:
         """Puts the robot into its starting pose, held and with limp motors, and sets the time to zero."""
         model, data = self._model, self._data
