@@ -7,7 +7,7 @@ from stepgap.experiment.command_response import CommandResponse, command_respons
 from stepgap.learning.steps import Steps
 from stepgap.step import Array
 from tests.control.maps import LossyHopper
-from tests.experiment.test_diagnosis import HOLDING, MIDDLE, NOISE
+from tests.learning.test_diagnosis import HOLDING, MIDDLE, NOISE
 
 NOMINAL = LossyHopper()
 COUNT = 120

@@ -128,7 +128,8 @@ def test_the_hop_after_the_release_is_a_step_from_the_height_at_which_the_robot_
     with plant:
         state = plant.start()
         first = plant.first_step
-        assert first is not None and first.next_state is state
+        assert first is not None
+        assert first.next_state is state
         np.testing.assert_array_equal(first.state, [0.0, 0.55])
         np.testing.assert_array_equal(first.requested, [0.0, 0.0])
         predicted = ApexMap().evaluate(first.state, first.requested).next_state

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from stepgap.cli.terminal import warn
 from stepgap.experiment.loop import Observer, fails_no_later
 from stepgap.experiment.state_ranges import COMPARED_STEPS, far_states
+from stepgap.learning.residual import Residual
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.records.steps_csv import values_of
 from stepgap.records.summary import Deployment, deployment_entry
@@ -67,7 +68,7 @@ class RunProgress:
     @property
     def observer(self) -> Observer:
         """Observer whose callbacks update the display."""
-        return Observer(self._on_step, self._on_deployment, self._on_fault, self._show, self._on_outliers)
+        return Observer(self._on_step, self._on_deployment, self._on_fault, self._show, self._on_learned)
 
     def __enter__(self) -> Self:
         self._bars.start()
@@ -119,7 +120,14 @@ class RunProgress:
                 soft_wrap=True,  # without a terminal, do not wrap lines
             )
 
-    def _on_outliers(self, count: int) -> None:
+    def _on_learned(self, residual: Residual) -> None:
+        count, lagged = len(residual.outliers), residual.history_inputs.lagged_inputs
+        if lagged != "none" and not self._quiet:
+            self._console.print(
+                f"the step before helps to predict the next one: {lagged.replace('_', ' ')} is an input, too "
+                "(learning.lagged_inputs)",
+                soft_wrap=True,
+            )
         if count and not self._quiet:
             steps = "step with an improbable error is" if count == 1 else "steps with improbable errors are"
             self._console.print(f"{count} {steps} not learned from (learning.reject_outliers)", soft_wrap=True)

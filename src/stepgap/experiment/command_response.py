@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from stepgap.experiment.diagnosis import CONFIDENT, FEWEST_STEPS_PER_WEIGHT
+from stepgap.learning.diagnosis import CONFIDENT, FEWEST_STEPS_PER_WEIGHT
 from stepgap.learning.linear_regression import fit_linear
 from stepgap.learning.steps import Steps
 from stepgap.step import Array, StepMap

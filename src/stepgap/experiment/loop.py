@@ -23,6 +23,7 @@ from stepgap.experiment.deployment import ExecutedSteps, deploy
 from stepgap.experiment.outcome import estimate_noise_floor, summarise
 from stepgap.experiment.resume import Recording, warm_start_of
 from stepgap.learning.learner import Learner
+from stepgap.learning.residual import Residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps, as_past
 from stepgap.plants.plant import Plant
@@ -53,7 +54,7 @@ class Observer:
         on_fault: Called with the plant's message about a deployment that was aborted.
         on_phase: Called with the name of what is done between deployments, and its progress (done, total); the total is
             0 where it is not known.
-        on_outliers: Called before a deployment with the number of recorded steps that are not learned from.
+        on_learned: Called before a deployment with the residual that was learned for it.
         on_execution: Called before a deployment is executed, which is not done where its steps are taken from the
             record; then the record is locked, and agrees with the settings up to this deployment.
         on_time: Called with the number of a deployment, what was computed for it, and how long that took [s]: the `fit`
@@ -64,7 +65,7 @@ class Observer:
     on_deployment: Callable[[Deployment], None] = lambda deployment: None
     on_fault: Callable[[str], None] = lambda message: None
     on_phase: Callable[[str, int, int], None] = lambda name, done, total: None
-    on_outliers: Callable[[int], None] = lambda count: None
+    on_learned: Callable[[Residual], None] = lambda residual: None
     on_execution: Callable[[], None] = lambda: None
     on_time: OnTime = lambda iteration, part, seconds: None
 
@@ -140,7 +141,7 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
             begin = perf_counter()
             learner = Learner.start(nominal, Steps(recording.space) + past + log, setup.learning, iteration)
             seconds = perf_counter() - begin
-            observer.on_outliers(len(learner.residual.outliers))
+            observer.on_learned(learner.residual)
             if iteration > 0 or len(past):
                 observer.on_time(iteration, "fit", seconds)
                 recording.write_model(learner)

@@ -41,6 +41,7 @@ METHODS: Mapping[str, Method] = {
     "paper": Method(
         LearningSettings(
             residual="fitrgp",
+            lagged_inputs="none",
             early_stop=False,
             drift=False,
             remove_yaw_dependence=False,
@@ -50,12 +51,20 @@ METHODS: Mapping[str, Method] = {
         ControlSettings(cautious=False, viability=False, avoid_failures=False, horizon=1),
     ),
     "integral": Method(
-        LearningSettings(residual="constant", online=True, forgetting_time=forgetting_time(1 - INTEGRAL_GAIN))
+        LearningSettings(
+            residual="constant",
+            online=True,
+            lagged_inputs="none",
+            forgetting_time=forgetting_time(1 - INTEGRAL_GAIN),
+        )
     ),
     "rls": Method(
-        LearningSettings(residual="linear", online=True, forgetting_time=forgetting_time(RLS_FORGETTING)), linear=True
+        LearningSettings(
+            residual="linear", online=True, lagged_inputs="none", forgetting_time=forgetting_time(RLS_FORGETTING)
+        ),
+        linear=True,
     ),
-    "affine": Method(LearningSettings(residual="linear"), linear=True),
+    "affine": Method(LearningSettings(residual="linear", lagged_inputs="none"), linear=True),
 }
 """Values of `method`, which sets the tables `[learning]` and `[control]` and `nominal.linear` before single keys.
 

@@ -4,8 +4,8 @@ import numpy as np
 
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
-from stepgap.experiment.diagnosis import FEWEST_STEPS_PER_WEIGHT
 from stepgap.experiment.settings import Experiment
+from stepgap.learning.diagnosis import FEWEST_STEPS_PER_WEIGHT
 
 TRIAL_STEPS = 20
 """Number of steps of a trial that are drawn."""

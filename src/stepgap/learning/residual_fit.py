@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from stepgap.base.json_data import integer, number, numbers
 from stepgap.base.normal import log_density
+from stepgap.learning.diagnosis import diagnose
 from stepgap.learning.disturbance import LEAST_EVIDENCE, without_periodic_part
 from stepgap.learning.entry_points import load_feature_model, load_residual_model, residual_models
 from stepgap.learning.feature_map import FeatureModel, with_features
@@ -42,7 +43,7 @@ def fit_residual(
     """Fits a model of the nominal map's error (Eq. 12).
 
     `auto` selects by the best `held_out_score`: first the model among all installed candidates, the simplest of equally
-    good ones; then the lagged inputs of that model.
+    good ones; then the lagged inputs of that model, if the `diagnosis` finds that the step before helps.
 
     Args:
         residual: Name of an installed model, `auto`, or a model itself.
@@ -72,7 +73,7 @@ def fit_residual(
         models = [model if model == NONE else with_features(model, features) for model in models]
     fits = [_fit(model, _history_inputs(model, least, forgetting_time), observations, start) for model in models]
     found = _best(fits, observations)
-    if lagged_inputs == "auto":
+    if lagged_inputs == "auto" and diagnose(observations).lagged:
         wider = LAGGED_INPUTS[LAGGED_INPUTS.index(found.history_inputs.lagged_inputs) + 1 :]
         more = [_fit(found.model, HistoryInputs(each, forgetting_time), observations, start) for each in wider]
         found = _best([found, *more], observations)

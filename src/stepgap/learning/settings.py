@@ -37,7 +37,8 @@ class LearningSettings:
             steps were known before.
         tolerance: Redeploying stops when the tracking error has not fallen by this fraction of the
             best so far; judged from the second redeployment on.
-        lagged_inputs: Quantities of the step before that are inputs, too; `auto` selects those that predict best.
+        lagged_inputs: Quantities of the step before that are inputs, too; with `auto`, those that predict best if a
+            test of all known steps finds that the step before helps, else none.
         feature_map: Name of the installed feature map that comes before the inputs of the residual: `identity` for
             none, `linear` for the directions along which the error changes, where a state has many numbers.
         forgetting_time: Number of steps in which the influence of a step falls to 1/e; for a Gaussian process, length
@@ -55,7 +56,7 @@ class LearningSettings:
     residual: str = "gp_on_linear"
     iterations: int = 4
     tolerance: float = field(default=0.01, metadata={FORMER_NAME: "least_gain"})
-    lagged_inputs: LaggedInputs | Literal["auto"] = field(default="none", metadata={FORMER_NAME: "features"})
+    lagged_inputs: LaggedInputs | Literal["auto"] = field(default=AUTO, metadata={FORMER_NAME: "features"})
     feature_map: str = NO_FEATURE_MAP
     forgetting_time: float = field(default=inf, metadata={FORMER_NAME: "memory"})
     early_stop: bool = True

@@ -75,7 +75,10 @@ def _legend(space: StepSpace) -> dict[str, tuple[str, str]]:
 
     return {
         "iteration": ("", "number of the deployment, from 0"),
-        "step": ("", "number of the step in the deployment, from 1; steps before it, such as exploratory ones, have smaller numbers"),
+        "step": (
+            "",
+            "number of the step in the deployment, from 1; earlier ones, such as exploratory steps, have less",
+        ),
         **of(space.state, STATE_MEANINGS),
         **of(space.command, COMMAND_MEANINGS),
         **{

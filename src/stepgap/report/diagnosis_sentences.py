@@ -1,9 +1,9 @@
 """The diagnosis of a run in sentences: units, offsets, lagged inputs, noise that varies, response to commands."""
 
 from stepgap.experiment.command_response import command_response
-from stepgap.experiment.diagnosis import SMALLEST_GAIN, Diagnosis, diagnose, part_at_bounds
 from stepgap.experiment.run import Run
 from stepgap.experiment.state_ranges import far_states
+from stepgap.learning.diagnosis import SMALLEST_GAIN, Diagnosis, diagnose, part_at_bounds
 from stepgap.learning.observations import Observations, observe
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
@@ -84,8 +84,14 @@ def _of_nominal(run: Run, nominal: StepMap) -> list[str]:
 def _lagged_inputs(run: Run, found: Diagnosis, number: int) -> list[str]:
     """Whether the step before helps to predict the error of the next one."""
     sentences, space = [], run.space
-    uses = not isinstance(run.settings, Missing) and run.settings.learning.lagged_inputs != "none"
-    advice = "as the residual of this run may do" if uses else "or use learning.lagged_inputs = 'auto'"
+    last = run.steps.iterations[-1]
+    residual = run.residual(last)
+    if not isinstance(residual, Missing) and residual.history_inputs.lagged_inputs != "none":
+        advice = f"; the residual of deployment {last} has such inputs"
+    elif not isinstance(run.settings, Missing) and run.settings.learning.lagged_inputs == "none":
+        advice = ", or use learning.lagged_inputs = 'auto'"
+    else:
+        advice = "; a residual has such inputs where it predicts better with them (learning.lagged_inputs)"
     for row, quantity in enumerate(space.state):
         error, step = (100 * found.gains[name][row] for name in ("previous_error", "previous_step"))
         if max(error, step) > 100 * SMALLEST_GAIN:
@@ -94,8 +100,7 @@ def _lagged_inputs(run: Run, found: Diagnosis, number: int) -> list[str]:
             sentences.append(
                 f"The step before helps to predict the error of {quantity.name}, beyond state and command. "
                 f"With inputs from the step before it is smaller, {listed(parts)}. So the state does not contain all "
-                "that the next step depends on, or a disturbance changes slowly. Measure what is missing, "
-                f"{advice}."
+                f"that the next step depends on, or a disturbance changes slowly. Measure what is missing{advice}."
             )
     if not sentences:
         names = listed([quantity.name for quantity in space.state])

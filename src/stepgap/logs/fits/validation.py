@@ -37,8 +37,8 @@ FOLDS = 10
 LEAST_STEPS: Final = 2 * FOLDS
 """Least number of steps for a comparison of residuals."""
 
-DEFAULT_LEARNING: Final = LearningSettings()
-"""How a run learns by default."""
+DEFAULT_LEARNING: Final = LearningSettings(lagged_inputs="none")
+"""How a run learns by default, but without inputs from the step before, which a fitted map does not have."""
 
 TOGETHER: Final = 2000
 """Number of steps whose predictions are computed together; it bounds the memory."""

@@ -1,10 +1,11 @@
-"""What the steps of a deployment say about the robot and its state: lagged inputs, and noise that varies.
+"""What executed steps say about the robot and its state: lagged inputs, and noise that varies.
 
 Every statement comes from a regression of the nominal map's error in state and command (quadratic, as far as there are
 steps enough), whose residual is what neither can explain:
 
 - *Lagged inputs*: quantities of the step before reduce that residual. Then the state is not sufficient to predict the
-  next one, or a disturbance changes slowly. Judged by an F test and by the reduction of the leave-one-out error.
+  next one, or a disturbance changes slowly. Judged by an F test and by the reduction of the leave-one-out error. The
+  setting `lagged_inputs = "auto"` adds such inputs to a residual only where this is found.
 - *Noise that depends on the state*: the squared residual varies with state or command (Breusch & Pagan 1979, in the
   form of Koenker 1981), although the learned models have one noise level.
 """
@@ -53,6 +54,11 @@ class Diagnosis:
     steps: int
     gains: dict[str, Array]
     heteroscedasticity: Array
+
+    @property
+    def lagged(self) -> bool:
+        """Whether the step before helps to predict some coordinate by more than `SMALLEST_GAIN`."""
+        return any(bool((gains > SMALLEST_GAIN).any()) for gains in self.gains.values())
 
     @property
     def known(self) -> bool:

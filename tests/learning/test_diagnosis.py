@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stepgap.control.step_controller import StepController
-from stepgap.experiment.diagnosis import Diagnosis, diagnose, part_at_bounds
+from stepgap.learning.diagnosis import Diagnosis, diagnose, part_at_bounds
 from stepgap.learning.observations import observe
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import Array, StepRecord, StepStatus
@@ -60,6 +60,7 @@ def varying(state: Array, before: Array, rng: np.random.Generator) -> Array:
 def test_without_memory_there_is_rarely_a_finding() -> None:
     found = [diagnosis(200, seed, plain) for seed in range(60)]
     assert np.mean([np.any(list(one.gains.values())) for one in found]) <= 0.05
+    assert np.mean([one.lagged for one in found]) <= 0.02
     assert np.mean([(one.heteroscedasticity > 1).any() for one in found]) <= 0.05
 
 
