@@ -84,7 +84,7 @@ def test_a_thinned_or_hop_by_hop_replay_is_the_same(run_folder: Path, replayed: 
     np.testing.assert_array_equal(
         replay(Run(run_folder), 1, 7, lambda *of: progress.append(of)).rows, replayed.rows[::7]
     )
-    assert progress == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    assert progress == [(1, 4), (2, 4), (3, 4), (4, 4)]
     hops = list(replayed_steps(Run(run_folder), 1))
     assert [set(hop["step"]) for hop in hops] == [{0}, {1}, {2}, {3}]
     np.testing.assert_array_equal(np.concatenate([hop.rows for hop in hops]), replayed.rows)
@@ -199,9 +199,9 @@ def test_a_log_with_too_few_hops_is_refused(copy: Path, replayed: TickTable) -> 
 
 def change_a_number(run: Path) -> None:
     lines = (run / "steps.csv").read_text().splitlines(keepends=True)
-    cells = lines[4].split(",")
+    cells = lines[6].split(",")
     cells[10] = repr(float(np.nextafter(float(cells[10]), 1)))
-    (run / "steps.csv").write_text("".join([*lines[:4], ",".join(cells), *lines[5:]]))
+    (run / "steps.csv").write_text("".join([*lines[:6], ",".join(cells), *lines[7:]]))
 
 
 def change_number_and_version(run: Path) -> None:

@@ -142,7 +142,8 @@ def logged_ticks(run: Run, iteration: int) -> TickTable:
     Raises:
         InputError: The run has no such deployment, or the log does not exist, is incomplete, or has fewer steps.
     """
-    robot, steps = run.needed(run.robot), _steps_of(run, iteration)
+    robot, recorded = run.needed(run.robot), _steps_of(run, iteration)
+    steps = recorded.selected(~recorded.unplanned)
     path, control = run.folder / "ticks" / f"ticks-{iteration}.mcap", robot.control()
     if control is None:
         raise InputError(f"robot '{robot.name}' has no control for a rig, so its ticks cannot be read")
