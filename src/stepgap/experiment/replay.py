@@ -157,7 +157,7 @@ def logged_ticks(run: Run, iteration: int) -> TickTable:
     if len(ends) < len(steps):
         raise InputError(f"{path}: has fewer steps than deployment {iteration}, so ticks and steps cannot be matched")
     kept = (ticks["state"] >= RigState.STAND) & (step <= len(steps)) & np.isfinite(ticks.rows).all(axis=1)
-    numbers = (step + int(steps.number[0]) - 1).astype(float)
+    numbers = (step + int(recorded.number[0]) - 1 + int(recorded.unplanned[0])).astype(float)
     return TickTable({**ticks.units, "step": ""}, np.column_stack([ticks.rows, numbers])[kept])
 
 
