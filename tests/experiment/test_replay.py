@@ -171,9 +171,9 @@ def test_ticks_of_a_rigs_log_are_separated_at_apexes(copy: Path, replayed: TickT
 def test_the_ticks_of_a_rig_that_fell_end_when_it_rests(copy: Path, replayed: TickTable) -> None:
     fallen = TickTable(replayed.units, replayed.rows[replayed["step"] <= 2][:-100])
     write_log(copy, fallen, 1)
-    zero, first, second, *_ = Run(copy).steps.of_iteration(1)
+    zero, first, second, *_ = Run(copy).recorded.of_iteration(1)
     fallen_steps = [zero, first, replace(second, record=replace(second.record, status=StepStatus.FELL))]
-    ticks = logged_ticks(Run(copy, steps=Steps(CommandBounds().space(), fallen_steps)), 1)
+    ticks = logged_ticks(Run(copy, recorded=Steps(CommandBounds().space(), fallen_steps)), 1)
     assert ticks["step"][-1] == 2
     assert np.count_nonzero(ticks["state"] == RigState.STOP) == 700
 

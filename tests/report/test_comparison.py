@@ -87,7 +87,7 @@ def test_exploratory_steps_are_no_other_reference(folders: list[Path], tmp_path:
     record = Run(folders[0])
     first = next(iter(record.steps))
     steps = Steps(record.space, [replace(first, step=0, target=first.predicted), *record.steps])
-    explored = Run(tmp_path, steps=steps, space=record.space, summary=record.summary)
+    explored = Run(tmp_path, recorded=steps, space=record.space, summary=record.summary)
     assert "All runs tracked the same reference." in comparison_html([record, explored])
 
 

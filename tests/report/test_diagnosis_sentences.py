@@ -20,7 +20,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 def sentences(record: Run, error: Error, steps: int = 200) -> str:
-    changed = Run(record.folder, space=SPACE, steps=steps_of(steps, 1, error), nominal=NOMINAL)
+    changed = Run(record.folder, space=SPACE, recorded=steps_of(steps, 1, error), nominal=NOMINAL)
     return "\n".join(diagnosis_sentences(changed))
 
 
@@ -48,7 +48,9 @@ def test_a_command_at_its_bound_is_named(record: Run) -> None:
         )
         for one in steps_of(200, 1, plain)
     ]
-    text = "\n".join(diagnosis_sentences(Run(record.folder, space=SPACE, steps=Steps(SPACE, steps), nominal=NOMINAL)))
+    text = "\n".join(
+        diagnosis_sentences(Run(record.folder, space=SPACE, recorded=Steps(SPACE, steps), nominal=NOMINAL))
+    )
     assert "fx was at a bound in 100 % of the steps of deployment 0" in text
 
 
@@ -57,7 +59,7 @@ def test_a_state_in_the_wrong_unit_is_named_even_without_a_nominal_map(record: R
         replace(one, record=replace(one.record, state=one.record.state * [1, 1000])) for one in steps_of(20, 1, plain)
     ]
     named, rest = diagnosis_sentences(
-        Run(record.folder, space=SPACE, steps=Steps(SPACE, steps), nominal=Missing("no map"))
+        Run(record.folder, space=SPACE, recorded=Steps(SPACE, steps), nominal=Missing("no map"))
     )
     assert named.startswith("In the first 5 steps of deployment 0, height was about 5")
     assert rest == "Not available: no map."

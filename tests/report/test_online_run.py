@@ -72,7 +72,7 @@ def test_an_unfinished_deployment_that_learns_did_not_use_the_nominal_map(record
     running = Run(record.folder, summary=none_finished, final=Missing("it is still learned"))
     assert running.residual_name(0) is None
     first = Steps(record.space, list(record.steps)[:1])
-    one_step = Run(record.folder, summary=none_finished, steps=first)
+    one_step = Run(record.folder, summary=none_finished, recorded=first)
     assert one_step.residual_name(0) == "none", "nothing was learned before the first step"
     learned = Analysis(running).learned
     assert learned == Missing(
@@ -110,5 +110,5 @@ def test_hops_to_the_band_include_exploratory_ones(record: Run, monkeypatch: pyt
     monkeypatch.setattr(Run, "compared_result", paper_result())
     total, hops = len(TARGETS) + EXPLORATION, tracking + EXPLORATION
     assert f'<th scope="row">all</th><td>{total}</td><td>{hops}</td>' in band_table(record)
-    other = Run(record.folder.parent / "other", steps=record.steps, space=record.space, summary=record.summary)
+    other = Run(record.folder.parent / "other", recorded=record.steps, space=record.space, summary=record.summary)
     assert f'<th scope="row">steps</th><td>{hops}</td><td>{hops}</td>' in comparison_html([record, other])

@@ -237,7 +237,7 @@ def test_steps_without_any_target_have_a_report(tmp_path: Path) -> None:
     space = LossyHopper().space
     steps = Run(folder, space=space).steps.with_columns(target=np.nan)
     nominal = LossyHopper()
-    page = Page(report_of(folder, space=space, steps=steps, summary=Summary(), nominal=nominal))
+    page = Page(report_of(folder, space=space, recorded=steps, summary=Summary(), nominal=nominal))
     assert "No deployment is finished yet." in page.text
     assert "no target was tracked yet" in page.text
     assert "nan" not in page.text
@@ -297,5 +297,5 @@ def test_jumps_of_the_standard_deviation_are_explained_where_the_yaw_is_known(wr
     assert "It is larger where state and command are farther" in map_caption(run, 0)
     assert "It jumps where the estimate" not in map_caption(run, 0)
     steps = run.steps.in_space(replace(run.space, context=(YAW,))).with_columns(context=0.1)
-    with_yaw = Run(written, summary=run.summary, steps=steps)
+    with_yaw = Run(written, summary=run.summary, recorded=steps)
     assert "It jumps where the estimate" in map_caption(with_yaw, 0)

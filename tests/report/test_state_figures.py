@@ -82,7 +82,7 @@ def test_commands_are_shown_and_no_text_is_printed_over_another(states: int, com
     assert len(columns) == min(states + commands, 6)
     assert sum(column >= states for column in columns) == min(commands, max(3, 6 - states))
     with own_style(LOOK):
-        figure = state_error_figure(Run("none", steps=log, space=space, summary=Summary()))
+        figure = state_error_figure(Run("none", recorded=log, space=space, summary=Summary()))
         assert len(figure.axes) == len(rows) * len(columns)
         assert overlapping_texts(figure) == []
 

@@ -103,7 +103,7 @@ def test_a_changed_record_is_shown_without_motion(copy: Path) -> None:
 def test_new_steps_are_read(copy: Path) -> None:
     text = (copy / "steps.csv").read_text()
     lines = text.splitlines(keepends=True)
-    (copy / "steps.csv").write_text("".join(lines[:3]) + lines[3][:20])
+    (copy / "steps.csv").write_text("".join(lines[:4]) + lines[4][:20])
     source = Source(copy)
     assert len(source.steps(0)) == 2
     assert not source.poll()

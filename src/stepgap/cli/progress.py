@@ -83,6 +83,8 @@ class RunProgress:
             self._console.print(reason, soft_wrap=True)
 
     def _on_step(self, logged: LoggedStep) -> None:
+        if not logged.planned:
+            return
         if logged.record.status == StepStatus.OK:
             squares = np.square(logged.record.next_state - logged.target)
             known = np.isfinite(squares)
@@ -92,7 +94,7 @@ class RunProgress:
         error = self._describe(np.sqrt(np.divide(self._squares, self._counted, out=unknown, where=self._counted > 0)))
         self._executed.append(logged)
         description = f"deployment {logged.iteration} of {self._iterations}"
-        self._show(description, max(logged.step, 0), self._steps, error)
+        self._show(description, len(self._executed), self._steps, error)
         if len(self._executed) == COMPARED_STEPS:
             self._warn_of_far_states()
 

@@ -29,7 +29,7 @@ def summarise(
     """Outcome of the steps of one deployment.
 
     Args:
-        steps: The steps.
+        steps: The steps; the first one of a plant, which had no target, does not count.
         reference: Reference that was tracked.
         residual: Name of the residual that was used.
         step_map: Map with which the deployment began. Without it, no target counts as unreachable.
@@ -45,7 +45,7 @@ def summarise(
     return Deployment(
         iteration=steps.iterations[0],
         residual=residual,
-        steps=len(steps),
+        steps=len(steps.planned()),
         failed_steps=steps.failed_steps,
         rmse=np.sqrt(mean_of_known(error**2)),
         mae=mean_of_known(np.abs(error)),
@@ -53,7 +53,7 @@ def summarise(
         steady_rmse=np.sqrt(mean_of_known(error[np.isin(numbers, reference.steady)] ** 2)),
         transient_rmse=np.sqrt(mean_of_known(error[np.isin(numbers, reference.transient)] ** 2)),
         true_rmse=np.sqrt(mean_of_known(true_error**2)),
-        cut=count_cut(steps),
+        cut=count_cut(steps.planned()),
         unreachable=unreachable,
         missed=missed_targets(steps, reference, unreachable, floor),
     )

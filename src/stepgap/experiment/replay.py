@@ -58,7 +58,7 @@ def _replay_of(run: Run, kinematics: Kinematics) -> Replay:
     text = None if isinstance(file, Missing) else file.text
 
     def motion(iteration: int) -> Motion:
-        path, steps = motion_path(run.folder, iteration), digest(run.steps.of_iteration(iteration))
+        path, steps = motion_path(run.folder, iteration), digest(run.recorded.of_iteration(iteration))
         origin = sha256(f"measured {INTERVAL} {scene} {iteration} {steps} {text}".encode()).hexdigest()
         kept = read_motion(path, scene, origin)
         return kept or write_motion(path, kinematics.motion(ticks(iteration).selected(measured)), origin)
@@ -143,7 +143,7 @@ def logged_ticks(run: Run, iteration: int) -> TickTable:
         InputError: The run has no such deployment, or the log does not exist, is incomplete, or has fewer steps.
     """
     robot, recorded = run.needed(run.robot), _steps_of(run, iteration)
-    steps = recorded.selected(~recorded.unplanned)
+    steps = recorded.planned()
     path, control = run.folder / "ticks" / f"ticks-{iteration}.mcap", robot.control()
     if control is None:
         raise InputError(f"robot '{robot.name}' has no control for a rig, so its ticks cannot be read")
@@ -163,9 +163,9 @@ def logged_ticks(run: Run, iteration: int) -> TickTable:
 
 def _steps_of(run: Run, iteration: int) -> Steps:
     """The steps of a deployment, at least one."""
-    steps = run.steps.of_iteration(iteration)
+    steps = run.recorded.of_iteration(iteration)
     if not len(steps):
-        there = ", ".join(map(str, run.steps.iterations)) or "none"
+        there = ", ".join(map(str, run.recorded.iterations)) or "none"
         raise InputError(
             f"{run.folder / 'steps.csv'}: no step of deployment {iteration}; recorded deployments: {there}"
         )

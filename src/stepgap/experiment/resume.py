@@ -124,6 +124,11 @@ class Recording:
 
     def _check_same(self, known: LoggedStep, replayed: LoggedStep) -> None:
         """Raises RecordError unless the replayed step equals the recorded one exactly."""
+        if known.step == replayed.step + 1:
+            raise RecordError(
+                f"{self._path}: the record has no step {replayed.step} of deployment {replayed.iteration}, with which "
+                "this version of StepGap begins; continue with the version that wrote it, or start another run"
+            )
         if row_of(known, self.space) != row_of(replayed, self.space):
             raise RecordError(
                 f"{self._path}: the replay of deployment {replayed.iteration} differs from the record at step "
@@ -154,10 +159,10 @@ def check_no_step_is_lost(folder: Path, recorded: Steps) -> None:
         deployments = read_summary(folder / "summary.json", recorded.space.state_names).deployments
     except (OSError, ValueError):
         return
-    if len(recorded) < (steps := sum(deployment.steps for deployment in deployments)):
+    if len(recorded.planned()) < (steps := sum(deployment.steps for deployment in deployments)):
         raise RecordError(
             f"{folder}: summary.json has {len(deployments)} deployments with {steps} steps, but steps.csv only "
-            f"{len(recorded)} steps; restore steps.csv from a copy, or start another run"
+            f"{len(recorded.planned())} steps; restore steps.csv from a copy, or start another run"
         )
 
 

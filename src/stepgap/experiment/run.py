@@ -48,7 +48,7 @@ class Given(TypedDict, total=False):
 
     settings: Experiment | Missing
     space: StepSpace
-    steps: Steps
+    recorded: Steps
     summary: Summary
     plant: str
     defaults: Mapping[str, Any] | Missing
@@ -170,8 +170,10 @@ class Run:
         return experiment_table(Experiment(load_robot(self.settings.robot.name)))
 
     @cached_property
-    def steps(self) -> Steps:
+    def recorded(self) -> Steps:
         """All recorded steps, none if only the header was written; a row that is being written is left out.
+
+        Beside `steps` it has the first one of a plant that knows it (`Plant.first_step`), which learning uses.
 
         Raises:
             InputError: `steps.csv` does not exist or is not valid.
@@ -183,8 +185,17 @@ class Run:
             raise InputError(f"{message_of(error)}; {self.folder} must be the folder of a run") from None
 
     @cached_property
+    def steps(self) -> Steps:
+        """The recorded steps that were planned.
+
+        Raises:
+            InputError: `steps.csv` does not exist or is not valid.
+        """
+        return self.recorded.planned()
+
+    @cached_property
     def cut_off(self) -> bool:
-        """Whether the last row of `steps.csv` was not completely written; it is not in `steps`."""
+        """Whether the last row of `steps.csv` was not completely written; it is not in `recorded`."""
         return not ends_with_whole_row(self.folder / "steps.csv")
 
     @cached_property
@@ -196,7 +207,7 @@ class Run:
         """
         if isinstance(self._summary_file, InputError):
             raise self._summary_file
-        _check_same_run(self._summary_file, self.steps, self.folder / "summary.json")
+        _check_same_run(self._summary_file, self.recorded, self.folder / "summary.json")
         return self._summary_file
 
     @property
@@ -265,7 +276,7 @@ class Run:
                 folder is not that of this run and its nominal map.
         """
         nominal, settings = self.needed(self.nominal), self.needed(self.settings)
-        after = max(self.steps.iterations, default=-1) + 1
+        after = max(self.recorded.iterations, default=-1) + 1
         number = after if iteration is None else iteration
         if not 0 <= number <= after:
             raise InputError(f"{self.folder}: has no deployment {number}; it may be 0 to {after}, the next one")
@@ -273,7 +284,7 @@ class Run:
             residual = read_model(self.folder, number, nominal.space, nominal)
         except (ValueError, OSError) as error:
             raise InputError(message_of(error)) from None
-        log = Steps(self.steps.space) + self.known + self.steps.before(number)
+        log = Steps(self.recorded.space) + self.known + self.recorded.before(number)
         if residual is None and number < after and len(log):
             raise InputError(f"{self.folder}: there is no models/iteration_{number}.json, so the model is unknown")
         return Learner.start(nominal, log, settings.learning, number, residual)
@@ -292,7 +303,7 @@ class Run:
     def controller(self, iteration: int | None = None) -> DeploymentController:
         """The controller at the start of a deployment.
 
-        With the steps of the run, and the targets ahead of each of them, it gives the recorded commands.
+        Updated with each of the `recorded` steps (`after`), it plans the commands of the next one again.
 
         Args:
             iteration: As of `learner`.
@@ -413,15 +424,14 @@ def load_run(folder: Path | str) -> Run:
 def _check_same_run(summary: Summary, steps: Steps, path: Path) -> None:
     """Raises InputError unless the summary describes these steps, or the first of them."""
     for deployment in summary.deployments:
-        rows = steps.of_iteration(deployment.iteration)
+        rows = steps.of_iteration(deployment.iteration).planned()
         recorded, failed = len(rows), rows.failed_steps
         if (recorded, failed) != (deployment.steps, deployment.failed_steps):
             raise InputError(
                 f"{path}: deployment {deployment.iteration} has {deployment.steps} steps, {deployment.failed_steps} of "
                 f"them failed, in steps.csv {recorded} and {failed}; both must be of the same run"
             )
-    count = sum(deployment.steps for deployment in summary.deployments)
-    if summary.steps_sha256 and summary.steps_sha256 != digest(steps.selected(slice(count))):
+    if summary.steps_sha256 and summary.steps_sha256 != digest(steps.before(len(summary.deployments))):
         raise InputError(f"{path}: steps.csv was changed after it was written; both must be of the same run")
     for deployment in summary.deployments:
         _check_rmse(deployment, steps, path)

@@ -142,7 +142,7 @@ def extended(run: Run, redeployments: int) -> Experiment:
     if redeployments < 1:
         raise InputError(f"--extend: {redeployments} redeployments; give an integer from 1 on")
     settings, remedy = run.needed(run.settings), f"finish it by: stepgap run --out {run.folder} --resume"
-    check_no_step_is_lost(run.folder, run.steps)
+    check_no_step_is_lost(run.folder, run.recorded)
     done = len(run.deployments)
     if len(run.steps.iterations) > done:
         raise InputError(f"{run.folder}: the run was interrupted in deployment {done}; {remedy}")

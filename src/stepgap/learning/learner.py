@@ -21,6 +21,8 @@ from stepgap.step import Array, StepMap, StepRecord, StepStatus
 
 REFIT_GROWTH = 1.1
 """A new fit begins when the number of steps has grown by this factor."""
+FIRST_STEPS = 2
+"""A first fit, to at most this number of steps, takes no time, so that it is used at once."""
 FITTED_PER_STEP = 150
 """Number of known steps for which a fit is given the time of one step of the robot; a slower fit is waited for."""
 _NO_FAILURE = (StepStatus.OK, StepStatus.DOUBTFUL)
@@ -181,9 +183,7 @@ class Learner:
         if trust.outlier:
             return replace(learner, outliers=(*self.outliers, (logged.iteration, logged.step)))._with_refit()
         if self.steps_to_learn > 0:
-            learner = learner._updated(
-                self.history, point, error - change, counts=logged.step > -self.settings.exploration
-            )
+            learner = learner._updated(self.history, point, error - change, counts=logged.planned)
         return learner._with_refit()
 
     @property
@@ -229,7 +229,7 @@ class Learner:
             return self
         known = self.nominal, self._lessons, self.settings, self.iteration, self.residual
         due = count + 1 + count // FITTED_PER_STEP
-        if self.residual.kind == NONE.name:  # a fit to the first steps takes no time, and nothing else is known
+        if self.residual.kind == NONE.name and count <= FIRST_STEPS:
             return replace(self, residual=_fitted(*known), refit_from=due)
         refit = Refit(Deferred(lambda: _fitted(*known)), due)
         return replace(self, refit=refit, refit_from=max(REFIT_GROWTH * count, due + 1))

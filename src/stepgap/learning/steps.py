@@ -46,6 +46,11 @@ class LoggedStep:
     std: Array
     record: StepRecord
 
+    @property
+    def planned(self) -> bool:
+        """Whether its command was planned: false for the first step of a plant (`Plant.first_step`)."""
+        return self.step > 0 or not np.isnan(self.target).all()
+
 
 class _Column(Generic[_Values]):
     """A column of `Steps`; its value is a new array."""
@@ -179,6 +184,11 @@ class Steps:
     def unplanned(self) -> NDArray[np.bool_]:
         """Whether each step is the first one of a plant (`Plant.first_step`), which had no target; shape (N,)."""
         return (self.number < 1) & np.isnan(self.target).all(axis=1)
+
+    def planned(self) -> Self:
+        """The steps whose command was planned: all but the `unplanned`."""
+        unplanned = self.unplanned
+        return self.selected(~unplanned) if unplanned.any() else self
 
     def completed(self) -> Self:
         """The steps that ended at their section: those with status OK."""

@@ -119,7 +119,8 @@ def _recover_summary(folder: Path, out: Path, steps: Steps) -> list[str]:
         summary = read_summary(folder / "summary.json", names)
     except (ValueError, OSError) as error:
         return [f"{message_of(error)}; left out"]
-    whole = takewhile(lambda each: len(steps.of_iteration(each.iteration)) == each.steps, summary.deployments)
+    planned = steps.planned()
+    whole = takewhile(lambda each: len(planned.of_iteration(each.iteration)) == each.steps, summary.deployments)
     deployments = tuple(whole)
     if deployments:
         kept = steps.selected(np.isin(steps.iteration, [deployment.iteration for deployment in deployments]))

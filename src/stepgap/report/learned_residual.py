@@ -46,5 +46,5 @@ def steps_before(run: Run, iteration: int) -> Steps:
     try:
         known = run.known
     except InputError:
-        known = Steps(run.steps.space)
-    return Steps(run.steps.space) + known + run.steps.before(iteration)
+        known = Steps(run.recorded.space)
+    return Steps(run.recorded.space) + known + run.recorded.before(iteration)

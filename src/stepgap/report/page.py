@@ -149,7 +149,7 @@ def _by_reason(parts: Mapping[str, object]) -> list[str]:
 
 
 def _comparison_note(run: Run) -> str:
-    explored = ", without those of the steps before step 1" * bool((run.steps.number < 1).any())
+    explored = ", without those of exploratory steps" * bool((run.steps.number < 1).any())
     note = f"This run was executed by the {run.plant}. Errors are next state − target{explored}."
     if any(np.isfinite(entry.errors["transient_rmse"]).any() for entry in run.deployments):
         note += (

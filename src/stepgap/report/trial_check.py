@@ -30,10 +30,10 @@ def check_motion(run: Run) -> Iterator[PartResult]:
     done = steps.completed()
     if len(done) < len(steps):
         status = StepStatus(int(steps.status[-1]))
-        text = f"Step {steps.number[-1]} failed ({status.label}): {steps.space.advice_on(status)}."
+        text = f"Step {len(steps)} failed ({status.label}): {steps.space.advice_on(status)}."
         yield PartResult("motion", "wrong" if len(done) < TRIAL_STEPS else "ok", text)
     else:
-        yield PartResult("motion", "ok", f"The robot made {len(steps.tracking())} steps without a failure.")
+        yield PartResult("motion", "ok", f"The robot made {len(steps)} steps without a failure.")
     if len(done):
         yield _ranges(done)
         error = np.sqrt(np.nanmean((done.next_state - done.predicted) ** 2, axis=0)) / run.space.state_scale

@@ -81,7 +81,7 @@ class Source:
         return sorted(self._steps)
 
     def steps(self, iteration: int) -> list[LoggedStep]:
-        """Recorded steps of a deployment that were planned; the one before them is its start."""
+        """Recorded steps of a deployment that were planned; the motion before them is that of its start."""
         return self._steps.get(iteration, [])
 
     def motion_count(self, iteration: int) -> int:
@@ -130,7 +130,7 @@ class Source:
         residual, steps = self._model(iteration), self.steps(iteration)
         if residual is None or not 0 < number <= len(steps):
             return None
-        log = self._run.steps
+        log = self._run.recorded
         row = np.flatnonzero((log.iteration == iteration) & ~log.unplanned)[number - 1]
         return residual.conditioned_on(next_history(log.selected(slice(row)), self.nominal, iteration))
 
@@ -168,8 +168,7 @@ class Source:
             return False
         self._run, self._size = Run(self.folder, settings=self.settings, space=self.space, nominal=self.nominal), size
         steps = defaultdict(list)
-        log = self._run.steps
-        for logged in log.selected(~log.unplanned):  # the first step belongs to the start
+        for logged in self._run.steps:
             steps[logged.iteration].append(logged)
         self._steps = dict(steps)
         return True

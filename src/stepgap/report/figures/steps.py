@@ -183,12 +183,12 @@ def step_panels(count: int) -> "tuple[Figure, list[Axes]]":
 
 
 def show_steps(panels: "Sequence[Axes]", steps: Steps) -> None:
-    """Sets the axis of step numbers to these steps, and marks those before step 1."""
+    """Sets the axis of step numbers to these steps, and marks the exploratory ones."""
     first, last = int(steps.number.min()), int(steps.number.max())
     margin = 0.5 + 0.01 * (last - first)
     panels[0].set_xlim(first - margin, last + margin)
     for panel in panels if first < 1 else ():
-        label = "before step 1" if panel is panels[-1] else ""
+        label = "exploratory steps" if panel is panels[-1] else ""
         panel.axvspan(first - margin, 0.5, color="0.93", linewidth=0, zorder=0, label=label)
 
 
