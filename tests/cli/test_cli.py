@@ -87,7 +87,7 @@ def test_a_run_folder_is_complete(finished: Path) -> None:
     }  # fmt: skip
     summary = json.loads((finished / "run" / "summary.json").read_text())
     assert [entry["steps"] for entry in summary["iterations"]] == [3, 3]
-    assert (finished / "run" / "steps.csv").read_text().count("\n") == 7
+    assert (finished / "run" / "steps.csv").read_text().count("\n") == 9  # each deployment with its start
 
 
 @pytest.mark.usefixtures("no_report")
@@ -320,7 +320,7 @@ def drop_row(text: str) -> str:
     [
         (lambda text: text.replace("0.1,0.56", "0.1,0.57", 1), ["steps.csv: the replay of deployment 0 differs"]),
         (drop_row, ["steps.csv, line 3: not the next step"]),
-        (lambda text: text + "rubbish\n", ["steps.csv, line 8: not the next step"]),
+        (lambda text: text + "rubbish\n", ["steps.csv, line 10: not the next step"]),
         (lambda text: "rubbish\n", ["steps.csv, line 1: the columns must be iteration,"]),
     ],
 )
@@ -377,7 +377,7 @@ def test_ctrl_c_prints_how_to_resume(finished: Path, stepgap: Command, trouble: 
     trouble(lambda: signal.raise_signal(signal.SIGINT))
     result = stepgap("run", finished / "short.toml", "--out", "my run", "--quiet")
     assert result == CommandResult(130, "", "stepgap: stopped; resume with: stepgap run --out 'my run' --resume\n")
-    assert Path("my run/steps.csv").read_text().count("\n") == 5
+    assert Path("my run/steps.csv").read_text().count("\n") == 7
     assert stepgap("run", "--out", "my run", "--resume", "--quiet").code == 0
     assert record(Path("my run")) == record(finished / "run")
 
@@ -418,7 +418,7 @@ def test_a_failure_is_no_bad_input(
 ) -> None:
     trouble(raising(error))
     assert stepgap("run", finished / "short.toml", "--out", "run", "--quiet") == CommandResult(1, "", line)
-    assert Path("run/steps.csv").read_text().count("\n") == 5, "recorded steps are kept, so that the run can be resumed"
+    assert Path("run/steps.csv").read_text().count("\n") == 7, "recorded steps are kept, so that the run can be resumed"
 
 
 def test_an_unexpected_error_names_what_changes_the_compilation(

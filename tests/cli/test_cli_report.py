@@ -81,7 +81,7 @@ def test_what_a_run_learned_in_its_only_deployment_is_described(finished: Path, 
     assert not Path("run/models").exists()
     text = Path("run/report.html").read_text(encoding="utf-8")
     assert "A further deployment would begin with the residual" in text
-    assert "of 8 earlier steps" in text
+    assert "of 9 earlier steps" in text
     assert "Corrected map: " in text
 
 
@@ -176,9 +176,9 @@ def test_steps_that_cannot_be_reproduced_have_no_replay(finished: Path, stepgap:
     settings.write_text(settings.read_text().replace("body_mass = 1.466", "body_mass = 1.5"))
     result = stepgap("report", "run")
     assert result.code == 0
-    assert result.err.startswith("stepgap: missing in the report: replay (run/steps.csv: step 1 of")
+    assert result.err.startswith("stepgap: missing in the report: replay (run/steps.csv: step 0 of")
     text = Path("run/report.html").read_text(encoding="utf-8")
-    assert "There is no replay: run/steps.csv: step 1 of deployment 0 could not be reproduced exactly" in text
+    assert "There is no replay: run/steps.csv: step 0 of deployment 0 could not be reproduced exactly" in text
     assert "replay-data" not in text
 
 

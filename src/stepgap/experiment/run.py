@@ -1,7 +1,7 @@
 """A run, finished or in progress: its files and all that follows from them, each part read when it is first used."""
 
 from collections.abc import Callable, Mapping
-from functools import cached_property
+from functools import cached_property, reduce
 from math import isclose, isfinite
 from pathlib import Path
 from types import MappingProxyType
@@ -301,9 +301,9 @@ class Run:
         return self.learner(iteration).step_map()
 
     def controller(self, iteration: int | None = None) -> DeploymentController:
-        """The controller at the start of a deployment.
+        """The controller at the start of a deployment, which knows the step that the plant took before the first.
 
-        Updated with each of the `recorded` steps (`after`), it plans the commands of the next one again.
+        With the steps of the run, and the targets ahead of each of them, it gives the recorded commands.
 
         Args:
             iteration: As of `learner`.
@@ -311,7 +311,10 @@ class Run:
         Raises:
             InputError: As of `learner`.
         """
-        return DeploymentController.start(self.learner(iteration), self.needed(self.settings).control)
+        learner = self.learner(iteration)
+        controller = DeploymentController.start(learner, self.needed(self.settings).control)
+        steps = self.recorded.of_iteration(learner.iteration)
+        return reduce(DeploymentController.after, steps.selected(steps.unplanned), controller)
 
     @property
     def deployments(self) -> tuple[Deployment, ...]:

@@ -40,7 +40,7 @@ class TickRecorder:
         """Observer that calls the given one and counts steps and deployments."""
 
         def on_step(logged: LoggedStep) -> None:
-            self._executed += 1
+            self._executed += logged.planned  # the plant's first step is part of its start
             self._before = logged.step - self._executed
             observer.on_step(logged)
 

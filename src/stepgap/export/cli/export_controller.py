@@ -84,5 +84,5 @@ def _content(
         return onnx_model(model_document(controller))
     if to == "casadi":
         return casadi_text(model_document(controller))
-    steps = run.steps.of_iteration(deployment) if deployment is not None else None
+    steps = run.recorded.of_iteration(deployment) if deployment is not None else None
     return model_text(controller, trust_at_end(controller, steps) if steps else None)
