@@ -104,8 +104,7 @@ def test_exploration_begins_after_it_and_has_all_its_steps() -> None:
     steps = Steps(SPACE, deployment(LearningSettings("linear", exploration=6), exploration=6))
     assert steps.number.tolist() == [*range(-6, 13)]
     assert steps.unplanned.tolist() == [True, *18 * [False]]
-    learned = steps.std.any(axis=1)
-    assert learned[1:].all()
+    assert (steps.std[1:] > 0).all(), "the first step was learned from"
 
 
 def test_it_counts_in_no_number_of_a_run(folder: Path) -> None:

@@ -139,7 +139,9 @@ def test_the_hop_after_the_release_is_a_step_from_the_height_at_which_the_robot_
 
 def test_a_rig_whose_robot_is_lowered_by_hand_knows_no_first_step():
     class Lowered(SingleTicks):
-        released = ()
+        @property
+        def released(self) -> tuple[float, ...]:
+            return ()
 
     with RigPlant(Lowered(Twin(ROBOT, RealityGap(), np.random.default_rng(0))), CONTROL) as plant:
         plant.start()

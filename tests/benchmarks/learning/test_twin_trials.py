@@ -105,13 +105,13 @@ def test_a_task_gives_every_twin_its_numbers_and_changes_only_the_deployment_tha
     gap, _ = hopping_gap(NOMINAL, task, 0)
     assert gap.torque_limit == 30
     trial = Trial(NOMINAL, gap, task, twin=0, seed=0)
-    unchanged, changed = trial.first, trial.measure(trial.uncorrected(NOMINAL), 0)
+    unchanged, changed = trial.first.planned(), trial.measure(trial.uncorrected(NOMINAL), 0).planned()
     np.testing.assert_array_equal(changed.next_state[:3], unchanged.next_state[:3])
     heights = (changed.next_state - unchanged.next_state)[3:, 1]
     assert (heights < -0.001).all(), "the heavier robot hops lower"
     rows = measure_twin(task, 0, 0, ["linear"])
     assert (rows[0]["task"], rows[0]["deployments"], rows[1]["deployments"]) == ("heavier", 1, 2)
-    np.testing.assert_array_equal(methods()["linear"](trial)[0].next_state, unchanged.next_state)
+    np.testing.assert_array_equal(methods()["linear"](trial)[0].planned().next_state, unchanged.next_state)
 
 
 def test_the_square_wave_never_rests_and_its_steady_error_is_unknown() -> None:
