@@ -163,10 +163,10 @@ def compare_commands(code: Code, run: Run, seed: int) -> str:
         record, found = logged.record, code.array(np.zeros(len(plant.space.command)))
         targets = paper_reference().targets[logged.step - 1 :][:ahead]
         given = code.array(record.state), code.array(targets), len(targets)
-        code.call(
-            "plan_ahead", filter_, *given, None if command is None else code.array(command), phase, found, None, None
-        )
-        apart.append((found - record.requested) / plant.space.command_scale)
+        if logged.planned:
+            before = None if command is None else code.array(command)
+            code.call("plan_ahead", filter_, *given, before, phase, found, None, None)
+            apart.append((found - record.requested) / plant.space.command_scale)
         code.call(
             "filter_update", filter_, *map(code.array, (record.state, record.requested, record.next_state)), phase
         )
@@ -179,7 +179,8 @@ def steps_of(run: Run, seed: int) -> Iterator[StepRecord]:
     """A deployment of the twin with the controller of the run, before deployment 1."""
     plant = TwinSimulation(Hopper(), random_stream(seed)).plant(random_stream(seed, 0))
     for logged in deploy(run.learner(1), plant, paper_reference(), 1, control=run.needed(run.settings).control):
-        yield logged.record
+        if logged.planned:
+            yield logged.record
 
 
 def steps_of_program(program: Path, seed: int) -> Iterator[StepRecord]:

@@ -88,7 +88,7 @@ def floor(folder: Path) -> tuple[int, Array, Array]:
     if digest(simulated) != digest(recorded.of_iteration(last)):
         raise ValueError(f"{folder}: deployment {last} could not be reproduced; use the versions that recorded it")
     steady = reference.steady
-    errors = (simulated.next_state - simulated.target)[steady]
+    errors = (simulated.planned().next_state - simulated.planned().target)[steady]
     return last, np.sqrt(np.mean(errors**2, axis=0)), np.sqrt(np.mean(np.array(plant.variances)[steady], axis=0))
 
 

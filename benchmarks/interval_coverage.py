@@ -72,7 +72,8 @@ def without_calibration(steps: Steps, learner: Learner) -> Array:
 def covered(steps: Steps, std: Array) -> Array:
     """Which next states are in their interval; shape (N, n), NaN without an interval."""
     inside = np.abs(steps.next_state - steps.predicted) <= INTERVAL_95 * std
-    return np.where((std > 0) & np.isfinite(steps.next_state), inside, np.nan)
+    counted = (std > 0) & np.isfinite(steps.next_state) & ~steps.unplanned[:, None]
+    return np.where(counted, inside, np.nan)
 
 
 def main() -> None:

@@ -67,7 +67,7 @@ def deployment(seed: int, rate: float, reject: bool) -> Outcome:
     for logged in log:
         learner = learner.after(logged)
     outliers = {step for _, step in learner.outliers}
-    others = [logged for logged in log.completed() if logged.step not in pushed]
+    others = [logged for logged in log.planned().completed() if logged.step not in pushed]
     error = np.array([logged.record.next_state - logged.target for logged in others]) / nominal.space.state_scale
     rmse = inf if log.failed_steps else float(np.sqrt(np.mean(error**2)))
     return Outcome(rmse, len(pushed), len(outliers & pushed), len(outliers - pushed), len(others))

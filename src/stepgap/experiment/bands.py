@@ -38,7 +38,8 @@ def steps_to_band(errors: Array, band: Array) -> int | None:
 def executed_steps_to_band(deployments: Sequence[Steps], band: Array) -> int | None:
     """Number of steps, from the very first one on, after which the RMSE of 20 tracking steps stays in a band.
 
-    Exploratory and failed steps before the end of the 20 are counted, too, since the robot executed them.
+    Exploratory and failed steps before the end of the 20 are counted, too, since the robot executed them, but not the
+    first step of a plant, which was not planned.
 
     Args:
         deployments: Steps of consecutive deployments.
@@ -47,6 +48,7 @@ def executed_steps_to_band(deployments: Sequence[Steps], band: Array) -> int | N
     Returns:
         None as from `steps_to_band`.
     """
+    deployments = [steps.planned() for steps in deployments]
     steady = steps_to_band(np.concatenate([steps.tracking_errors() for steps in deployments]), band)
     if steady is None:
         return None

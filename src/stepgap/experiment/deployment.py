@@ -137,7 +137,7 @@ class DeploymentController:
 
     def _calibration_after(self, logged: LoggedStep) -> IntervalCalibration | None:
         record, known = logged.record, logged.std > 0
-        if not known.any():
+        if not (known.any() and logged.planned):
             return self.calibration
         step_map = self.learner.step_map()
         calibration = self.calibration or IntervalCalibration.start(step_map.space)
