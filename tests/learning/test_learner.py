@@ -194,7 +194,9 @@ def test_the_yaw_dependent_part_is_not_learned_but_estimated() -> None:
     known = leaning(REALITY, 1, 0) + leaning(REALITY, 2, 1)
     rms: dict[bool, tuple[float, float]] = {}
     for drift in (True, False):
-        learner = Learner.start(NOMINAL, log_of(known), LearningSettings(drift=drift, remove_yaw_dependence=drift), 2)
+        learner = Learner.start(
+            NOMINAL, log_of(known), LearningSettings(drift=drift, remove_yaw_dependence=drift, lagged_inputs="none"), 2
+        )
         points, innovations = POINTS[:, :2], []
         learned = learner.residual.mean(POINTS) - (REALITY(points, POINTS[:, 2:]) - NOMINAL(points, POINTS[:, 2:]))
         for logged in leaning(REALITY, 3, 2):
