@@ -174,8 +174,8 @@ class Learner:
         residual = self.conditioned_residual
         mean, std = residual.mean(point), residual.std(point, include_noise=True)
         check_prediction(residual.kind, mean, std)
-        step = PredictedStep(self._inputs(record), error, mean, std, self.phase)
-        trust = self.trust.after(residual, step)
+        step = PredictedStep(inputs=self._inputs(record), error=error, mean=mean, std=std, phase=self.phase)
+        trust = self.trust.after(residual, step) if logged.planned else self.trust
         change, alarms = trust.change(step), [Alarm(logged.step, trust.alarm)] if trust.alarm else []
         learner = replace(learner, trust=trust, alarms=(*self.alarms, *alarms))
         if change.any():
@@ -240,8 +240,11 @@ def _fitted(
 ) -> Residual:
     """Fits the residual to all known steps, or where these explain the latest deployment worse, to this one alone.
 
-    The search for hyper-parameters starts at those of `start`.
+    The search for hyper-parameters starts at those of `start`. The first step of a plant, such as a hop from rest, is
+    not quite like others, and is left out as soon as enough of these are known.
     """
+    planned = log.planned()
+    log = planned if len(planned) >= LEAST_KNOWN else log
     observations = observe(log, nominal)
     residual = learned_residual(observations, settings, iteration, start)
     latest = observations.labels[:, 0] == observations.labels[-1:, 0]

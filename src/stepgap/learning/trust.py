@@ -31,7 +31,7 @@ from stepgap.learning.outliers import LEAST_KNOWN, LEAST_STD, OUTLIER_PROBABILIT
 from stepgap.learning.residual import Residual
 from stepgap.step import Array
 
-Source = Literal["current", "changed", "nominal", "earlier"]
+MapSource = Literal["current", "changed", "nominal", "earlier"]
 """What a hypothesis takes the next state from; the module describes each."""
 
 HAZARDS = {"changed": 1e-3, "earlier": 1e-3, "nominal": 1e-6}
@@ -79,7 +79,7 @@ class Alarm(NamedTuple):
     """
 
     step: int
-    source: Source
+    source: MapSource
 
 
 @final
@@ -95,7 +95,7 @@ class Hypothesis:
         age: Number of steps since its disturbance began.
     """
 
-    source: Source
+    source: MapSource
     filter: DisturbanceFilter
     log_weight: float
     corrected: bool = True
@@ -125,7 +125,7 @@ class Trust:
     hypotheses: tuple[Hypothesis, ...]
     strained: int = 0
     outlier: bool = False
-    alarm: Source | None = None
+    alarm: MapSource | None = None
 
     @classmethod
     def start(

@@ -344,6 +344,6 @@ def _predict(residual: Residual, steps: Observations, learning: LearningSettings
     for row in range(len(steps)):
         disturbance = trust.predict(residual, phase[row])
         offset[row], offset_std[row] = disturbance.mean(inputs[row]), disturbance.std(inputs[row])
-        step = PredictedStep(inputs[row], steps.error[row], mean[row], std[row], phase[row])
+        step = PredictedStep(inputs=inputs[row], error=steps.error[row], mean=mean[row], std=std[row], phase=phase[row])
         trust = trust.after(residual, step)
     return mean + offset, np.hypot(std, offset_std)
