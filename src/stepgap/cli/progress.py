@@ -16,10 +16,12 @@ from stepgap.experiment.loop import Observer, fails_no_later
 from stepgap.experiment.state_ranges import COMPARED_STEPS, far_states
 from stepgap.learning.residual import Residual
 from stepgap.learning.steps import LoggedStep, Steps
+from stepgap.learning.trust import Alarm
 from stepgap.records.steps_csv import values_of
 from stepgap.records.summary import Deployment, deployment_entry
 from stepgap.report.diagnosis_sentences import offset_sentences
 from stepgap.report.text import decimal, unit_suffix
+from stepgap.report.trust_sentences import alarm_sentence
 from stepgap.step import StepSpace, StepStatus, ending_of
 
 
@@ -68,7 +70,9 @@ class RunProgress:
     @property
     def observer(self) -> Observer:
         """Observer whose callbacks update the display."""
-        return Observer(self._on_step, self._on_deployment, self._on_fault, self._show, self._on_learned)
+        return Observer(
+            self._on_step, self._on_deployment, self._on_fault, self._show, self._on_learned, self._on_alarm
+        )
 
     def __enter__(self) -> Self:
         self._bars.start()
@@ -133,6 +137,10 @@ class RunProgress:
         if count and not self._quiet:
             steps = "step with an improbable error is" if count == 1 else "steps with improbable errors are"
             self._console.print(f"{count} {steps} not learned from (learning.reject_outliers)", soft_wrap=True)
+
+    def _on_alarm(self, alarm: Alarm) -> None:
+        if not self._quiet:
+            self._console.print(alarm_sentence(alarm), soft_wrap=True)
 
     def _on_fault(self, message: str) -> None:
         if not self._quiet:

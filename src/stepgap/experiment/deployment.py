@@ -21,6 +21,7 @@ from stepgap.learning.interval_calibration import IntervalCalibration
 from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.steps import LoggedStep
+from stepgap.learning.trust import Alarm
 from stepgap.plants.plant import Plant
 from stepgap.step import Array, StepFailed, StepMap, StepRecord, StepSpace, StepStatus
 
@@ -44,6 +45,11 @@ class AdaptiveMap(Protocol):
     @property
     def failures(self) -> Array:
         """Points (state, command) of the failed steps; shape (k, n + m)."""
+        ...
+
+    @property
+    def alarms(self) -> tuple[Alarm, ...]:
+        """What was found to be no longer true, in this deployment so far."""
         ...
 
     @property
@@ -156,6 +162,7 @@ def deploy(
     exploration: int = 0,
     control: ControlSettings = ALL_RULES,
     on_time: Callable[[str, float], None] = lambda part, seconds: None,
+    on_alarm: Callable[[Alarm], None] = lambda alarm: None,
 ) -> ExecutedSteps:
     """Tracks the reference until its end or a failed step, at each step with the map as known then.
 
@@ -168,6 +175,7 @@ def deploy(
             comes before them, with number −`exploration`.
         control: Settings of step control.
         on_time: Called with "planning" or "learning", and how long that took for one step [s].
+        on_alarm: Called when another hypothesis about the robot is trusted than before.
 
     Raises:
         StepGapError: The first state of the plant is not finite, or has another shape.
@@ -195,7 +203,10 @@ def deploy(
             if record.status != StepStatus.OK:
                 return
             begin = perf_counter()
+            known = len(controller.learner.alarms)
             controller, state = controller.after(logged), record.next_state
+            for alarm in controller.learner.alarms[known:]:
+                on_alarm(alarm)
             on_time("learning", perf_counter() - begin)
 
 

@@ -26,6 +26,7 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.residual import Residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps, as_past
+from stepgap.learning.trust import Alarm
 from stepgap.plants.plant import Plant
 from stepgap.records.steps_csv import digest
 from stepgap.records.summary import Deployment, NoiseFloor, Summary
@@ -55,6 +56,7 @@ class Observer:
         on_phase: Called with the name of what is done between deployments, and its progress (done, total); the total is
             0 where it is not known.
         on_learned: Called before a deployment with the residual that was learned for it.
+        on_alarm: Called when a step of a deployment that is executed shows that the robot is not what was learned.
         on_execution: Called before a deployment is executed, which is not done where its steps are taken from the
             record; then the record is locked, and agrees with the settings up to this deployment.
         on_time: Called with the number of a deployment, what was computed for it, and how long that took [s]: the `fit`
@@ -66,6 +68,7 @@ class Observer:
     on_fault: Callable[[str], None] = lambda message: None
     on_phase: Callable[[str, int, int], None] = lambda name, done, total: None
     on_learned: Callable[[Residual], None] = lambda residual: None
+    on_alarm: Callable[[Alarm], None] = lambda alarm: None
     on_execution: Callable[[], None] = lambda: None
     on_time: OnTime = lambda iteration, part, seconds: None
 
@@ -177,7 +180,9 @@ def _execute(learner: Learner, setup: Setup, observer: Observer) -> ExecutedStep
     plant = setup.plants.make(deployment_generator(setup.seed, iteration))
     exploration = 0 if iteration else setup.learning.exploration
     on_time = partial(observer.on_time, iteration)
-    yield from deploy(learner, plant, setup.reference, iteration, exploration, setup.control, on_time)
+    yield from deploy(
+        learner, plant, setup.reference, iteration, exploration, setup.control, on_time, observer.on_alarm
+    )
     if plant.fault:
         observer.on_fault(plant.fault)
 

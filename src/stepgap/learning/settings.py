@@ -44,11 +44,12 @@ class LearningSettings:
         forgetting_time: Number of steps in which the influence of a step falls to 1/e; for a Gaussian process, length
             scale of the time; inf: it never falls.
         early_stop: Whether redeploying stops before `iterations` when the error no longer falls.
-        drift: Whether a correction is shifted during a deployment by its recent errors and those near the same yaw.
+        drift: Whether a correction is shifted during a deployment by its recent errors and those near the same yaw, and
+            follows a change of the robot.
         remove_yaw_dependence: Whether the yaw-dependent part of the errors of earlier deployments is removed before a
             residual is fitted to them.
         reject_outliers: Whether single steps with improbable errors, such as those of a push, are not learned from.
-        monitor: Whether a correction that predicted the latest steps worse than the nominal map is not used.
+        monitor: Whether a residual that predicted the latest steps worse than the nominal map is not used.
         online: Whether to learn after every step, from the first one on.
         exploration: Number of steps before the first deployment's tracking whose commands are the most informative.
     """

@@ -29,6 +29,7 @@ from stepgap.report.settings_table import changed_settings
 from stepgap.report.summary_table import summary_table
 from stepgap.report.text import capitalised
 from stepgap.report.times_table import times_in_words, times_table
+from stepgap.report.trust_sentences import trust_sentences
 
 CONTENTS: Final = {
     "figures": "Figures",
@@ -79,7 +80,7 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
         ],
         "replay": [replay_view(run, analysis.replay)],
         "learned": [
-            bullets(learned_sentences(analysis)),
+            bullets([*learned_sentences(analysis), *trust_sentences(run)]),
             learned_tables(run, analysis.learned),
             coverage_table(run),
         ],
