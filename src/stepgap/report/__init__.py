@@ -5,8 +5,8 @@ A report is made from a `Run` alone. Nothing here builds a plant or a twin, exce
 `analysis` computes what is learned and the limit cycles; the modules in `figures` each draw and describe some figures;
 `error_table`, `learned_table`, `gait_table` and `settings_table` make the tables, `sentences`, `diagnosis_sentences`,
 `reach_sentences` and `trust_sentences` the text, `replay_view` the replay. `page` puts all on one page, next to
-published results, and lists the missing parts. `comparison` makes the page of several runs. `text`, `html` and `drawing`
-are for all pages.
+published results, and lists the missing parts. `comparison` makes the page of several runs. `text`, `html` and
+`drawing` are for all pages.
 """
 
 from collections.abc import Callable
