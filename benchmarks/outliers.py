@@ -18,13 +18,12 @@ from threadpoolctl import threadpool_limits
 
 from stepgap.base.random_streams import random_stream
 from stepgap.experiment.deployment import deploy
-from stepgap.experiment.settings import Experiment
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.robot import Hopper
-from stepgap.robots.hopper.twin.simulation import TwinPlant, TwinSimulation
+from stepgap.robots.hopper.twin.simulation import TwinPlant
 
 PUSHES = (0.2, 0.5)
 """Least and largest change of the speed [m/s]."""
@@ -50,11 +49,11 @@ class Outcome(NamedTuple):
 
 def deployment(seed: int, rate: float, reject: bool) -> Outcome:
     """Hops through the reference once, learning from the first hop on."""
-    hopper = Experiment(Hopper(), seed).robot
-    assert isinstance(hopper, Hopper)
-    simulation, nominal = TwinSimulation(hopper, random_stream(seed)), hopper.nominal_maps()["equations"]()
+    hopper = Hopper()
+    simulation, nominal = hopper.simulations()["twin"](random_stream(seed)), hopper.nominal_maps()["equations"]()
     _, twin = simulation.direct_rig(random_stream(seed, 0))
-    plant, rng, log, pushed = TwinPlant(twin, hopper), random_stream(seed, 1), Steps(nominal.space), set[int]()
+    plant, rng = TwinPlant(twin, hopper.control()), random_stream(seed, 1)
+    log, pushed = Steps(nominal.space), set[int]()
     settings = LearningSettings(online=True, reject_outliers=reject)
     learner = Learner.start(nominal, log, settings, 0)
     with closing(deploy(learner, plant, paper_reference(), 0)) as steps:
