@@ -78,8 +78,8 @@ def test_matlab_gets_structs_of_columns(run: Path, stepgap: Command, log: Steps)
     assert list(steps) == (run / "steps.csv").read_text().splitlines()[0].split(",")
     np.testing.assert_array_equal(np.stack([steps["speed"], steps["height"]], axis=1), log.state)
     np.testing.assert_array_equal(np.stack([steps["applied_fx"], steps["applied_fy"]], axis=1), log.applied)
-    assert steps["status"].tolist() == 6 * ["ok"]
-    assert steps["iteration"].tolist() == [0, 0, 0, 1, 1, 1]
+    assert steps["status"].tolist() == 8 * ["ok"]
+    assert steps["iteration"].tolist() == 4 * [0] + 4 * [1]
     assert file["units"]["next_speed"] == "m/s"
     assert (file["units"]["applied_fx"], len(file["units"]["step"])) == ("N", 0)
     wanted = tomllib.loads((run / "experiment.toml").read_text())
@@ -124,7 +124,7 @@ def test_csv_has_a_second_table_of_units(run: Path, stepgap: Command) -> None:
 def test_one_deployment_alone(run: Path, stepgap: Command) -> None:
     assert stepgap("export", run, "--to", "csv", "--iteration", 1).out.startswith("run/export/steps_1.csv\n")
     header, *rows = (run / "steps.csv").read_text().splitlines()
-    assert Path("run/export/steps_1.csv").read_text().splitlines() == [header, *rows[3:]]
+    assert Path("run/export/steps_1.csv").read_text().splitlines() == [header, *rows[4:]]
 
 
 def test_parquet_keeps_numbers_and_units(run: Path, stepgap: Command, log: Steps) -> None:
@@ -133,7 +133,7 @@ def test_parquet_keeps_numbers_and_units(run: Path, stepgap: Command, log: Steps
     table = parquet.read_table("run/export/steps.parquet")
     np.testing.assert_array_equal(table["next_height"].to_numpy(), log.next_state[:, 1])
     assert table.schema.field("speed").metadata[b"unit"] == b"m/s"
-    assert table["status"].to_pylist() == 6 * ["ok"]
+    assert table["status"].to_pylist() == 8 * ["ok"]
 
 
 def test_without_pyarrow_the_message_names_the_package(
@@ -250,12 +250,12 @@ def cut(count: int) -> Callable[[bytes], bytes]:
 @pytest.mark.parametrize(
     ("spoil", "steps", "fault"),
     [
-        (bytes, 6, ""),
-        (cut(9), 5, "the last line is cut off after "),
-        (cut(1), 5, "the last line is cut off after "),
-        (lambda content: content + b"\0" * 4096, 6, "the last line is cut off after 4096 bytes"),
-        (lambda content: content + b"\xff\xfe\n1,2\n", 6, "not text from byte "),
-        (lambda content: content.replace(b"\n1,1,", b"\n1,9,"), 3, "line 5: not the next step"),
+        (bytes, 8, ""),
+        (cut(9), 7, "the last line is cut off after "),
+        (cut(1), 7, "the last line is cut off after "),
+        (lambda content: content + b"\0" * 4096, 8, "the last line is cut off after 4096 bytes"),
+        (lambda content: content + b"\xff\xfe\n1,2\n", 8, "not text from byte "),
+        (lambda content: content.replace(b"\n1,1,", b"\n1,9,"), 5, "line 7: not the next step"),
         (lambda content: content.replace(b",ok\n", b",okay\n", 3).replace(b",okay\n", b",ok\n", 2), 2, "line 4: not"),
     ],
 )
@@ -267,7 +267,7 @@ def test_the_intact_steps_of_a_damaged_record(
     result = stepgap("recover", run / "steps.csv")
     *faults, count, path = result.out.splitlines()
     assert (result.code, result.err, path) == (0, "", "run/steps_recovered.csv")
-    assert count == (f"{steps} steps recovered" if fault else "6 steps copied: the file has no fault")
+    assert count == (f"{steps} steps recovered" if fault else "8 steps copied: the file has no fault")
     assert len(faults) == bool(fault)
     assert fault in "".join(faults)
     recovered = read_step_log(Path(path), SPACE)

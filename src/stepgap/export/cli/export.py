@@ -80,7 +80,7 @@ def _export_steps(folder: Path, to: str, iteration: int | None, out: Path | None
     from stepgap.records.step_columns import step_columns
 
     run = Run(folder).checked()
-    columns = step_columns(run.steps, iteration)
+    columns = step_columns(run.recorded, iteration)
     contents = {
         "mat": lambda: matlab_file(run, columns),
         "csv": lambda: steps_text(columns),

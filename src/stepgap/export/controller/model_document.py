@@ -80,6 +80,8 @@ def trust_at_end(controller: PortableController, steps: Steps) -> Trust:
     """Which map is trusted after the steps of one deployment, as an exported controller computes it."""
     trust = controller.trust
     for logged, phase in zip(steps, steps.phase, strict=True):
+        if not logged.planned:
+            continue  # it says nothing of the map: a hop from rest is not quite like others
         trust = controller.trust_after(trust, logged.record, phase)
     return trust
 
