@@ -90,7 +90,7 @@ def test_matlab_gets_structs_of_columns(run: Path, stepgap: Command, log: Steps)
     assert summary["residual"].tolist() == ["none", "gp_on_linear"]
     assert (summary["repeatability"]["speed"], math.isnan(summary["repeatability"]["height"])) == (0.01, True)
     columns = loadmat("run/export/run.mat")["steps"]["speed"][0, 0]
-    assert columns.shape == (6, 1), "columns, as in MATLAB"
+    assert columns.shape == (8, 1), "columns, as in MATLAB"
 
 
 def test_a_run_of_another_robot_that_is_not_finished(stepgap: Command) -> None:
