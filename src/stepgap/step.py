@@ -281,6 +281,10 @@ class StepSpace:
         """States scaled so that the ranges of use end at −1 and 1; shape (…, n)."""
         return (state - self.state_centre) / self.state_scale
 
+    def scaled_inputs(self, state: Array, command: Array) -> Array:
+        """States and commands scaled so that their ranges end at −1 and 1, side by side; shape (…, n + m)."""
+        return np.concatenate([self.scaled_state(state), self.point_of(command)], axis=-1)
+
     def scaled_jacobian(self, by_command: Array) -> Array:
         """∂(next state / `error_scale`)/∂point from ∂(next state)/∂command; shape (…, n, m)."""
         return by_command * self.command_scale / self.error_scale[:, None]

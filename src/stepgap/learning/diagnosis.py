@@ -90,7 +90,7 @@ def part_at_bounds(observed: Observations) -> Array:
 
 def _scaled(observed: Observations) -> Array:
     space = observed.space
-    return np.hstack([space.scaled_state(observed.state), space.point_of(observed.command)])
+    return space.scaled_inputs(observed.state, observed.command)
 
 
 def _basis(observed: Observations) -> Array | None:

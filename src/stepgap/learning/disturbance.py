@@ -217,7 +217,7 @@ def without_periodic_part(observations: Observations, iteration: int) -> Observa
     phase = np.where(deployment < iteration, observations.phase, np.nan)
     if not np.isfinite(phase).any():
         return observations
-    points = np.hstack([space.scaled_state(observations.state), space.point_of(observations.command)])
+    points = space.scaled_inputs(observations.state, observations.command)
     features, rows = monomials(points, 2), regressors(phase)
     groups = [np.flatnonzero(deployment == number) for number in np.unique(deployment)]
     parts = [_Part(features[group], rows[group], observations.error[group]) for group in groups]

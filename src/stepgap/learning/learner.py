@@ -10,12 +10,12 @@ from stepgap.learning.background import Deferred
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.observations import error_of, history_after, next_history, observe
 from stepgap.learning.outliers import LEAST_KNOWN, improbable_errors
-from stepgap.learning.residual import Residual, join_points, no_residual
+from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.residual_fit import explains_better, learned_residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
-from stepgap.learning.trust import Alarm, PredictedStep, Trust
+from stepgap.learning.trust import Alarm, Trust, predicted_step
 from stepgap.learning.zero import NONE
 from stepgap.step import Array, StepMap, StepRecord, StepStatus
 
@@ -49,10 +49,10 @@ class Learner:
     """State of learning between two steps of a deployment; `Learner.start` returns the first one, `after` the next one.
 
     `Trust` decides by likelihood which map plans the next step: the corrected one with its disturbance, or the nominal
-    one. A learner that learns online updates its residual with
-    every step before the next one is planned, and also finds new hyper-parameters: the fit is deferred, so that a
-    `BackgroundThread` can compute `pending` while the robot moves, and its result is used from a fixed number of steps
-    later on, by `FITTED_PER_STEP`. So the same steps give the same learner, however long a fit takes.
+    one. A learner that learns online updates its residual with every step before the next one is planned, and also
+    finds new hyper-parameters: the fit is deferred, so that a `BackgroundThread` can compute `pending` while the robot
+    moves, and its result is used from a fixed number of steps later on, by `FITTED_PER_STEP`. So the same steps give
+    the same learner, however long a fit takes.
 
     Attributes:
         nominal: Map of the physics model.
@@ -150,9 +150,7 @@ class Learner:
 
     def step_map(self) -> CorrectedMap:
         """Returns the map that plans the next step."""
-        residual = self.conditioned_residual
-        used = residual if self.trust.uses_residual else no_residual(*residual.sizes)
-        return CorrectedMap(self.nominal, used, self.trust.predict(residual, self.phase))
+        return self.trust.step_map(self.nominal, self.conditioned_residual, self.phase)
 
     def after(self, logged: LoggedStep) -> "Learner":
         """Returns the learner after the step just executed.
@@ -172,9 +170,8 @@ class Learner:
         if not np.isfinite(error).all():
             return learner._with_refit()
         residual = self.conditioned_residual
-        mean, std = residual.mean(point), residual.std(point, include_noise=True)
-        check_prediction(residual.kind, mean, std)
-        step = PredictedStep(inputs=self._inputs(record), error=error, mean=mean, std=std, phase=self.phase)
+        step = predicted_step(residual, record, self.nominal.space, error, self.phase)
+        check_prediction(residual.kind, step.mean, step.std)
         trust = self.trust.after(residual, step) if logged.planned else self.trust
         change, alarms = trust.change(step), [Alarm(logged.step, trust.alarm)] if trust.alarm else []
         learner = replace(learner, trust=trust, alarms=(*self.alarms, *alarms))
@@ -195,11 +192,6 @@ class Learner:
         for row, change in self.changes:
             next_state[row] -= change
         return self.log.with_columns(next_state=next_state)
-
-    def _inputs(self, record: StepRecord) -> Array:
-        """State and requested command of a step from the middle of their ranges on; shape (n + m,) [half ranges]."""
-        space = self.nominal.space
-        return np.append(space.scaled_state(record.state), space.point_of(record.requested))
 
     def _updated(self, history: Array, point: Array, error: Array, *, counts: bool) -> "Learner":
         """Learns a step: it updates the present residual or that of a fit that is due, or ends with a fit to all.

@@ -139,7 +139,7 @@ def _outliers_of(residual: Residual, observations: Observations) -> NDArray[np.b
     same, next_one = np.diff(labels, axis=0, prepend=labels[:1]).T
     std = np.stack([predicted.std for predicted in predictions], axis=1)
     space, follows = observations.space, (same == 0) & (next_one == 1)
-    points = np.hstack([space.scaled_state(observations.state), space.point_of(observations.command)])
+    points = space.scaled_inputs(observations.state, observations.command)
     return outliers_among(np.stack(error, axis=1) / scale, std / scale, follows, points)
 
 
@@ -153,24 +153,26 @@ def explains_better(residual: Residual, other: Residual, observations: Observati
         other: Fitted to all observations.
         observations: All of them.
     """
-    own, of_all = (_held_out_densities(each, observations) for each in (residual, other))
+    latest = observations.selected(observations.labels[:, 0] == observations.labels[-1, 0])
+    own, of_all = _held_out_densities(residual, latest), _held_out_densities(other, observations)
     gains = np.array([own[label] - of_all[label] for label in own.keys() & of_all.keys()])
     return bool(gains.sum() > LEAST_EVIDENCE + 2 * np.sqrt(np.sum(gains**2)))
 
 
 def _held_out_densities(residual: Residual, observations: Observations) -> dict[tuple[int, int], float]:
-    """Log density of each step of the latest deployment, predicted from those outside its part of it, by its label."""
+    """Log density of each step of the latest deployment, predicted from those outside its part of it, by its label.
+
+    The residual was fitted to all observations but its outliers.
+    """
     labels = [(int(deployment), int(number)) for deployment, number in observations.labels]
-    count, deployment = len(residual.regressions[0].values), labels[-1][0]
     kept = [label for label in labels if label not in residual.outliers]
-    rows = np.flatnonzero([label[0] == deployment for label in kept[-count:]])  # a residual of it alone has no others
-    parts = [part for part in np.array_split(rows, SELECTION_FOLDS) if len(part)]
-    blocks = [slice(part[0], part[-1] + 1) for part in parts]
-    total = np.zeros(len(rows))
+    rows = np.flatnonzero([label[0] == labels[-1][0] for label in kept])
+    blocks = [slice(part[0], part[-1] + 1) for part in np.array_split(rows, SELECTION_FOLDS) if len(part)]
+    before, total = rows[0], np.zeros(len(rows))
     for regression in residual.regressions:
-        mean, std = regression.left_out([slice(0, blocks[0].start), *blocks] if blocks[0].start else blocks)
+        mean, std = regression.left_out([slice(0, before), *blocks] if before else blocks)
         total += log_density(regression.values[rows] - mean[rows], std[rows])
-    return dict(zip(kept[-count:][rows[0] :], total.tolist(), strict=True))
+    return dict(zip(kept[before:], total.tolist(), strict=True))
 
 
 def held_out_score(residual: Residual, observations: Observations) -> float:

@@ -26,10 +26,11 @@ from typing import Literal, NamedTuple, Self, final
 import numpy as np
 
 from stepgap.base.normal import log_density
+from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.disturbance import Disturbance, DisturbanceFilter
 from stepgap.learning.outliers import LEAST_KNOWN, LEAST_STD, OUTLIER_PROBABILITY, OUTLIER_WIDTH, improbable_errors
-from stepgap.learning.residual import Residual
-from stepgap.step import Array
+from stepgap.learning.residual import Residual, join_points, no_residual
+from stepgap.step import Array, StepMap, StepRecord, StepSpace
 
 MapSource = Literal["current", "changed", "nominal", "earlier"]
 """What a hypothesis takes the next state from; the module describes each."""
@@ -68,6 +69,24 @@ class PredictedStep(NamedTuple):
     mean: Array
     std: Array
     phase: float
+
+
+def predicted_step(
+    residual: Residual, record: StepRecord, space: StepSpace, error: Array, phase: float
+) -> PredictedStep:
+    """A step as a residual predicts it.
+
+    Args:
+        residual: Conditioned on the history of the step.
+        record: The step.
+        space: Step space of both.
+        error: Error of the nominal map at it; shape (n,).
+        phase: Phase at which it started [rad], NaN if it is unknown.
+    """
+    point = join_points(record.state, record.requested)
+    mean, std = residual.mean(point), residual.std(point, include_noise=True)
+    inputs = space.scaled_inputs(record.state, record.requested)
+    return PredictedStep(inputs=inputs, error=error, mean=mean, std=std, phase=phase)
 
 
 class Alarm(NamedTuple):
@@ -157,6 +176,17 @@ class Trust:
         """
         disturbance = self.hypotheses[0].filter.predict(phase, residual.noise_std)
         return disturbance if self.strained < MOST_STRAINED else disturbance.removed()
+
+    def step_map(self, nominal: StepMap, residual: Residual, phase: float) -> CorrectedMap:
+        """The map that plans the next step.
+
+        Args:
+            nominal: The nominal map.
+            residual: As for `predict`, conditioned on the history of the step.
+            phase: As for `predict`.
+        """
+        used = residual if self.uses_residual else no_residual(*residual.sizes)
+        return CorrectedMap(nominal, used, self.predict(residual, phase))
 
     def change(self, step: PredictedStep) -> Array:
         """By what the robot has changed at a step since the residual was learned; shape (n,) [units of the state]."""

@@ -28,10 +28,10 @@ from stepgap.learning.observations import error_of
 from stepgap.learning.outliers import LEAST_KNOWN
 from stepgap.learning.polynomial import Polynomial
 from stepgap.learning.regression import Regression
-from stepgap.learning.residual import HistoryInputs, Residual, join_points, no_residual
+from stepgap.learning.residual import HistoryInputs, Residual, join_points
 from stepgap.learning.settings import NO_FEATURE_MAP
 from stepgap.learning.sparse_gaussian_process import SparseGaussianProcess, condition_sparse, spread_points
-from stepgap.learning.trust import PredictedStep, Trust
+from stepgap.learning.trust import Trust, predicted_step
 from stepgap.learning.zero import Zero
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.surrogate_map import WIDENED, Samples, SurrogateMap, fit_surrogate
@@ -138,21 +138,15 @@ class PortableController:
             record: The step.
             phase: Phase at which it started [rad], NaN if it is unknown.
         """
-        residual, point = self.map.residual, join_points(record.state, record.requested)
         error = error_of(record, self.map.nominal)
         if not np.isfinite(error).all():
             return trust
-        command = self.space.point_of(record.requested)
-        inputs = np.append(self.space.scaled_state(record.state), command)
-        mean, std = residual.mean(point), residual.std(point, include_noise=True)
-        step = PredictedStep(inputs=inputs, error=error, mean=mean, std=std, phase=phase)
-        return trust.after(residual, step)
+        residual = self.map.residual
+        return trust.after(residual, predicted_step(residual, record, self.space, error, phase))
 
     def map_by(self, trust: Trust, phase: float) -> CorrectedMap:
         """Returns the map that plans a step which starts at a phase [rad], NaN if it is unknown."""
-        residual = self.map.residual
-        used = residual if trust.uses_residual else no_residual(*residual.sizes)
-        return replace(self.map, residual=used, disturbance=trust.predict(residual, phase))
+        return trust.step_map(self.map.nominal, self.map.residual, phase)
 
 
 def portable_controller(run: Run, deployment: int | None, rng: np.random.Generator) -> PortableController:

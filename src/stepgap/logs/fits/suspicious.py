@@ -61,7 +61,7 @@ def improbable_rows(observed: Observations, follows: NDArray[np.bool_], validati
         std = np.maximum(1.4826 * typical[best.kind], LEAST_STD * scale)
         ratios[:, column] = best.remaining[:, column] / np.maximum(std, best.std[:, column])
     limited, space = ratios * IMPROBABLE / LARGE, observed.space
-    points = np.hstack([space.scaled_state(observed.state), space.point_of(observed.command)])
+    points = space.scaled_inputs(observed.state, observed.command)
     rows, names = np.flatnonzero(outliers_among(limited, np.ones_like(limited), follows, points)), space.state_names
     return _few({int(row): _error_of(names, observed.error[row], np.abs(ratios[row])) for row in rows}, len(observed))
 

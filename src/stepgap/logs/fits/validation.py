@@ -337,7 +337,7 @@ def _predict(residual: Residual, steps: Observations, learning: LearningSettings
     phase = np.full(len(steps), np.nan) if steps.phase is None else steps.phase
     drift, reject = learning.drift, learning.reject_outliers
     trust = Trust.start(steps.space.state_scale, residual, drift=drift, monitor=False, reject_outliers=reject)
-    inputs = np.hstack([steps.space.scaled_state(steps.state), steps.space.point_of(steps.command)])
+    inputs = steps.space.scaled_inputs(steps.state, steps.command)
     offset, offset_std = np.empty_like(mean), np.empty_like(mean)
     # As in a run, a step is predicted before its error is known: the disturbance comes from the rows above alone.
     # Neither this nor the fit has seen the step, or the score would reward a residual that follows the noise.
