@@ -4,9 +4,9 @@ It is decided by likelihood, step by step, as in multiple-model estimation (Blom
 multiple model algorithm, 1988). The *hypotheses* are
 
 - `current`: the map and the disturbance that planned the latest step are right;
-- `changed`: the robot changed just before one of the latest steps, so that the disturbance of the corrected map began
-  anew there, with a wide prior;
-- `nominal`: the residual is wrong, so that a disturbance of the nominal map began there in the same way;
+- `changed`: the robot changed just before one of the latest steps; since then the corrected map has a new disturbance,
+  with a wide prior;
+- `nominal`: the residual is wrong; since one of the latest steps the nominal map has such a new disturbance instead;
 - `earlier`: map and disturbance are again those from before an alarm.
 
 The weight of a hypothesis is its posterior probability. From one step to the next the robot may change with a
@@ -50,7 +50,7 @@ is right: a robot that does not follow is not pushed any longer."""
 YOUNG = 10
 """A disturbance that began fewer steps ago explains anything: whether a step is improbable is judged without it."""
 CANDIDATES = 2
-"""Number of steps kept at which the disturbance may have begun anew, and of earlier disturbances."""
+"""Number of hypotheses of each kind that are kept beside the current one."""
 
 
 class PredictedStep(NamedTuple):
@@ -224,7 +224,7 @@ class Trust:
         return self.strained + int(strains)
 
     def _before_a_step(self, residual: Residual, hazards: Mapping[str, float]) -> tuple[Hypothesis, ...]:
-        """The hypotheses before a step: none is less probable than a change is, and each disturbance may begin anew."""
+        """The hypotheses before a step: none is less probable than a change is, and a new disturbance may begin."""
         least, current = {source: log(hazard) for source, hazard in hazards.items()}, self.hypotheses[0]
         others = [replace(each, log_weight=max(each.log_weight, least[each.source])) for each in self.hypotheses[1:]]
         if residual.kind == "none":
