@@ -284,7 +284,17 @@ def test_the_folder_is_the_contract(unbroken: Path) -> None:
     assert (summary["schema"], summary["seed"]) == (1, 3)
     for number, entry in enumerate(summary["iterations"]):
         measures = {"rmse", "mae", "bias", "steady_rmse", "transient_rmse", "true_rmse"}
-        assert set(entry) == {"iteration", "residual", "steps", "falls", "cut", "unreachable", "missed", *measures}
+        assert set(entry) == {
+            "iteration",
+            "residual",
+            "steps",
+            "falls",
+            "cut",
+            "unreachable",
+            "missed",
+            "alarms",
+            *measures,
+        }
         residual = "linear" if number else "none"
         assert [entry[key] for key in ("iteration", "residual", "steps", "falls")] == [number, residual, 16, 0]
         assert all(set(entry[measure]) == {"speed", "height"} for measure in measures)
@@ -301,6 +311,7 @@ def test_the_summary_agrees_with_the_steps(unbroken: Path) -> None:
         assert list(entry["steady_rmse"].values()) == found.steady_rmse.tolist()
         assert entry["true_rmse"] == entry["rmse"], "the state of a map is measured without error"
         assert entry["missed"] == found.missed.tolist()
+        assert entry["alarms"] == []
 
 
 def test_same_seed_same_bytes_other_seed_others(unbroken: Path, gaussian: Path, tmp_path: Path) -> None:

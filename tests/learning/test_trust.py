@@ -31,8 +31,16 @@ def fitted(steps: int = 60) -> Residual:
     return fit_residual("linear", observe(log_of(hops(steps, 1, {})), NOMINAL))
 
 
-def started(residual: Residual, *, drift: bool = True, monitor: bool = True, reject_outliers: bool = True) -> Trust:
-    return Trust.start(SCALE, residual, drift=drift, monitor=monitor, reject_outliers=reject_outliers)
+def started(
+    residual: Residual,
+    *,
+    drift: bool = True,
+    monitor: bool = True,
+    reject_outliers: bool = True,
+    warm_start: bool = False,
+) -> Trust:
+    rules = {"drift": drift, "monitor": monitor, "reject_outliers": reject_outliers}
+    return Trust.start(SCALE, residual, warm_start=warm_start, **rules)
 
 
 def after(trust: Trust, residual: Residual, errors: Array, *, mean: Array = MEAN):
@@ -88,16 +96,18 @@ def test_healthy_steps_raise_no_alarm() -> None:
 
 
 @pytest.mark.parametrize("drift", [True, False])
-def test_a_residual_that_is_worse_than_none_is_left_out_after_its_first_step(drift: bool) -> None:
-    """Where it is wrong in another way at every step, so that no disturbance explains it."""
+@pytest.mark.parametrize(("warm_start", "wrong_steps"), [(True, 1), (False, 3)])
+def test_a_residual_that_is_worse_than_none_is_left_out(drift: bool, warm_start: bool, wrong_steps: int) -> None:
+    """After its first step if that is of another run; it is wrong in another way at every step."""
     rng, residual = np.random.default_rng(6), fitted()
-    trust, used = started(residual, drift=drift), []
+    trust, used = started(residual, drift=drift, warm_start=warm_start), []
     for number in range(6):
         wrong = rng.normal(0, 0.3, 2) * [1, 0.2]
         step = PredictedStep(INPUTS[number], rng.normal(0, NOISE), wrong, residual.noise_std, nan)
         trust = trust.after(residual, step)
         used.append(trust.uses_residual)
-    assert not any(used)
+    assert used.count(True) < wrong_steps
+    assert not any(used[wrong_steps - 1 :])
     assert after(started(residual, monitor=False), residual, noise() + 1.0)[0].uses_residual
 
 

@@ -55,11 +55,19 @@ def test_a_change_and_its_end_are_said(tmp_path: Path) -> None:
         made.append(rng)
         return ChangingPlant(rng, changes=len(made) > 1)
 
-    setup = Setup(NOMINAL, Plants(make), Reference(("speed", "height"), targets), learning, seed=3)
-    run_experiment(setup, tmp_path, Observer(on_alarm=heard.append))
+    setup = Setup(NOMINAL, Plants(make, replays=False), Reference(("speed", "height"), targets), learning, seed=3)
+    found = run_experiment(setup, tmp_path, Observer(on_alarm=heard.append))
     assert [alarm.source for alarm in heard] == ["changed", "earlier"]
     assert FROM <= heard[0].step <= FROM + 1
     assert TO <= heard[1].step <= TO + 1
+    assert [each.alarms for each in found] == [(), tuple(heard)]
+    summary = tmp_path / "summary.json"
+    written = summary.read_bytes()
+    for kept in (written, None):  # with the summary alarms are read from it, without it they are found again
+        if kept is None:
+            summary.unlink()
+        assert [each.alarms for each in run_experiment(setup, tmp_path)] == [(), tuple(heard)]
+        assert summary.read_bytes() == written
     run = Run(tmp_path, nominal=NOMINAL, settings=Experiment(Hopper(), learning=learning), space=NOMINAL.space)
     first, second = trust_sentences(run)
     assert first.startswith(f"Deployment 1: after step {heard[0].step}, the robot was not the same as before")

@@ -162,7 +162,7 @@ def deploy(
     exploration: int = 0,
     control: ControlSettings = ALL_RULES,
     on_time: Callable[[str, float], None] = lambda part, seconds: None,
-    on_alarm: Callable[[Alarm], None] = lambda alarm: None,
+    on_learner: Callable[[AdaptiveMap], None] = lambda learner: None,
 ) -> ExecutedSteps:
     """Tracks the reference until its end or a failed step, at each step with the map as known then.
 
@@ -175,7 +175,7 @@ def deploy(
             comes before them, with number −`exploration`.
         control: Settings of step control.
         on_time: Called with "planning" or "learning", and how long that took for one step [s].
-        on_alarm: Called when another hypothesis about the robot is trusted than before.
+        on_learner: Called with the state of knowledge after each step.
 
     Raises:
         StepGapError: The first state of the plant is not finite, or has another shape.
@@ -203,11 +203,9 @@ def deploy(
             if record.status != StepStatus.OK:
                 return
             begin = perf_counter()
-            known = len(controller.learner.alarms)
             controller, state = controller.after(logged), record.next_state
-            for alarm in controller.learner.alarms[known:]:
-                on_alarm(alarm)
             on_time("learning", perf_counter() - begin)
+            on_learner(controller.learner)
 
 
 def _explored(controller: DeploymentController, reference: Reference, state: Array) -> CautiousPlan:

@@ -3,6 +3,7 @@
 It does not depend on a robot: a `Setup` needs only a nominal `StepMap`, `Plants`, and a `Reference`.
 """
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -19,7 +20,7 @@ from stepgap.base.random_streams import random_stream
 from stepgap.base.versions import versions_here
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ALL_RULES, ControlSettings
-from stepgap.experiment.deployment import ExecutedSteps, deploy
+from stepgap.experiment.deployment import AdaptiveMap, ExecutedSteps, deploy
 from stepgap.experiment.outcome import estimate_noise_floor, summarise
 from stepgap.experiment.resume import Recording, warm_start_of
 from stepgap.learning.learner import Learner
@@ -148,12 +149,21 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
             if iteration > 0 or len(past):
                 observer.on_time(iteration, "fit", seconds)
                 recording.write_model(learner)
-            execute = partial(_execute, learner, setup, observer)
+            latest = deque[AdaptiveMap]([learner], maxlen=1)
+            execute = partial(_execute, learner, setup, observer, latest.append)
             steps = _observed(recording.steps(iteration, execute), recording.space, observer)
             log += steps
+            alarms = recording.alarms(iteration)
             floor = estimate_noise_floor(steps, reference)
             deployments.append(
-                summarise(steps, reference, _residual_name(learner), learner.step_map(), floor.any_phase)
+                summarise(
+                    steps,
+                    reference,
+                    _residual_name(learner),
+                    learner.step_map(),
+                    floor.any_phase,
+                    _final(learner, latest[0], steps).alarms if alarms is None else alarms,
+                )
             )
             summary = _summary(deployments, log, floor, seed, past)
             recording.write_summary(summary)
@@ -164,8 +174,7 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
         if plants.measure_noise_floor:
             noise_floor = recording.measured_noise_floor(len(deployments))
             if noise_floor is None:
-                # deploy updates a copy of the learner, so its end is found again from the recorded steps
-                last_map = reduce(Learner.after, steps.completed(), learner).step_map()
+                last_map = _final(learner, latest[0], steps).step_map()
                 progress = partial(observer.on_phase, "measuring the noise floor")
                 noise_floor = plants.measure_noise_floor(last_map, random_stream(seed, iteration, 1), progress)
             summary = replace(summary, noise_floor=noise_floor, noise_floor_measured=True)
@@ -173,18 +182,37 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
     return deployments
 
 
-def _execute(learner: Learner, setup: Setup, observer: Observer) -> ExecutedSteps:
+def _execute(
+    learner: Learner, setup: Setup, observer: Observer, on_learner: Callable[[AdaptiveMap], None]
+) -> ExecutedSteps:
     """Executes a deployment on a new plant, whose fault is reported at the end."""
-    iteration = learner.iteration
+    iteration, known = learner.iteration, 0
+
+    def follow(after: AdaptiveMap) -> None:
+        nonlocal known
+        for alarm in after.alarms[known:]:
+            observer.on_alarm(alarm)
+        known = len(after.alarms)
+        on_learner(after)
+
     observer.on_execution()
     plant = setup.plants.make(deployment_generator(setup.seed, iteration))
     exploration = 0 if iteration else setup.learning.exploration
     on_time = partial(observer.on_time, iteration)
-    yield from deploy(
-        learner, plant, setup.reference, iteration, exploration, setup.control, on_time, observer.on_alarm
-    )
+    yield from deploy(learner, plant, setup.reference, iteration, exploration, setup.control, on_time, follow)
     if plant.fault:
         observer.on_fault(plant.fault)
+
+
+def _final(first: Learner, latest: AdaptiveMap, steps: Steps) -> AdaptiveMap:
+    """The learner after a deployment; after one that was not executed here, it is found from the recorded steps.
+
+    Args:
+        first: The learner before it.
+        latest: The latest one while it was executed.
+        steps: All steps of it.
+    """
+    return latest if latest is not first else reduce(Learner.after, steps.completed(), first)
 
 
 def _observed(steps: ExecutedSteps, space: StepSpace, observer: Observer) -> Steps:

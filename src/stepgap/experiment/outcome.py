@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from stepgap.control.reach import reached_in_one_step, whole_states
 from stepgap.control.reference import Reference, mean_of_known, same_target
 from stepgap.learning.steps import Steps
+from stepgap.learning.trust import Alarm
 from stepgap.records.summary import Deployment, NoiseFloor
 from stepgap.step import Array, StepMap
 
@@ -25,6 +26,7 @@ def summarise(
     residual: str,
     step_map: StepMap | None = None,
     floor: Array | None = None,
+    alarms: tuple[Alarm, ...] = (),
 ) -> Deployment:
     """Outcome of the steps of one deployment.
 
@@ -34,6 +36,7 @@ def summarise(
         residual: Name of the residual that was used.
         step_map: Map with which the deployment began. Without it, no target counts as unreachable.
         floor: Noise floor as `estimate_noise_floor` found it in these steps; by default it is estimated here.
+        alarms: Those of the deployment.
     """
     tracked = steps.completed().tracking()
     numbers = tracked.number - 1
@@ -56,6 +59,7 @@ def summarise(
         cut=count_cut(steps.planned()),
         unreachable=unreachable,
         missed=missed_targets(steps, reference, unreachable, floor),
+        alarms=alarms,
     )
 
 

@@ -9,6 +9,7 @@ from typing import Self
 from stepgap.experiment.deployment import ExecutedSteps
 from stepgap.learning.learner import Learner
 from stepgap.learning.steps import LoggedStep, Steps
+from stepgap.learning.trust import Alarm
 from stepgap.records.model_files import read_model, write_model
 from stepgap.records.steps_csv import RecordError, StepWriter, digest, row_of
 from stepgap.records.summary import NoiseFloor, OtherSchema, Summary, WarmStart, read_summary, write_summary
@@ -111,6 +112,11 @@ class Recording:
         """
         if not self._recorded:
             write_summary(self._path.with_name("summary.json"), summary, self._writer.recorded.space.state_names)
+
+    def alarms(self, iteration: int) -> tuple[Alarm, ...] | None:
+        """Alarms of a deployment that is taken as it is recorded; None if they are not known."""
+        known = self._summary.deployments
+        return known[iteration].alarms if iteration < len(known) else None
 
     def check_finished(self) -> None:
         """Raises RecordError if there are recorded steps after the last deployment."""

@@ -85,6 +85,11 @@ class Disturbance:
         """No disturbance, of the same sizes."""
         return Disturbance(0 * self.constant, 0 * self.slopes, 0 * self.covariance)
 
+    @property
+    def is_zero(self) -> bool:
+        """Whether it is known that there is none."""
+        return not (self.constant.any() or self.slopes.any() or self.covariance.any())
+
     def mean(self, inputs: Array) -> Array:
         """Expected disturbance at states and commands in half ranges; (…, n + m) to (…, n) [units of the state]."""
         return self.constant + inputs @ self.slopes.T

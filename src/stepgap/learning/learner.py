@@ -122,6 +122,7 @@ class Learner:
                 drift=settings.drift,
                 monitor=settings.monitor,
                 reject_outliers=settings.reject_outliers,
+                warm_start=log.has_earlier_runs,
             ),
             outliers=(),
             alarms=(),

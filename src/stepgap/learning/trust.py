@@ -11,7 +11,8 @@ multiple model algorithm, 1988). The *hypotheses* are
 
 The weight of a hypothesis is its posterior probability. From one step to the next the robot may change with a
 probability in `HAZARDS`, so no weight falls below that, and what was improbable for a long time is believed again after
-one or two steps. At the first step of a deployment the robot may be another one, with a probability of `FIRST_HAZARD`.
+one or two steps. At the first step of a deployment the robot may be another one, with a probability in `FIRST_HAZARDS`,
+or in `WARM_HAZARDS` after a warm start, whose steps may be of a quite different robot.
 
 A hypothesis predicts an error with a normal distribution, or, with a probability of `OUTLIER_PROBABILITY`, with one
 that is `OUTLIER_WIDTH` times as wide in all coordinates, or as wide as a change, since a push, a slip or a wrong
@@ -38,8 +39,10 @@ MapSource = Literal["current", "changed", "nominal", "earlier"]
 HAZARDS = {"changed": 1e-3, "earlier": 1e-3, "nominal": 1e-6}
 """Probability of each kind of change from one step to the next. A linear disturbance of the nominal map soon predicts
 steps at one target as well as a residual does, which knows more; so it must be needed for several steps."""
-FIRST_HAZARD = 0.1
-"""Probability that the robot is another one than in the deployments that were learned from."""
+FIRST_HAZARDS = {"changed": 0.1, "nominal": 1e-3}
+"""Probability that the robot is another one than in the deployments of the run that were learned from."""
+WARM_HAZARDS = {"changed": 0.1, "nominal": 0.1}
+"""The same, if steps of earlier runs or of a model were learned from."""
 SWITCHING_ODDS = 3.0
 """Another hypothesis is trusted from these odds in its favour on, so that two equally good ones do not alternate."""
 STRAINING = 0.9
@@ -148,19 +151,27 @@ class Trust:
 
     @classmethod
     def start(
-        cls, state_scale: Array, residual: Residual, *, drift: bool, monitor: bool, reject_outliers: bool
+        cls,
+        state_scale: Array,
+        residual: Residual,
+        *,
+        drift: bool,
+        monitor: bool,
+        reject_outliers: bool,
+        warm_start: bool = False,
     ) -> Self:
         """Returns the hypotheses before the first step; the other arguments are those of `Trust`.
 
         Args:
             state_scale: See `Trust`.
             residual: The residual before the deployment.
+            warm_start: Whether steps from before this run were learned from.
         """
         current = Hypothesis(
             "current", DisturbanceFilter.initial(len(state_scale), sum(residual.sizes)), 0.0, age=YOUNG
         )
         trust = cls(state_scale, drift, monitor, reject_outliers, (current,))
-        return replace(trust, hypotheses=trust._before_a_step(residual, dict.fromkeys(HAZARDS, FIRST_HAZARD)))
+        return replace(trust, hypotheses=trust._before_a_step(residual, WARM_HAZARDS if warm_start else FIRST_HAZARDS))
 
     @property
     def uses_residual(self) -> bool:
@@ -186,7 +197,8 @@ class Trust:
             phase: As for `predict`.
         """
         used = residual if self.uses_residual else no_residual(*residual.sizes)
-        return CorrectedMap(nominal, used, self.predict(residual, phase))
+        disturbance = self.predict(residual, phase)
+        return CorrectedMap(nominal, used, None if disturbance.is_zero else disturbance)
 
     def change(self, step: PredictedStep) -> Array:
         """By what the robot has changed at a step since the residual was learned; shape (n,) [units of the state]."""

@@ -11,6 +11,7 @@ import numpy as np
 from stepgap.base.errors import InputError, StepGapError
 from stepgap.base.files import read_bounded_text, write_whole
 from stepgap.base.json_data import as_object, describe_value, integer, is_measurement, parse_json
+from stepgap.learning.trust import Alarm
 from stepgap.step import Array
 
 SUMMARY_SCHEMA = 1
@@ -24,6 +25,8 @@ MEASURED = tuple(measure for measure in MEASURES if measure != "true_rmse")
 
 LARGEST_SUMMARY = 2**24
 """Largest `summary.json` that is read [bytes]."""
+
+_ALARM_SOURCES = ("changed", "nominal", "earlier")
 
 LONGEST_RESIDUAL_NAME = 100
 """Longest name of a residual model [characters]."""
@@ -55,6 +58,7 @@ class Deployment:
         unreachable: Targets that no command holds according to the map with which it began, NaN in coordinates
             without a target; shape (k, n).
         missed: Other targets whose steady error exceeds three noise floors; shape (k, n).
+        alarms: When which hypothesis about the robot was trusted from then on.
     """
 
     iteration: int
@@ -70,6 +74,7 @@ class Deployment:
     cut: int
     unreachable: Array
     missed: Array
+    alarms: tuple[Alarm, ...] = ()
 
     @property
     def errors(self) -> Mapping[str, Array]:
@@ -175,6 +180,7 @@ def deployment_entry(deployment: Deployment, names: Sequence[str]) -> dict[str, 
         "cut": deployment.cut,
         "unreachable": _with_null(deployment.unreachable),
         "missed": _with_null(deployment.missed),
+        "alarms": [alarm._asdict() for alarm in deployment.alarms],
     }
 
 
@@ -284,7 +290,20 @@ def parse_deployment(entry: Any, names: tuple[str, ...], key: str, source: str) 
         cut=integer(fields, "cut", 0, f"{source}: "),
         unreachable=_targets(fields, "unreachable", names, source),
         missed=_targets(fields, "missed", names, source),
+        alarms=_alarms(fields.get("alarms", []), source),
     )
+
+
+def _alarms(entries: Any, source: str) -> tuple[Alarm, ...]:
+    """The alarms of a deployment; summaries of former versions have none."""
+    found = list[Alarm]()
+    for entry in entries if isinstance(entries, list) else [None]:
+        fields = as_object(entry, f"{source}: alarms")
+        if (trusted := fields.get("source")) not in _ALARM_SOURCES:
+            wanted = ", ".join(_ALARM_SOURCES)
+            raise ValueError(f"{source}: alarms: source is {describe_value(trusted)}, but it must be one of {wanted}")
+        found.append(Alarm(integer(fields, "step", -(2**31), f"{source}: alarms: "), trusted))
+    return tuple(found)
 
 
 def _warm_start(entry: Any, source: str) -> WarmStart | None:

@@ -1,11 +1,8 @@
 """What was found during deployments to be no longer true, in sentences."""
 
-from functools import reduce
 from typing import Final
 
-from stepgap.base.errors import InputError
 from stepgap.experiment.run import Run
-from stepgap.learning.learner import Learner
 from stepgap.learning.trust import Alarm
 
 MOST_ALARMS: Final = 6
@@ -24,17 +21,12 @@ def alarm_sentence(alarm: Alarm) -> str:
 
 
 def trust_sentences(run: Run) -> list[str]:
-    """Sentences on the alarms of the deployments that are shown, as far as their learners are known."""
+    """Sentences on the alarms of the finished deployments."""
     found = []
-    for iteration in run.shown_iterations:
-        try:
-            learner = run.learner(iteration)
-        except InputError:
-            continue
-        steps = run.recorded.of_iteration(iteration).completed()
-        alarms = reduce(Learner.after, steps, learner).alarms
+    for deployment in run.summary.deployments:
+        name, alarms = f"Deployment {deployment.iteration}", deployment.alarms
         if len(alarms) > MOST_ALARMS:
-            found.append(f"Deployment {iteration}: {len(alarms)} times the robot was found to be another one.")
+            found.append(f"{name}: {len(alarms)} times the robot was found to be another one.")
         else:
-            found += [f"Deployment {iteration}: {alarm_sentence(alarm)}." for alarm in alarms]
+            found += [f"{name}: {alarm_sentence(alarm)}." for alarm in alarms]
     return found

@@ -244,6 +244,7 @@ class _Tables:
         return -(-numbers * (8 if self.arithmetic.type == "double" else 4) // 1000)
 
     def _numbers(self) -> dict[str, float]:
+        first = trust.WARM_HAZARDS if self.controller.warm_start else trust.FIRST_HAZARDS
         return {
             **self.arithmetic.tolerances,
             "NEARBY": gauss_newton.NEARBY,
@@ -260,7 +261,8 @@ class _Tables:
             "SWITCHING_PENALTY": disturbance.SWITCHING_PENALTY,
             "CHANGE_STD": disturbance.CHANGE_STD,
             "SLOPE_STD": disturbance.SLOPE_STD,
-            "LOG_FIRST_HAZARD": math.log(trust.FIRST_HAZARD),
+            "LOG_FIRST_CHANGED": math.log(first["changed"]),
+            "LOG_FIRST_NOMINAL": math.log(first["nominal"]),
             "LOG_SWITCHING_ODDS": math.log(trust.SWITCHING_ODDS),
             "STRAINING": trust.STRAINING,
             "SAMPLE_RESOLUTION": SAMPLE_RESOLUTION,

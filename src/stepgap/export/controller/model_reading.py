@@ -80,6 +80,7 @@ def _controller(saved: Mapping[str, Any]) -> PortableController:
         drift=boolean(saved["disturbance"], "used"),
         monitor=boolean(saved["trust"], "nominal"),
         reject_outliers=boolean(saved["outliers"], "used"),
+        warm_start=boolean(saved["trust"], "warm_start"),
         notes=tuple(map(str, (*saved["approximations"], *saved["notes"]))),
     )
 

@@ -96,6 +96,7 @@ class PortableController:
         drift: Whether the disturbance of a deployment is estimated.
         monitor: Whether the nominal map may be trusted more than the corrected one.
         reject_outliers: Whether single steps with improbable errors are outliers.
+        warm_start: Whether steps from before the run were learned from.
         approximations: What was replaced, and by how much it differs.
         notes: Sentences on what the portable form does not do.
     """
@@ -106,6 +107,7 @@ class PortableController:
     drift: bool
     monitor: bool
     reject_outliers: bool = False
+    warm_start: bool = False
     approximations: tuple[Approximation, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -128,7 +130,7 @@ class PortableController:
     def trust(self) -> Trust:
         """Which map is trusted before the first step."""
         used = {"drift": self.drift, "monitor": self.monitor, "reject_outliers": self.reject_outliers}
-        return Trust.start(self.space.state_scale, self.map.residual, **used)
+        return Trust.start(self.space.state_scale, self.map.residual, warm_start=self.warm_start, **used)
 
     def trust_after(self, trust: Trust, record: StepRecord, phase: float) -> Trust:
         """Returns which map is trusted after a step, as an exported controller computes it.
@@ -179,6 +181,7 @@ def portable_controller(run: Run, deployment: int | None, rng: np.random.Generat
         drift=learning.drift and residual.kind != "none",
         monitor=learning.monitor and residual.kind != "none",
         reject_outliers=learning.reject_outliers,
+        warm_start=learner.log.has_earlier_runs,
         approximations=(*replaced, *(loss for _, loss in found if loss)),
         notes=_notes(nominal.space, settings.control, learner.steps_to_learn),
     )

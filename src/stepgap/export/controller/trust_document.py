@@ -40,6 +40,7 @@ def trust_document(controller: PortableController, last: Trust | None) -> dict[s
         "trust": {
             "judges": controller.judges,
             "nominal": controller.monitor,
+            "warm_start": controller.warm_start,
             "hazards": dict(trust.HAZARDS),
             "switching_odds": trust.SWITCHING_ODDS,
             "candidates": trust.CANDIDATES,
