@@ -141,9 +141,9 @@ def test_a_push_during_a_deployment_does_not_shift_the_correction() -> None:
 
 
 def test_a_lasting_change_is_learned_after_its_first_step() -> None:
-    """After a large error in the first step of a deployment at once: the robot may be another one."""
-    known = log_of(hops(60, 10, {}))
-    for first, outliers in ((1, ()), (5, ((1, 5),))):
+    """After a large error in the first step of a warm start at once: the robot may be another one."""
+    for first, known_in, outliers in ((1, -1, ()), (1, 0, ((1, 1),)), (5, 0, ((1, 5),))):
+        known = log_of(hops(60, 10, {}, iteration=known_in))
         learner = Learner.start(NOMINAL, known, LearningSettings(online=True), 1)
         changed = hops(12, 11, dict.fromkeys(range(first, 13), 0.3), iteration=1)
         for logged in changed[: first + 1]:

