@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from stepgap.control.cautious_controller import FAILURE_RADIUS, RISK, CautiousController
 from stepgap.control.command_table import build_table
+from stepgap.control.goal import CAUTION
 from stepgap.control.settings import ControlSettings
 from stepgap.control.step_controller import StepController
 from stepgap.step import Array, Codes, StepMap, StepStatus, difference_jacobian
@@ -54,7 +55,8 @@ class Guessed(ClosedFormMap):
 
 def expected(step_map: StepMap, state: Array, target: Array, command: Array) -> Array:
     error = step_map.evaluate(state, command).next_state - target
-    return np.sum((error**2 + step_map.std(state, command) ** 2) / step_map.space.state_scale**2, axis=-1)
+    deviation = CAUTION * step_map.std(state, command)
+    return np.sum((error**2 + deviation**2) / step_map.space.state_scale**2, axis=-1)
 
 
 def commands_on_a_grid(step_map: StepMap, count: int) -> Array:

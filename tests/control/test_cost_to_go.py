@@ -8,7 +8,7 @@ from scipy.linalg import solve_discrete_are
 
 from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.cost_to_go import EFFORT_WEIGHT, UNTRACKED_WEIGHT, Deviation, goals_for
-from stepgap.control.goal import Targets
+from stepgap.control.goal import CAUTION, Targets
 from stepgap.control.settings import ControlSettings
 from stepgap.control.step_controller import StepController
 from stepgap.robots.nominal_maps.affine_map import AffineMap
@@ -74,7 +74,7 @@ def test_derivatives_and_spread_belong_to_the_errors(tracked: bool) -> None:
     columns = [goal.errors(at + column) - goal.errors(at) for column in matrix.T]
     np.testing.assert_allclose(goal.errors_by(matrix), np.transpose(columns), atol=1e-12)
     drawn = np.sum(goal.errors(at + std * rng.normal(size=(400_000, 5))) ** 2, axis=-1)
-    expected = np.sum(goal.errors(at) ** 2) + np.sum(goal.spread(std) ** 2)
+    expected = np.sum(goal.errors(at) ** 2) + np.sum((goal.spread(std) / CAUTION) ** 2)
     assert drawn.mean() == pytest.approx(expected, abs=5 * drawn.std() / np.sqrt(len(drawn)))
     np.testing.assert_allclose(goal.spread(np.stack([std, 2 * std], axis=1))[:, 1], 2 * goal.spread(std))
 

@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 
 from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.cost_to_go import goals_for
+from stepgap.control.goal import CAUTION
 from stepgap.control.horizon import plan_ahead
 from stepgap.control.settings import ControlSettings
 from stepgap.control.step_controller import StepController
@@ -57,7 +58,7 @@ def cost_of(step_map: StepMap, state: Array, commands: Array, targets: Array) ->
     for command, target in zip(commands, targets, strict=True):
         std, state = step_map.std(state, command), step_map(state, command)
         wanted = step_map.space.has_target(target)
-        squares = (np.nan_to_num(state - target) ** 2 + std**2) / step_map.space.error_scale**2
+        squares = (np.nan_to_num(state - target) ** 2 + (CAUTION * std) ** 2) / step_map.space.error_scale**2
         total += float(np.sum(squares[wanted]))
     return total
 
@@ -71,7 +72,7 @@ def best_cost(step_map: StepMap, state: Array, targets: Array, starts: int = 6) 
         at, found = state, []
         for command, target in zip(flat.reshape(-1, m), targets, strict=True):
             std, at = step_map.std(at, command), step_map(at, command)
-            found.append([(at - target) / space.error_scale, std / space.error_scale])
+            found.append([(at - target) / space.error_scale, CAUTION * std / space.error_scale])
         return np.swapaxes(found, 0, 1)[:, wanted].reshape(-1)
 
     lower, upper = np.tile(space.command_lower, len(targets)), np.tile(space.command_upper, len(targets))

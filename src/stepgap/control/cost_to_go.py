@@ -12,7 +12,7 @@ from typing import Final, final
 
 import numpy as np
 
-from stepgap.control.goal import Goal, Targets
+from stepgap.control.goal import CAUTION, Goal, Targets
 from stepgap.control.reach import whole_state
 from stepgap.step import Array, StepMap
 
@@ -49,8 +49,8 @@ class Deviation(Goal):
         return self.root @ derivatives
 
     def spread(self, std: Array) -> Array:
-        """Deviations times the norms of the columns of the root; shape (n, …)."""
-        return (std.T * np.linalg.norm(self.root, axis=0)).T
+        """`CAUTION` times the deviations, times the norms of the columns of the root; shape (n, …)."""
+        return CAUTION * (std.T * np.linalg.norm(self.root, axis=0)).T
 
 
 @dataclass(frozen=True, eq=False)

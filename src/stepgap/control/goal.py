@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 from stepgap.step import Array, StepSpace
 
 
+CAUTION = 2.0
+"""Weight of a standard deviation beside an error. With 1, squares add up to the expected squared error; but the least of
+many uncertain predictions is low partly by chance, and far from all commands that were tried the model itself is in doubt."""
+
+
 class Goal(ABC):
     """A measure of next states: a linear function of their distance from one, whose square is to be small."""
 
@@ -23,7 +28,7 @@ class Goal(ABC):
 
     @abstractmethod
     def spread(self, std: Array) -> Array:
-        """Numbers whose squares add up to what independent deviations add to the expected squared error.
+        """Numbers whose squares add up to what independent deviations add to the expected squared error, by `CAUTION`².
 
         Args:
             std: Standard deviations of the next state, or derivatives of them; shape (n, …).
@@ -57,8 +62,8 @@ class Targets(Goal):
 
     def errors_by(self, derivatives: Array) -> Array:
         """Derivatives in the same units; (n, k) to (r, k)."""
-        return self.spread(derivatives)
+        return (derivatives.T / self.space.error_scale).T[self.wanted]
 
     def spread(self, std: Array) -> Array:
-        """Deviations in the same units; (n, …) to (r, …)."""
-        return (std.T / self.space.error_scale).T[self.wanted]
+        """`CAUTION` times the deviations in the same units; (n, …) to (r, …)."""
+        return CAUTION * self.errors_by(std)

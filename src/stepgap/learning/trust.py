@@ -251,7 +251,8 @@ class Trust:
         """Error of a hypothesis' prediction, and the standard deviation of that; shapes (n,) [half ranges]."""
         disturbance = hypothesis.filter.predict(step.phase, residual.noise_std)
         mean = step.mean if hypothesis.corrected else 0.0
-        total = np.hypot(step.std, disturbance.std(step.inputs)) / self.state_scale
+        std = step.std if hypothesis.corrected else residual.noise_std
+        total = np.hypot(std, disturbance.std(step.inputs)) / self.state_scale
         return (step.error - mean - disturbance.mean(step.inputs)) / self.state_scale, np.maximum(total, LEAST_STD)
 
     def _settled(self, judged: list[tuple[Hypothesis, bool]], strained: int) -> "Trust":

@@ -17,7 +17,7 @@ import numpy as np
 
 from stepgap.base.errors import InputError
 from stepgap.base.versions import versions_here
-from stepgap.control import bounded_search, cautious_controller, gauss_newton, horizon
+from stepgap.control import bounded_search, cautious_controller, gauss_newton, goal, horizon
 from stepgap.control.box_points import box_points, composite_design, irrational_steps
 from stepgap.export.controller.portable_controller import SAMPLE_RESOLUTION, PortableController
 from stepgap.learning import disturbance, outliers, trust
@@ -254,6 +254,7 @@ class _Tables:
             "ACCEPTED": gauss_newton.ACCEPTED,
             "AHEAD_IMPROVEMENT": horizon.AHEAD_IMPROVEMENT,
             "LARGEST_CHANGE": self.controller.settings.largest_change,
+            "CAUTION": goal.CAUTION,
             "RISK": cautious_controller.RISK,
             "SEPARATION": bounded_search.SEPARATION,
             "FAILURE_RADIUS": cautious_controller.FAILURE_RADIUS,

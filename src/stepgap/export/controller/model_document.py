@@ -11,6 +11,7 @@ import numpy as np
 
 from stepgap.base.errors import InputError
 from stepgap.control.cautious_controller import FAILURE_RADIUS, RISK
+from stepgap.control.goal import CAUTION
 from stepgap.export.controller.portable_controller import PortableController
 from stepgap.export.controller.trust_document import trust_document
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
@@ -62,6 +63,7 @@ def model_document(controller: PortableController, last: Trust | None = None) ->
             "evaluations": settings.evaluations,
             "horizon": settings.horizon,
             "largest_change": settings.largest_change,
+            "caution": CAUTION,
             "risk": RISK,
             "failure_radius": FAILURE_RADIUS,
         },
