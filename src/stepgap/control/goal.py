@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from stepgap.step import Array, StepSpace
 
-
 CAUTION = 2.0
 """Weight of a standard deviation beside an error. With 1, squares add up to the expected squared error; but the least of
-many uncertain predictions is low partly by chance, and far from all commands that were tried the model itself is in doubt."""
+many uncertain predictions is low partly by chance, and far from all that was tried the model itself is in doubt."""
 
 
 class Goal(ABC):
