@@ -1,11 +1,12 @@
-"""Cautious control: the least expected squared error where a map is uncertain, by a step that is unlikely to fail.
+"""Cautious control: the least error that can be relied on where a map is uncertain, by a step that is unlikely to fail.
 
-The expected squared distance of the next state from the target is |mean − target|² + variance (cautious control
-in the sense of Åström and Wittenmark, Adaptive Control). Where the map's error is well known, the variance is the
-same for all commands, and the minimum is where mean = target (Eq. 13). Elsewhere the minimum is closer to the
-commands that have been tried, so the data limit how far a command departs from them. The command of the nominal
-map is always among those compared, so under the map's own uncertainty a correction never makes a step worse; if several
-steps are planned together, it is their sum that is not worse than with that command first.
+The expected squared distance of the next state from the target is |mean − target|² + variance (cautious control in
+the sense of Åström and Wittenmark, Adaptive Control). The *cautious cost*, which is minimised, counts the variance
+`CAUTION`² times. Where the map's error is well known, the variance is the same for all commands, and the minimum is
+where mean = target (Eq. 13). Elsewhere the minimum is closer to the commands that have been tried, so the data limit
+how far a command departs from them, and with more data it departs farther. The command of the nominal map is always
+among those compared, so under the map's own uncertainty a correction never makes this cost larger; if several steps
+are planned together, it is their sum that is not larger than with that command first.
 
 A state is *viable* here if some command makes a step from it (compare Wieber, On the stability of walking
 systems, 2002).
@@ -38,7 +39,7 @@ SEARCH_POINTS = 81
 the budget."""
 SEARCH_SHARE = 0.25
 IMPROVEMENT = 1e-6
-"""The search for the least expected squared distance ends where that can fall by no more than this fraction."""
+"""The search for the least cautious cost ends where that can fall by no more than this fraction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +59,7 @@ class CautiousPlan:
 
 @dataclass(frozen=True, eq=False)
 class CautiousController:
-    """Finds the safe command of least expected squared distance to the target.
+    """Finds the safe command of least cautious cost.
 
     Attributes:
         step_map: Predicts steps and their standard deviations.
@@ -158,17 +159,17 @@ class CautiousController:
             return []
 
     def _local_minima(self, state: Array, goal: Goal, starts: list[Array]) -> list[Array]:
-        """The local minimum of the expected squared error from the best start, if variance counts.
+        """The local minimum of the cautious cost from the best start, if variance counts.
 
         From the other start the same minimum was found, in all of some hundred plans of three robots.
         """
         if not self.settings.cautious:
             return []
-        better = starts[np.argsort(self._expected_squares(state, goal, np.array(starts)))[0]]  # NaN comes last
+        better = starts[np.argsort(self._cautious_costs(state, goal, np.array(starts)))[0]]  # NaN comes last
         return [self._local_minimum(state, goal, better)]
 
     def _local_minimum(self, state: Array, goal: Goal, start: Array) -> Array:
-        """The command of least expected squared error that is found from `start`; shape (m,)."""
+        """The command of least cautious cost that is found from `start`; shape (m,)."""
         space, n = self.bounds, len(state)
 
         def deviations(point: Array) -> Array:
@@ -185,14 +186,14 @@ class CautiousController:
         return space.command_at(minimise(deviations, jacobian, space.point_of(start), improvement=IMPROVEMENT).point)
 
     def _best(self, state: Array, goal: Goal, commands: Array) -> Array | None:
-        """The safe command of least expected squared error among commands (k, m); None if none is safe."""
-        for i in np.argsort(self._expected_squares(state, goal, commands)):  # NaN comes last
+        """The safe command of least cautious cost among commands (k, m); None if none is safe."""
+        for i in np.argsort(self._cautious_costs(state, goal, commands)):  # NaN comes last
             if self.is_safe(state, commands[i]):
                 return commands[i]
         return None
 
-    def _expected_squares(self, state: Array, goal: Goal, commands: Array) -> Array:
-        """Expected squared error of commands (k, m); shape (k,), NaN where the step fails."""
+    def _cautious_costs(self, state: Array, goal: Goal, commands: Array) -> Array:
+        """Cautious costs of commands (k, m); shape (k,), NaN where the step fails."""
         mean = self.step_map.evaluate(state, commands).next_state
         squares = np.sum(goal.errors(mean) ** 2, axis=-1) + 0.0 * mean.sum(axis=-1)  # NaN also without any error
         if self.settings.cautious:

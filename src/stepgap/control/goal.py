@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from stepgap.step import Array, StepSpace
 
 CAUTION = 2.0
-"""Weight of a standard deviation beside an error. With 1, squares add up to the expected squared error; but the least of
-many uncertain predictions is low partly by chance, and far from all that was tried the model itself is in doubt."""
+"""Weight of a standard deviation beside an error. With 1, squares add up to the expected squared error; but the least
+of many uncertain predictions is low partly by chance, and far from all that was tried the model itself is in doubt."""
 
 
 class Goal(ABC):
@@ -27,7 +27,9 @@ class Goal(ABC):
 
     @abstractmethod
     def spread(self, std: Array) -> Array:
-        """Numbers whose squares add up to what independent deviations add to the expected squared error, by `CAUTION`².
+        """Numbers whose squares add up to what independent deviations add to the cautious cost.
+
+        That is `CAUTION`² times what they add to the expected squared error.
 
         Args:
             std: Standard deviations of the next state, or derivatives of them; shape (n, …).

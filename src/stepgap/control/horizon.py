@@ -124,7 +124,7 @@ class _Sequence:
         return self._paths[key]
 
     def errors(self, points: Array) -> Array:
-        """Numbers whose squares add up to the expected squared errors of all next states; (…, k m) to (…, r)."""
+        """Numbers whose squares add up to the costs of all next states; (…, k m) to (…, r)."""
         states, stds = self._path(points)
         means = [goal.errors(end) for goal, end in zip(self.goals, states[1:], strict=True)]
         spreads = [goal.spread(std.T).T for goal, std in zip(self.goals, stds, strict=True)] if self.cautious else []

@@ -13,7 +13,7 @@ class ControlSettings:
     """Settings of step control; each rule can be switched off. Without all three, Eq. 13 is solved as it is.
 
     Attributes:
-        cautious: Whether the command has the least expected squared error, bias² + variance, where the corrected map is
+        cautious: Whether the command has the least error² + (2 standard deviations)², where the corrected map is
             uncertain; otherwise its prediction is the target, however uncertain it is.
         viability: Whether the next state must permit a further step, also if it is off by two standard deviations.
         avoid_failures: Whether steps that resemble a failed one are not taken.
