@@ -128,6 +128,18 @@ def test_a_robot_that_does_not_follow_is_pushed_against_a_bound_for_two_steps_on
         assert again.uses_residual
 
 
+def test_a_robot_is_not_pushed_against_a_bound_by_a_map_that_knows_nothing() -> None:
+    """However well the step fits into a prediction without any certainty."""
+    residual, std = fitted(), np.array([0.6, 0.01]) * SCALE
+    for at_bound in (True, False):
+        trust = started(residual)
+        for number in range(MOST_STRAINED):
+            assert trust.uses_residual
+            inputs = np.append(INPUTS[number][:3], -1.0 if at_bound else -0.5)
+            trust = trust.after(residual, PredictedStep(inputs, MEAN, MEAN, std, nan))
+        assert trust.uses_residual != at_bound
+
+
 def test_outliers_are_used_if_that_is_wanted_or_too_little_is_known() -> None:
     errors = noise()
     errors[12, 0] += 0.5

@@ -48,8 +48,10 @@ SWITCHING_ODDS = 10.0
 STRAINING = 0.9
 """A command strains the robot beyond this part of its half range."""
 MOST_STRAINED = 2
-"""After this number of improbable steps at a bound of the command, the nominal map chooses commands until a prediction
+"""After this number of unexplained steps at a bound of the command, the nominal map chooses commands until a prediction
 is right: a robot that does not follow is not pushed any longer."""
+LARGEST_STD = 0.5
+"""A step whose prediction was less certain than this is unexplained, whatever its error was [half ranges]."""
 YOUNG = 10
 """A disturbance that began fewer steps ago explains anything: whether a step is improbable is judged without it."""
 CANDIDATES = 2
@@ -135,7 +137,7 @@ class Trust:
         monitor: Whether the nominal map may be trusted more than the corrected one.
         reject_outliers: Whether single steps with improbable errors are outliers.
         hypotheses: The first one is `current`.
-        strained: Number of the latest steps, one after the other, with improbable errors and a straining command.
+        strained: Number of the latest steps, one after the other, that were unexplained, with a straining command.
         outlier: Whether the latest step was an outlier: improbable by the hypothesis that is trusted now.
         alarm: What is trusted since the latest step, if that has changed with it.
     """
@@ -223,15 +225,18 @@ class Trust:
                 disturbance = disturbance.updated(remaining, step.phase, step.std, step.inputs)
             found = replace(each, filter=disturbance, log_weight=each.log_weight + likely, age=each.age + 1)
             judged.append((found, improbable))
-        return self._settled(judged, self._strained(step, surprised=judged[0][1], judges=judges))
+        unexplained = judges and self._is_unexplained(step, judged[0][1], predictions[0][1])
+        return self._settled(judged, self._strained(step) if unexplained else 0)
 
-    def _strained(self, step: PredictedStep, *, surprised: bool, judges: bool) -> int:
-        """`strained` after a step, and whether that was improbable by the current hypothesis."""
-        if judges and self.reject_outliers and self.hypotheses[0].age < YOUNG:
+    def _is_unexplained(self, step: PredictedStep, improbable: bool, std: Array) -> bool:
+        """Whether the current hypothesis does not explain a step that it predicted with a standard deviation (n,)."""
+        if self.reject_outliers and self.hypotheses[0].age < YOUNG:
             alone = (step.error - step.mean) / self.state_scale
-            surprised = bool(improbable_errors(alone, step.std / self.state_scale).any())
-        if not surprised:
-            return 0
+            improbable = bool(improbable_errors(alone, step.std / self.state_scale).any())
+        return improbable or bool((std > LARGEST_STD).any())
+
+    def _strained(self, step: PredictedStep) -> int:
+        """`strained` after an unexplained step."""
         strains = (np.abs(step.inputs[len(step.error) :]) > STRAINING).any() or self.strained >= MOST_STRAINED
         return self.strained + int(strains)
 
