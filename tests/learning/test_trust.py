@@ -96,12 +96,12 @@ def test_healthy_steps_raise_no_alarm() -> None:
 
 
 @pytest.mark.parametrize("drift", [True, False])
-@pytest.mark.parametrize(("warm_start", "wrong_steps"), [(True, 1), (False, 3)])
+@pytest.mark.parametrize(("warm_start", "wrong_steps"), [(True, 1), (False, 6)])
 def test_a_residual_that_is_worse_than_none_is_left_out(drift: bool, warm_start: bool, wrong_steps: int) -> None:
     """After its first step if that is of another run; it is wrong in another way at every step."""
     rng, residual = np.random.default_rng(6), fitted()
     trust, used = started(residual, drift=drift, warm_start=warm_start), []
-    for number in range(6):
+    for number in range(12):
         wrong = rng.normal(0, 0.3, 2) * [1, 0.2]
         step = PredictedStep(INPUTS[number], rng.normal(0, NOISE), wrong, residual.noise_std, nan)
         trust = trust.after(residual, step)
@@ -116,7 +116,7 @@ def test_a_robot_that_does_not_follow_is_pushed_against_a_bound_for_two_steps_on
     rng, residual = np.random.default_rng(7), fitted()
     errors = np.abs(rng.normal(0.3, 0.15, (12, 2))) * [1, 0.2]
     for at_bound in (True, False):
-        trust, used = started(residual, drift=False, monitor=False), []
+        trust, used = started(residual, drift=False), []
         for number, error in enumerate(errors):
             inputs = np.append(INPUTS[number][:3], 1.0 if at_bound else 0.5)
             step = PredictedStep(inputs, error + 1.0, np.ones(2), residual.noise_std, nan)

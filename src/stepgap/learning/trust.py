@@ -36,10 +36,10 @@ from stepgap.step import Array, StepMap, StepRecord, StepSpace
 MapSource = Literal["current", "changed", "nominal", "earlier"]
 """What a hypothesis takes the next state from; the module describes each."""
 
-HAZARDS = {"changed": 1e-3, "earlier": 1e-3, "nominal": 1e-6}
+HAZARDS = {"changed": 1e-3, "earlier": 1e-3, "nominal": 1e-9}
 """Probability of each kind of change from one step to the next. A linear disturbance of the nominal map soon predicts
 steps at one target as well as a residual does, which knows more; so it must be needed for several steps."""
-FIRST_HAZARDS = {"changed": 0.05, "nominal": 1e-3}
+FIRST_HAZARDS = {"changed": 0.05, "nominal": 1e-9}
 """Probability that the robot is another one than in the deployments of the run that were learned from."""
 WARM_HAZARDS = {"changed": 0.3, "nominal": 0.3}
 """The same, if steps of earlier runs or of a model were learned from."""
@@ -50,8 +50,9 @@ STRAINING = 0.9
 MOST_STRAINED = 2
 """After this number of unexplained steps at a bound of the command, the nominal map chooses commands until a prediction
 is right: a robot that does not follow is not pushed any longer."""
-LARGEST_STD = 0.5
-"""A step whose prediction was less certain than this is unexplained, whatever its error was [half ranges]."""
+LEAST_ERROR, LARGEST_STD = 0.25, 0.5
+"""A step is unexplained if its error was improbable and larger than the first, or if the standard deviation of its
+prediction, without noise, was larger than the second, so that it said next to nothing [half ranges]."""
 YOUNG = 10
 """A disturbance that began fewer steps ago explains anything: whether a step is improbable is judged without it."""
 CANDIDATES = 2
@@ -134,7 +135,7 @@ class Trust:
     Attributes:
         state_scale: Half the range of use of each state coordinate; shape (n,).
         drift: Whether the disturbance is estimated where there is a correction; otherwise it is zero.
-        monitor: Whether the nominal map may be trusted more than the corrected one.
+        monitor: Whether the nominal map may be trusted more than the corrected one, or plan in its place.
         reject_outliers: Whether single steps with improbable errors are outliers.
         hypotheses: The first one is `current`.
         strained: Number of the latest steps, one after the other, that were unexplained, with a straining command.
@@ -225,15 +226,15 @@ class Trust:
                 disturbance = disturbance.updated(remaining, step.phase, step.std, step.inputs)
             found = replace(each, filter=disturbance, log_weight=each.log_weight + likely, age=each.age + 1)
             judged.append((found, improbable))
-        unexplained = judges and self._is_unexplained(step, judged[0][1], predictions[0][1])
+        unexplained = judges and self.monitor and self._is_unexplained(residual, step, *predictions[0])
         return self._settled(judged, self._strained(step) if unexplained else 0)
 
-    def _is_unexplained(self, step: PredictedStep, improbable: bool, std: Array) -> bool:
-        """Whether the current hypothesis does not explain a step that it predicted with a standard deviation (n,)."""
-        if self.reject_outliers and self.hypotheses[0].age < YOUNG:
-            alone = (step.error - step.mean) / self.state_scale
-            improbable = bool(improbable_errors(alone, step.std / self.state_scale).any())
-        return improbable or bool((std > LARGEST_STD).any())
+    def _is_unexplained(self, residual: Residual, step: PredictedStep, error: Array, std: Array) -> bool:
+        """Whether the current hypothesis, with this error and standard deviation, does not explain a step; (n,)."""
+        unsure = bool((std > np.hypot(LARGEST_STD, residual.noise_std / self.state_scale)).any())
+        if self.hypotheses[0].age < YOUNG:
+            error, std = (step.error - step.mean) / self.state_scale, step.std / self.state_scale
+        return unsure or bool((np.abs(error[improbable_errors(error, std) != 0]) > LEAST_ERROR).any())
 
     def _strained(self, step: PredictedStep) -> int:
         """`strained` after an unexplained step."""
@@ -256,8 +257,7 @@ class Trust:
         """Error of a hypothesis' prediction, and the standard deviation of that; shapes (n,) [half ranges]."""
         disturbance = hypothesis.filter.predict(step.phase, residual.noise_std)
         mean = step.mean if hypothesis.corrected else 0.0
-        std = step.std if hypothesis.corrected else residual.noise_std
-        total = np.hypot(std, disturbance.std(step.inputs)) / self.state_scale
+        total = np.hypot(step.std, disturbance.std(step.inputs)) / self.state_scale
         return (step.error - mean - disturbance.mean(step.inputs)) / self.state_scale, np.maximum(total, LEAST_STD)
 
     def _settled(self, judged: list[tuple[Hypothesis, bool]], strained: int) -> "Trust":

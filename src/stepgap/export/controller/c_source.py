@@ -266,6 +266,7 @@ class _Tables:
             "LOG_FIRST_NOMINAL": math.log(first["nominal"]),
             "LOG_SWITCHING_ODDS": math.log(trust.SWITCHING_ODDS),
             "STRAINING": trust.STRAINING,
+            "LEAST_ERROR": trust.LEAST_ERROR,
             "LARGEST_STD": trust.LARGEST_STD,
             "SAMPLE_RESOLUTION": SAMPLE_RESOLUTION,
             "IMPROBABLE": outliers.IMPROBABLE,

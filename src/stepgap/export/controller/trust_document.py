@@ -47,6 +47,7 @@ def trust_document(controller: PortableController, last: Trust | None) -> dict[s
             "most_strained": trust.MOST_STRAINED,
             "young": trust.YOUNG,
             "straining": trust.STRAINING,
+            "least_error": trust.LEAST_ERROR,
             "largest_std": trust.LARGEST_STD,
             "start": _state(controller.trust),
             "end": None if last is None else _state(last),
