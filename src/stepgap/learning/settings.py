@@ -49,7 +49,8 @@ class LearningSettings:
         remove_yaw_dependence: Whether the yaw-dependent part of the errors of earlier deployments is removed before a
             residual is fitted to them.
         reject_outliers: Whether single steps with improbable errors, such as those of a push, are not learned from.
-        monitor: Whether a residual that predicted the latest steps worse than the nominal map is not used.
+        monitor: Whether a residual that predicted the latest steps worse than the nominal map is not used, nor one that
+            does not explain why the robot does not follow commands near their bounds.
         online: Whether to learn after every step, from the first one on.
         exploration: Number of steps before the first deployment's tracking whose commands are the most informative.
     """
