@@ -38,7 +38,7 @@ def test_the_page_of_data_runs(stepgap: Command, capfd: pytest.CaptureFixture[st
         assert Path("runs/latest/export", name).is_file()
     assert Path("warm/warm_start.csv").is_file()
     assert "of the time on the ground" in printed
-    assert re.search(r"^\[0\.\d+ +0\.\d+\]$", printed, re.MULTILINE), "the corrected next state"
+    assert re.search(r"^\[0\.\d+ +0\.\d+ *\]$", printed, re.MULTILINE), "the corrected next state"
 
 
 def assert_octave_runs(block: str) -> None:

@@ -50,7 +50,7 @@ STRAINING = 0.9
 MOST_STRAINED = 2
 """After this number of unexplained steps at a bound of the command, the nominal map chooses commands until a prediction
 is right: a robot that does not follow is not pushed any longer."""
-LEAST_ERROR, LARGEST_STD = 0.25, 0.5
+LEAST_ERROR, LARGEST_DEVIATION = 0.25, 0.5
 """A step is unexplained if its error was improbable and larger than the first, or if the standard deviation of its
 prediction, without noise, was larger than the second, so that it said next to nothing [half ranges]."""
 YOUNG = 10
@@ -231,7 +231,7 @@ class Trust:
 
     def _is_unexplained(self, residual: Residual, step: PredictedStep, error: Array, std: Array) -> bool:
         """Whether the current hypothesis, with this error and standard deviation, does not explain a step; (n,)."""
-        unsure = bool((std > np.hypot(LARGEST_STD, residual.noise_std / self.state_scale)).any())
+        unsure = bool((std > np.hypot(LARGEST_DEVIATION, residual.noise_std / self.state_scale)).any())
         if self.hypotheses[0].age < YOUNG:
             error, std = (step.error - step.mean) / self.state_scale, step.std / self.state_scale
         return unsure or bool((np.abs(error[improbable_errors(error, std) != 0]) > LEAST_ERROR).any())

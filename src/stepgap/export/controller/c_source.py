@@ -267,7 +267,7 @@ class _Tables:
             "LOG_SWITCHING_ODDS": math.log(trust.SWITCHING_ODDS),
             "STRAINING": trust.STRAINING,
             "LEAST_ERROR": trust.LEAST_ERROR,
-            "LARGEST_STD": trust.LARGEST_STD,
+            "LARGEST_DEVIATION": trust.LARGEST_DEVIATION,
             "SAMPLE_RESOLUTION": SAMPLE_RESOLUTION,
             "IMPROBABLE": outliers.IMPROBABLE,
             "LEAST_STD": outliers.LEAST_STD,

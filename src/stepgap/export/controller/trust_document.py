@@ -48,7 +48,7 @@ def trust_document(controller: PortableController, last: Trust | None) -> dict[s
             "young": trust.YOUNG,
             "straining": trust.STRAINING,
             "least_error": trust.LEAST_ERROR,
-            "largest_std": trust.LARGEST_STD,
+            "largest_std": trust.LARGEST_DEVIATION,
             "start": _state(controller.trust),
             "end": None if last is None else _state(last),
         },
