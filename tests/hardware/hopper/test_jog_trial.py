@@ -26,7 +26,7 @@ pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
 pytestmark = pytest.mark.usefixtures("warm_realtime")
 
 CONTROL = HopperControl(ROBOT, GAINS, BOUNDS)
-# A busy machine may be late at any time; the limit that jog itself has is tested elsewhere.
+# A busy machine may be late at any time; that late ticks stop a robot is tested in realtime/test_time.py.
 SETTINGS_OF_JOG = replace(
     SETTINGS, limits=replace(EMULATED_LIMITS, late_ticks=MOST_LATE_TICKS)
 )  # on a busy machine, too
