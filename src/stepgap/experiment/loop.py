@@ -150,7 +150,7 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
                 observer.on_time(iteration, "fit", seconds)
                 recording.write_model(learner)
             latest = deque[AdaptiveMap]([learner], maxlen=1)
-            execute = partial(_execute, learner, setup, observer, latest.append)
+            execute = partial(_execute, learner, setup, observer, partial(_follow, latest, observer))
             steps = _observed(recording.steps(iteration, execute), recording.space, observer)
             log += steps
             alarms = recording.alarms(iteration)
@@ -186,22 +186,21 @@ def _execute(
     learner: Learner, setup: Setup, observer: Observer, on_learner: Callable[[AdaptiveMap], None]
 ) -> ExecutedSteps:
     """Executes a deployment on a new plant, whose fault is reported at the end."""
-    iteration, known = learner.iteration, 0
-
-    def follow(after: AdaptiveMap) -> None:
-        nonlocal known
-        for alarm in after.alarms[known:]:
-            observer.on_alarm(alarm)
-        known = len(after.alarms)
-        on_learner(after)
-
+    iteration = learner.iteration
     observer.on_execution()
     plant = setup.plants.make(deployment_generator(setup.seed, iteration))
     exploration = 0 if iteration else setup.learning.exploration
     on_time = partial(observer.on_time, iteration)
-    yield from deploy(learner, plant, setup.reference, iteration, exploration, setup.control, on_time, follow)
+    yield from deploy(learner, plant, setup.reference, iteration, exploration, setup.control, on_time, on_learner)
     if plant.fault:
         observer.on_fault(plant.fault)
+
+
+def _follow(latest: deque[AdaptiveMap], observer: Observer, learner: AdaptiveMap) -> None:
+    """Reports the alarms of a learner that the latest one did not have, and puts it in its place."""
+    for alarm in learner.alarms[len(latest[0].alarms) :]:
+        observer.on_alarm(alarm)
+    latest.append(learner)
 
 
 def _final(first: Learner, latest: AdaptiveMap, steps: Steps) -> AdaptiveMap:

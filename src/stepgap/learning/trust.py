@@ -42,7 +42,7 @@ steps at one target as well as a residual does, which knows more; so it must be 
 FIRST_HAZARDS = {"changed": 0.05, "nominal": 1e-9}
 """Probability that the robot is another one than in the deployments of the run that were learned from."""
 WARM_HAZARDS = {"changed": 0.3, "nominal": 0.3}
-"""The same, if steps of earlier runs or of a model were learned from."""
+"""The same, if steps of earlier runs were learned from."""
 SWITCHING_ODDS = 10.0
 """Another hypothesis is trusted from these odds in its favour on, so that two equally good ones do not alternate."""
 STRAINING = 0.9
@@ -57,6 +57,11 @@ YOUNG = 10
 """A disturbance that began fewer steps ago explains anything: whether a step is improbable is judged without it."""
 CANDIDATES = 2
 """Number of hypotheses of each kind that are kept beside the current one."""
+
+
+def first_hazards(*, warm_start: bool) -> Mapping[str, float]:
+    """Probability of each kind of change before the first step, with or without steps from before the run."""
+    return WARM_HAZARDS if warm_start else FIRST_HAZARDS
 
 
 class PredictedStep(NamedTuple):
@@ -174,7 +179,7 @@ class Trust:
             "current", DisturbanceFilter.initial(len(state_scale), sum(residual.sizes)), 0.0, age=YOUNG
         )
         trust = cls(state_scale, drift, monitor, reject_outliers, (current,))
-        return replace(trust, hypotheses=trust._before_a_step(residual, WARM_HAZARDS if warm_start else FIRST_HAZARDS))
+        return replace(trust, hypotheses=trust._before_a_step(residual, first_hazards(warm_start=warm_start)))
 
     @property
     def uses_residual(self) -> bool:

@@ -244,7 +244,7 @@ class _Tables:
         return -(-numbers * (8 if self.arithmetic.type == "double" else 4) // 1000)
 
     def _numbers(self) -> dict[str, float]:
-        first = trust.WARM_HAZARDS if self.controller.warm_start else trust.FIRST_HAZARDS
+        first = trust.first_hazards(warm_start=self.controller.warm_start)
         return {
             **self.arithmetic.tolerances,
             "NEARBY": gauss_newton.NEARBY,

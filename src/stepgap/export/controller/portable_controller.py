@@ -94,7 +94,7 @@ class PortableController:
         failures: Points (state, command) of steps that failed; shape (k, n + m).
         settings: Settings of step control, without a table.
         drift: Whether the disturbance of a deployment is estimated.
-        monitor: Whether the nominal map may be trusted more than the corrected one.
+        monitor: Whether the nominal map may be trusted more than the corrected one, or plan in its place.
         reject_outliers: Whether single steps with improbable errors are outliers.
         warm_start: Whether steps from before the run were learned from.
         approximations: What was replaced, and by how much it differs.

@@ -1,7 +1,7 @@
 """What the documented model says of trust: constants, and the hypotheses at the start and the end of a deployment."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -9,10 +9,10 @@ from stepgap.base.json_data import boolean, integer, numbers
 from stepgap.export.controller.portable_controller import PortableController
 from stepgap.learning import disturbance, outliers, trust
 from stepgap.learning.disturbance import FORGETTING, DisturbanceFilter
-from stepgap.learning.trust import Hypothesis, Trust
+from stepgap.learning.trust import Hypothesis, MapSource, Trust
 from stepgap.step import Array
 
-SOURCES = ("current", "changed", "nominal", "earlier")
+SOURCES = get_args(MapSource)
 """What a hypothesis takes the next state from, in the order of the hypotheses."""
 
 
