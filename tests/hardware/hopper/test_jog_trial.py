@@ -9,27 +9,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.hardware.hopper import jog_trial
 from stepgap.hardware.hopper.ethercat import hopper_on_ethercat
 from stepgap.hardware.hopper.jog_trial import try_motors
 from stepgap.hardware.hopper.twin_machine import TwinMachine
 from stepgap.hardware.realtime import consent
+from stepgap.hardware.realtime.process import RealtimeSetup
 from stepgap.plants.ticks.tick_log import read_description
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.tick.hop_control import HopperControl
-from stepgap.robots.hopper.tick.limits import MOST_LATE_TICKS
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from tests.hardware.ethercat.ring_process import RecordedTwin, live_ring
+from tests.hardware.realtime.patience import patient
 from tests.hardware.realtime.test_faults import BOUNDS, EMULATED_LIMITS, GAINS, ROBOT, SETTINGS, replace
 
 pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
 pytestmark = pytest.mark.usefixtures("warm_realtime")
 
 CONTROL = HopperControl(ROBOT, GAINS, BOUNDS)
-# A busy machine may be late at any time; that late ticks stop a robot is tested in realtime/test_time.py.
-SETTINGS_OF_JOG = replace(
-    SETTINGS, limits=replace(EMULATED_LIMITS, late_ticks=MOST_LATE_TICKS)
-)  # on a busy machine, too
+SETTINGS_OF_JOG = replace(SETTINGS, limits=EMULATED_LIMITS)
 MAKE_RIG = partial(hopper_on_ethercat, SETTINGS_OF_JOG, ROBOT)
 
 
@@ -67,6 +66,8 @@ def tried(monkeypatch: pytest.MonkeyPatch, make_machine, simulated: bool = True,
     ours, theirs = os.openpty()
     try:
         with os.fdopen(theirs) as terminal, live_ring(make_machine=make_machine) as ring:
+            # In lock-step with the ring, no tick is late on a busy machine.
+            monkeypatch.setattr(jog_trial, "RealtimeSetup", partial(RealtimeSetup, make_pace=patient))
             monkeypatch.setattr(sys, "stdin", terminal)
             monkeypatch.setattr(sys, "stderr", Person(ours, answers))
             found = try_motors(MAKE_RIG, CONTROL, simulated, "as in rig.toml")
