@@ -101,6 +101,8 @@ class Quantity:
         upper: Upper end of the range of use; for a command, a hard bound.
         weight: How much the squared error of a state coordinate [half ranges] counts against those of the others. 0: it
             is predicted, but not tracked, so it has no target.
+        above: Quantity of the context above which it is measured, such as the height of the ground at the touchdown of
+            the step; empty if it is measured from a fixed zero.
 
     Raises:
         ValueError: The name is no identifier, the unit has a character that no unit has, the range is empty, or the
@@ -112,6 +114,7 @@ class Quantity:
     lower: float
     upper: float
     weight: float = 1.0
+    above: str = ""
 
     def __post_init__(self) -> None:
         _check_words(self.name, self.unit)
@@ -159,7 +162,8 @@ class StepSpace:
         advice: What the robot advises after a step that failed, by its status, instead of `ADVICE`.
 
     Raises:
-        ValueError: Several quantities of the context have a period, or no state coordinate is tracked.
+        ValueError: Several quantities of the context have a period, no state coordinate is tracked, or one is measured
+            above a quantity that is not in the context.
     """
 
     state: tuple[Quantity, ...]
@@ -170,6 +174,8 @@ class StepSpace:
     def __post_init__(self) -> None:
         periodic = [each.name for each in self.context if isfinite(each.period)]
         require(len(periodic) <= 1, "context", periodic, "have at most one quantity with a period")
+        for each in self.state:
+            require(each.above in ("", *self.context_names), "above", each.above, "be the name of a context quantity")
         weights = [each.weight for each in self.state]
         require(any(weights) or not weights, "state", weights, "have a weight above 0 of at least one coordinate")
 
@@ -200,6 +206,23 @@ class StepSpace:
     def named_context(self, values: Sequence[float]) -> dict[str, float]:
         """Context of a step by name, from all its numbers in the order of `context`, or from none."""
         return dict(zip(self.context_names if values else (), values, strict=True))
+
+    @cached_property
+    def is_above_context(self) -> bool:
+        """Whether a state coordinate is measured above a quantity of the context."""
+        return any(each.above for each in self.state)
+
+    def above(self, state: Array, context: Sequence[float]) -> Array:
+        """A measured state with the coordinates of a step that are measured above its context; shape (n,).
+
+        Args:
+            state: State from fixed zeros; shape (n,).
+            context: Context of the step in the order of `context`, or empty: then nothing is subtracted.
+        """
+        if not (context and self.is_above_context):
+            return state
+        zeros = dict(zip(self.context_names, context, strict=True)) | {"": 0.0}
+        return state - np.array([zeros[each.above] for each in self.state])
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.steps import LoggedStep
 from stepgap.learning.trust import Alarm
-from stepgap.plants.plant import Plant
+from stepgap.plants.plant import Plant, Touchdown
 from stepgap.step import Array, StepFailed, StepMap, StepRecord, StepSpace, StepStatus
 
 ExecutedSteps = Generator[LoggedStep, None, None]
@@ -125,6 +125,12 @@ class DeploymentController:
         share = _share_of_map(self.learner.step_map(), state, plan.command)
         return replace(plan, std=plan.std * self.calibration.factor(state, plan.predicted, share))
 
+    def predicted_plan(self, state: Array, command: Array) -> CautiousPlan:
+        """What the map predicts of a command that was not planned from this state."""
+        controller = self.step_controller
+        predicted = controller.step_map.evaluate(state, command).next_state
+        return self.calibrated(state, CautiousPlan(command, predicted, controller.step_std(state, command)))
+
     def logged_first(self, iteration: int, number: int, record: StepRecord) -> LoggedStep:
         """The step that a robot took before the first planned one, without a target, with what the map predicts."""
         controller, point = self.step_controller, (record.state, record.requested)
@@ -196,9 +202,9 @@ def deploy(
                 plan = controller.plan(state, reference.targets[number - 1], reference.targets[number:])
             on_time("planning", perf_counter() - begin)
             background.compute(controller.learner.pending)  # after the command, so that it causes no delay
-            record = plant.take_step(plan.command)
-            target = reference.targets[number - 1] if number > 0 else plan.predicted
-            logged = LoggedStep(iteration, number, target, plan.predicted, plan.std, record)
+            targets = reference.targets[max(number - 1, 0) :] if number > 0 else plan.predicted[None]
+            record, plan = _taken(plant, controller, plan, targets)
+            logged = LoggedStep(iteration, number, targets[0], plan.predicted, plan.std, record)
             yield logged
             if record.status != StepStatus.OK:
                 return
@@ -206,6 +212,33 @@ def deploy(
             controller, state = controller.after(logged), record.next_state
             on_time("learning", perf_counter() - begin)
             on_learner(controller.learner)
+
+
+def _taken(
+    plant: Plant, controller: DeploymentController, plan: CautiousPlan, targets: Array
+) -> tuple[StepRecord, CautiousPlan]:
+    """A step as it was taken, and the plan of the command that acted, from the state that was found.
+
+    Where states are measured above what a foot finds, the command is planned again at touchdown.
+
+    Args:
+        plant: Takes the step.
+        controller: Plans it.
+        plan: Plan from the state as it is known before.
+        targets: Target of this step and those after it; shape (k, n).
+    """
+    if not plant.space.is_above_context:
+        return plant.take_step(plan.command), plan
+    plans = [plan]
+
+    def at_touchdown(found: Touchdown) -> Array:
+        plans.append(controller.plan(found.state, targets[0], targets[1:]))
+        return plans[-1].command
+
+    record = plant.take_replanned_step(plan.command, at_touchdown)
+    if len(plans) > 1 and np.array_equal(plans[-1].command, record.command):
+        return record, plans[-1]
+    return record, controller.predicted_plan(record.state, record.command)
 
 
 def _explored(controller: DeploymentController, reference: Reference, state: Array) -> CautiousPlan:

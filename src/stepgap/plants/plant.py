@@ -1,11 +1,30 @@
 """The interface of a plant, which executes steps."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
 from stepgap.step import Array, StepRecord, StepSpace
+
+
+@dataclass(frozen=True, eq=False)
+class Touchdown:
+    """What is measured within a step while a new command may still act, as when a foot touches down.
+
+    Attributes:
+        state: State at the start of the step, above what was found now where that is so declared; shape (n,).
+        context: Context of the step by name, as far as it is known.
+    """
+
+    state: Array
+    context: Mapping[str, float]
+
+
+AtTouchdown = Callable[[Touchdown], Array]
+"""Chooses the command of a step anew at its touchdown; shape (m,)."""
 
 
 class Plant(ABC):
@@ -44,6 +63,16 @@ class Plant(ABC):
 
         A failed step is a record whose status is not OK, after which the deployment is over.
         """
+
+    def take_replanned_step(self, command: Array, at_touchdown: AtTouchdown) -> StepRecord:  # noqa: ARG002
+        """As `take_step`, but the command may be chosen anew at the touchdown within the step.
+
+        Args:
+            command: Command of the step if no other comes in time; shape (m,).
+            at_touchdown: Called with what was measured there. The record has the command that acted. Plants without
+                such an event never call it.
+        """
+        return self.take_step(command)
 
     @abstractmethod
     def stop(self) -> None:

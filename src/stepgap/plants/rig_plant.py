@@ -1,17 +1,19 @@
 """A plant with a rig in the calling process: it reads, computes the tick and writes, as fast as the rig can."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from stepgap.base.ranges import require
 from stepgap.plants.compiled_rig import CompiledRig, TickRun
-from stepgap.plants.plant import Plant
+from stepgap.plants.plant import AtTouchdown, Plant, Touchdown
 from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl, TickFlag
 from stepgap.plants.ticks.stream import OnTicks
 from stepgap.rigs.rig import Rig, RigFault, Torques
 from stepgap.step import Array, StepRecord, StepSpace, StepStatus
 
-STEP_ENDED, FAILED, _UNREADABLE = (
-    int(flag) for flag in (TickFlag.STEP_ENDED, TickFlag.FAILED, TickFlag.UNREADABLE)
+STEP_ENDED, FAILED, _UNREADABLE, _TOUCHDOWN = (
+    int(flag) for flag in (TickFlag.STEP_ENDED, TickFlag.FAILED, TickFlag.UNREADABLE, TickFlag.TOUCHDOWN)
 )  # fmt: skip
 
 
@@ -44,7 +46,7 @@ class RigPlant(Plant):
         require(at_once >= 1, "at_once", at_once, "be at least 1")
         self._on_ticks, self._at_once = on_ticks, at_once
         self._tick_time = rig.sensor_model.tick
-        self._state = np.full(len(self._space.state), np.nan)
+        self._measured = np.full(len(self._space.state), np.nan)  # from fixed zeros
         self._begin()
 
     def _begin(self) -> None:
@@ -79,8 +81,8 @@ class RigPlant(Plant):
         self._rig.connect()
         self._begin()
         released, nothing = self._rig.released, np.zeros(len(self._space.command))
-        self._state = np.array(released) if released else np.full(len(self._space.state), np.nan)
-        first = self._taken(nothing, nothing)
+        self._measured = np.array(released) if released else np.full(len(self._space.state), np.nan)
+        first = self._taken(nothing, nothing, None)
         if self._status != StepStatus.OK:
             detail = f" ({self._fault})" if self._fault else ""
             raise RigFault(
@@ -88,32 +90,51 @@ class RigPlant(Plant):
                 "on a simulated robot, check whether it can step with the differences in [gap]"
             )
         self._first_step = first if released else None
-        return self._state
+        return first.next_state
 
     def take_step(self, command: Array) -> StepRecord:
         """Takes a step; after a fall, a fault or a safety stop the record has no next state, and torque is off."""
+        return self._next(command, None)
+
+    def take_replanned_step(self, command: Array, at_touchdown: AtTouchdown) -> StepRecord:
+        """Takes a step whose command is chosen anew at its touchdown; the time of the rig stands still meanwhile."""
+        return self._next(command, at_touchdown)
+
+    def _next(self, command: Array, at_touchdown: AtTouchdown | None) -> StepRecord:
         command = np.asarray(command, float)
         within = np.clip(command, self._space.command_lower, self._space.command_upper)
         self._number += 1
         if np.isnan(within).any():
             self._status = StepStatus.INVALID
-        return self._taken(command, within)
+        return self._taken(command, within, at_touchdown)
 
     def stop(self) -> None:
         """Switches torque off."""
         self._rig.close()
 
-    def _taken(self, command: Array, within: Array) -> StepRecord:
+    def _taken(self, command: Array, within: Array, at_touchdown: AtTouchdown | None) -> StepRecord:
         """Takes a step with a command, which is limited to `within`, from the present state to the next."""
-        state, true_state = self._state, np.full(len(self._state), np.nan)
-        self._state, _, lost, context = self._step(tuple(within.tolist()))
+        space, before, true_state = self._space, self._measured, np.full(len(self._measured), np.nan)
+        given = [(command, within)]
+
+        def chosen() -> tuple[float, ...]:
+            context = self._control.touchdown()
+            if at_touchdown and context:
+                found = Touchdown(space.above(before, context), space.named_context(context))
+                command = np.asarray(at_touchdown(found), float)
+                given.append((command, np.clip(command, space.command_lower, space.command_upper)))
+            return tuple(given[-1][1].tolist())
+
+        self._measured, acted, lost, context = self._step(tuple(within.tolist()), chosen)
         if self._status == StepStatus.OK and self._rig.truth:
             true_state[:] = self._rig.truth
-        named = self._space.named_context(context)
-        return StepRecord(state, command, within - lost, self._state, self._status, named, within, true_state)
+        command, within = next((pair for pair in given if np.array_equal(pair[1], acted)), given[-1])
+        state, next_state, true_state = (space.above(each, context) for each in (before, self._measured, true_state))
+        named = space.named_context(context)
+        return StepRecord(state, command, within - lost, next_state, self._status, named, within, true_state)
 
-    def _step(self, command: tuple[float, ...]) -> FinishedStep:
-        """Runs the ticks of one step; its result."""
+    def _step(self, command: tuple[float, ...], chosen: Callable[[], tuple[float, ...]]) -> FinishedStep:
+        """Runs the ticks of one step with a command, which is chosen anew at a touchdown; its result."""
         control, order = self._control, Order(Mode.STEP, 1.0, command)
         while self._status == StepStatus.OK:
             run = self._run(order, self._applied or self._no_torques)
@@ -126,6 +147,8 @@ class RigPlant(Plant):
                 return control.finished_step()
             elif run.flags & FAILED:
                 self._status = control.status
+            elif run.flags & _TOUCHDOWN:
+                order = order._replace(command=chosen())
         self._rig.close()
         return control.failed_step(self._applied)
 

@@ -49,6 +49,8 @@ class TickFlag(IntFlag):
     """A command in the next tick's order will act in full."""
     UNREADABLE = 32
     """A sensor value is not finite, so the tick was not computed."""
+    TOUCHDOWN = 64
+    """A foot has just touched down; `touchdown` has what was measured there, and a new command may be given."""
 
 
 class Order(NamedTuple):
@@ -57,7 +59,7 @@ class Order(NamedTuple):
     Attributes:
         mode: Task of the robot.
         share: Fraction of the torque in POSTURE; fraction of the landing time that has passed in LAND. From 0 to 1.
-        command: Command of the step within bounds, m numbers; NaN while there is none. The first one in time acts.
+        command: Command of the step within bounds, m numbers; NaN while there is none. The last one in time acts.
     """
 
     mode: Mode
@@ -141,6 +143,13 @@ class TickControl(ABC):
     @abstractmethod
     def finished_step(self) -> FinishedStep:
         """Result of the step that ended with the last tick."""
+
+    def touchdown(self) -> tuple[float, ...]:
+        """Context that was measured at the last touchdown, in the order of `StepSpace.context`; NaN where unknown.
+
+        Called after a tick with `TOUCHDOWN`, which a control without that event never has.
+        """
+        return ()
 
     @abstractmethod
     def failed_step(self, applied: Torques | None) -> FinishedStep:

@@ -29,7 +29,7 @@ LOOP_MEANING = FieldMeaning(names={"state": {state.value: state.name for state i
 ALIVE_EVERY = 64
 """Number of ticks between two checks whether the learning process is alive."""
 
-_STEP_ENDED, _FAILED, _STOPPED, _BRAKES, _TAKES_COMMAND, _UNREADABLE = map(int, TickFlag)
+_STEP_ENDED, _FAILED, _STOPPED, _BRAKES, _TAKES_COMMAND, _UNREADABLE, _TOUCHDOWN = map(int, TickFlag)
 """Numbers of the flags: of a tick of 12 µs, operations on the enum took 3 µs."""
 
 

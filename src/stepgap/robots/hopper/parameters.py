@@ -165,15 +165,22 @@ class CommandBounds:
         require(self.fx_lower < self.fx_upper, "fx_lower", self.fx_lower, f"lie below fx_upper = {self.fx_upper}")
         require(self.fy_lower < self.fy_upper, "fy_lower", self.fy_lower, f"lie below fy_upper = {self.fy_upper}")
 
-    def space(self) -> StepSpace:
-        """State [speed, height] and command [fx, fy] of the hopper (Eq. 10), and the yaw of its boom at the apex."""
+    def space(self, uneven: bool = False) -> StepSpace:
+        """State [speed, height] and command [fx, fy] of the hopper (Eq. 10), and the yaw of its boom at the apex.
+
+        Args:
+            uneven: Whether the height is that above the ground which the foot finds at touchdown, and not that above
+                the zero of the boom; then its height and the place of the foot are measured, too.
+        """
+        above = "ground" if uneven else ""
+        found = (ContextQuantity("ground", "m"), ContextQuantity("foothold", "m")) if uneven else ()
         return StepSpace(
-            state=(Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.52, 0.64)),
+            state=(Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.52, 0.64, above=above)),
             command=(
                 Quantity("fx", "N", self.fx_lower, self.fx_upper),
                 Quantity("fy", "N", self.fy_lower, self.fy_upper),
             ),
-            context=(ContextQuantity("yaw", "rad", period=tau),),
+            context=(ContextQuantity("yaw", "rad", period=tau), *found),
             advice=ADVICE_ON_HOPS,
         )
 

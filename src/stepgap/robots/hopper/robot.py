@@ -9,6 +9,7 @@ import numpy as np
 from stepgap.base.errors import InputError
 from stepgap.control.reference import Reference
 from stepgap.rigs.rig import SensorModel
+from stepgap.robots.ground import UnevenGround
 from stepgap.robots.hopper.paper import paper_reference, paper_result
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.paper_family import PAPER_FAMILY
@@ -37,6 +38,7 @@ class Hopper(Robot):
         gains: Gains of the joint controller.
         command: Bounds of the step command.
         gap: Differences of the twin from the model.
+        ground: The twin's ground, where it is uneven.
     """
 
     name: ClassVar[str] = "hopper"
@@ -49,11 +51,12 @@ class Hopper(Robot):
     gains: Gains = field(default_factory=Gains)
     command: CommandBounds = field(default_factory=CommandBounds)
     gap: RealityGap = field(default_factory=RealityGap)
+    ground: UnevenGround = field(default_factory=UnevenGround)
 
     @property
     def space(self) -> StepSpace:
-        """State [speed, height], command [fx, fy]."""
-        return self.command.space()
+        """State [speed, height], command [fx, fy]; on uneven ground, the height above what the foot finds."""
+        return self.command.space(self.ground.is_measured)
 
     def apex_map(self) -> "ApexMap":
         """Map of the physics model."""
@@ -98,13 +101,13 @@ class Hopper(Robot):
     def _twin(self, world: np.random.Generator) -> "HopperSimulation":
         from stepgap.robots.hopper.twin.simulation import TwinSimulation
 
-        return TwinSimulation(self.parameters, self.gap, self.control, world)
+        return TwinSimulation(self.parameters, self.gap, self.control, world, self.ground)
 
     def control(self) -> "HopperControl":
         """The joint controller."""
         from stepgap.robots.hopper.tick.hop_control import HopperControl
 
-        return HopperControl(self.parameters, self.gains, self.command)
+        return HopperControl(self.parameters, self.gains, self.command, uneven=self.ground.is_measured)
 
     def kinematics(self, sensors: SensorModel | None = None) -> "HopperKinematics":
         """Kinematics of boom and leg with the sensors of a rig, or with those of the twin."""

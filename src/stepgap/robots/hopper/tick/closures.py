@@ -133,7 +133,7 @@ class Closures(NamedTuple):
 
 
 @as_written
-def judge_closures(limits, state, flight, sampled, force, phase, motion, body):
+def judge_closures(limits, state, flight, sampled, force, phase, foot_height, body):
     """Returns `Closures` after this tick, and the reasons to doubt yaw or pitch, as the number of a `Limited`.
 
     Args:
@@ -143,7 +143,7 @@ def judge_closures(limits, state, flight, sampled, force, phase, motion, body):
         sampled: Time of the reading [s].
         force: Contact force of a foot on the ground [N]; 0 in flight.
         phase: Number of the phase of this tick.
-        motion: `JointMotion` of this tick.
+        foot_height: Height of the foot above the ground, by leg and boom [m].
         body: `Body` of this tick.
     """
     before, doubts = state.sensors.closures, 0
@@ -151,7 +151,7 @@ def judge_closures(limits, state, flight, sampled, force, phase, motion, body):
     apex, fall, change = before.apex, before.fall, before.change
     if force > 0.0:
         if contact.readings == 0:
-            height, doubts = _landed(limits, height, motion.hip_height + body.foot_y)
+            height, doubts = _landed(limits, height, foot_height)
             fall, change, unlike = _flown(before, flight.fit)
             apex, doubts = np.nan, doubts | unlike
         if sampled > state.sampled:

@@ -18,7 +18,7 @@ from stepgap.robots.hopper.model.dynamics import masses_of
 from stepgap.robots.hopper.model.joint_control import joint_law
 from stepgap.robots.hopper.model.leg import foot, four_bar, leg_of
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
-from stepgap.robots.hopper.tick.hop_state import Apex, HopState, TickSettings
+from stepgap.robots.hopper.tick.hop_state import Apex, HopState, Landing, TickSettings
 from stepgap.robots.hopper.tick.hop_tick import interrupted_hop, tick
 from stepgap.robots.hopper.tick.limits import SafetyLimits
 from stepgap.robots.hopper.tick.phases import Phase
@@ -60,10 +60,19 @@ class HopControl(TickControl):
         robot: Robot that the rig is assumed to be.
         gains: Gains of the joint controller.
         limits: Limits of the safety function.
+        uneven: Whether heights are those above the ground that the foot finds at touchdown.
     """
 
-    def __init__(self, sensor_model: HopperSensorModel, robot: RobotParameters, gains: Gains, limits: SafetyLimits):
-        self._settings = as_record(TickSettings(sensor_model, masses_of(robot), joint_law(robot, gains), limits))
+    def __init__(
+        self,
+        sensor_model: HopperSensorModel,
+        robot: RobotParameters,
+        gains: Gains,
+        limits: SafetyLimits,
+        uneven: bool = False,
+    ):
+        law, self._uneven = joint_law(robot, gains), uneven
+        self._settings = as_record(TickSettings(sensor_model, masses_of(robot), law, limits, int(uneven)))
         self._memory, self._row = as_record(HopState()), np.zeros(len(TICK_UNITS))
         _prepare(self._settings, self._memory, self._row)
 
@@ -122,7 +131,16 @@ class HopControl(TickControl):
         """The hop that ended with the last tick."""
         apex = Apex(*self._memory["apex"][0].item())
         state, lost = np.array([apex.speed, apex.height]), np.array([apex.lost_x, apex.lost_y])
-        return FinishedStep(state, np.array([apex.force_x, apex.force_y]), lost, (apex.yaw,))
+        return FinishedStep(state, np.array([apex.force_x, apex.force_y]), lost, self._context(apex.yaw))
+
+    def touchdown(self) -> tuple[float, ...]:
+        """Height of the ground and place of the foot; the yaw is that of the apex, which is not known yet."""
+        return self._context(nan)
+
+    def _context(self, yaw: float) -> tuple[float, ...]:
+        """Context of a hop that ended at a yaw [rad], in the order of its `StepSpace`."""
+        landing = Landing(*self._memory["landing"][0].item())
+        return (yaw, landing.ground, landing.foothold) if self._uneven else (yaw,)
 
     def failed_step(self, applied: Torques | None) -> FinishedStep:
         """The hop that was interrupted after the last tick."""
@@ -155,17 +173,19 @@ class HopperControl(RobotControl):
         gains: Gains of the joint controller.
         bounds: Range of the command.
         limits: Limits of the safety function; None for the rig's or, if it has none, those of a simulation.
+        uneven: Whether heights are those above the ground that the foot finds at touchdown.
     """
 
     robot: RobotParameters
     gains: Gains
     bounds: CommandBounds
     limits: SafetyLimits | None = None
+    uneven: bool = False
 
     @property
     def space(self) -> StepSpace:
         """State [speed, height], command [fx, fy]."""
-        return self.bounds.space()
+        return self.bounds.space(self.uneven)
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -231,7 +251,8 @@ class HopperControl(RobotControl):
         }
 
     def _new_control(self, rig: Rig) -> HopControl:
-        return HopControl(hopper_sensors(rig.sensor_model), self.robot, self.gains, self.limits_of(rig))
+        sensors, limits = hopper_sensors(rig.sensor_model), self.limits_of(rig)
+        return HopControl(sensors, self.robot, self.gains, limits, self.uneven)
 
     def limits_of(self, rig: Rig) -> SafetyLimits:
         """Limits that were given, or the rig's, or those of a simulation."""

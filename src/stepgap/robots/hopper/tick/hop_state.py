@@ -28,12 +28,14 @@ class TickSettings(NamedTuple):
         masses: Mass properties of the robot that the rig is assumed to be.
         law: Torque laws.
         limits: Limits of the safety function.
+        uneven: Whether heights are judged above the ground that the foot found last, not above the boom's zero.
     """
 
     sensor_model: HopperSensorModel
     masses: Masses
     law: JointLaw
     limits: SafetyLimits
+    uneven: int = 0
 
 
 class TickInputs(NamedTuple):
@@ -110,6 +112,18 @@ class HopProgress(NamedTuple):
     status: int = 0
 
 
+class Landing(NamedTuple):
+    """What leg and boom measured at the last touchdown.
+
+    Attributes:
+        ground: Height of the foot [m].
+        foothold: Where it stood, as a distance travelled [m].
+    """
+
+    ground: float = 0.0
+    foothold: float = 0.0
+
+
 class Apex(NamedTuple):
     """Result of the last hop that ended at an apex.
 
@@ -143,6 +157,7 @@ class HopState(NamedTuple):
         rates: Estimator of the leg's rates.
         flight: Estimator of the hip's flight.
         hop: The present hop.
+        landing: The last touchdown.
         apex: Result of the last hop.
         sensors: State of the plausibility checks.
         watch: State of the safety function.
@@ -161,6 +176,7 @@ class HopState(NamedTuple):
     rates: JointRates = JointRates()
     flight: FlightState = FlightState()
     hop: HopProgress = HopProgress()
+    landing: Landing = Landing()
     apex: Apex = Apex()
     sensors: SensorWatch = SensorWatch()
     watch: Watch = Watch()

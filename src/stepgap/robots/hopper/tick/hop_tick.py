@@ -16,11 +16,19 @@ from stepgap.base.compiled_record import assign, loaded
 from stepgap.plants.tick_control import Mode, TickFlag
 from stepgap.robots.hopper.model.reduced import uprightness
 from stepgap.robots.hopper.tick.estimator import fitted_apex
-from stepgap.robots.hopper.tick.hop_state import STEP_TIMEOUT, Apex, FlightState, HopProgress, HopState, TickInputs
+from stepgap.robots.hopper.tick.hop_state import (
+    STEP_TIMEOUT,
+    Apex,
+    FlightState,
+    HopProgress,
+    HopState,
+    Landing,
+    TickInputs,
+)
 from stepgap.robots.hopper.tick.load import add_load
 from stepgap.robots.hopper.tick.phases import Phase
 from stepgap.robots.hopper.tick.plausibility import judge_sensors
-from stepgap.robots.hopper.tick.safety import DOUBTS, STOPS, brakes, check_torque
+from stepgap.robots.hopper.tick.safety import DOUBTS, STOPS, JointMotion, brakes, check_torque
 from stepgap.robots.hopper.tick.sensing import sense, update_flight, yaw_of
 from stepgap.robots.hopper.tick.stage import stage_of
 from stepgap.robots.hopper.tick.tick_row import TICK_COLUMN
@@ -28,9 +36,12 @@ from stepgap.robots.hopper.tick.tick_torque import lost_force, wanted_torque
 from stepgap.step import StepStatus
 
 # Numba cannot compile enum flags, so compiled code uses their integer values.
-_STEP_ENDED, _FAILED, _STOPPED, _BRAKES, _TAKES_COMMAND, UNREADABLE = map(int, TickFlag)
+_STEP_ENDED, _FAILED, _STOPPED, _BRAKES, _TAKES_COMMAND, UNREADABLE, _TOUCHDOWN = map(int, TickFlag)
 
 _DOUBTS = int(DOUBTS)
+
+LARGEST_DROP = 0.2
+"""Step down that a robot may fly over on uneven ground without having fallen [m]; the ground below is not known yet."""
 
 
 @as_written
@@ -52,6 +63,7 @@ def hop_tick(settings, state, inputs):
     rates, motion, body = sense(settings, state.rates, sampled, inputs)
     flight, phase = update_flight(settings.sensor_model, state, sampled, motion, body, inputs)
     hop, phase = _update_hop(hop, state.phase, phase, state.mode, inputs)
+    landing = _landing(state, phase, motion, body)
     asked = wanted_torque(settings.law, phase, motion, flight, hop, inputs)
     requested = (0.0, 0.0) if inputs.mode == Mode.LIMP else asked  # a limp robot only logs what the law asks for
     sensors, doubts = judge_sensors(settings, state, sampled, phase, motion, body, flight, inputs)
@@ -59,20 +71,41 @@ def hop_tick(settings, state, inputs):
         settings.limits, settings.sensor_model.tick, state.load, motion, inputs.applied_1, inputs.applied_2
     )
     stage = stage_of(settings.limits, inputs.mode, inputs.share, state.hops)
+    over_ground = _above(motion, landing.ground if settings.uneven else 0.0)
     checked = check_torque(
-        settings.limits, stage, state.watch, motion, inputs, doubts | overload, requested[0], requested[1]
+        settings.limits, stage, state.watch, over_ground, inputs, doubts | overload, requested[0], requested[1]
     )
-    hop = _update_status(settings.law.leg, hop, motion, checked.limited)
+    drop = LARGEST_DROP if settings.uneven and (phase == Phase.ASCENT or phase == Phase.DESCENT) else 0.0
+    hop = _update_status(settings.law.leg, hop, over_ground, drop, checked.limited)
     flags, apex = 0, state.apex
     if inputs.mode == Mode.STEP and checked.limited & STOPS == 0:
         flags, hop, flight, apex = _end_hop(settings.sensor_model, hop, flight, apex, phase, body, inputs.time)
     flags |= _flags(settings.limits, hop, phase, checked)
+    if inputs.mode == Mode.STEP and phase == Phase.COMPRESSION and state.phase != Phase.COMPRESSION:
+        flags |= _TOUCHDOWN
     after = HopState(
         mode=inputs.mode, phase=phase, sampled=sampled, motion=motion, rates=rates, flight=flight, hop=hop,
-        apex=apex, sensors=sensors, watch=checked.watch, asked_1=asked[0], asked_2=asked[1], limited=checked.limited,
+        landing=landing, apex=apex, sensors=sensors, watch=checked.watch, asked_1=asked[0], asked_2=asked[1], limited=checked.limited,
         hops=state.hops + int(flags & _STEP_ENDED != 0), stage=stage, load=load,
     )  # fmt: skip
     return after, (checked.torque_1, checked.torque_2), flags
+
+
+@as_written
+def _landing(state, phase, motion, body):
+    """`Landing` of this tick: in the first one of a stance, where leg and boom find the foot."""
+    if phase != Phase.COMPRESSION or state.phase == Phase.COMPRESSION:
+        return state.landing
+    return Landing(ground=motion.hip_height + body.foot_y, foothold=body.x + body.foot_x)
+
+
+@as_written
+def _above(motion, ground):
+    """`JointMotion` with the height of the hip above a ground [m]."""
+    return JointMotion(
+        alpha_1=motion.alpha_1, alpha_2=motion.alpha_2, rate_1=motion.rate_1, rate_2=motion.rate_2,
+        leg_length=motion.leg_length, hip_height=motion.hip_height - ground,
+    )  # fmt: skip
 
 
 @as_written
@@ -108,7 +141,7 @@ def _update_hop(hop, before, phase, mode_before, inputs):
         # the robot is held in the air, for any time, so there is no deadline until touchdown
         phase = Phase.DESCENT.value
         deadline, left_ground, force_x, force_y, thrust_ticks, lost_x, lost_y, _ = _new_hop(np.inf, hop.status)
-    if inputs.mode == Mode.STEP and np.isnan(force_x) and _takes_command(phase, left_ground):
+    if inputs.mode == Mode.STEP and not np.isnan(inputs.force_x) and _takes_command(phase, left_ground):
         force_x, force_y = inputs.force_x, inputs.force_y
     return HopProgress(
         deadline=deadline, left_ground=left_ground, force_x=force_x, force_y=force_y, thrust_ticks=thrust_ticks,
@@ -132,12 +165,15 @@ def _takes_command(phase, left_ground):
 
 
 @as_written
-def _update_status(leg, hop, motion, limited):
-    """`HopProgress` with a new status if the step has failed: the safety function stopped the robot, or it fell."""
+def _update_status(leg, hop, motion, drop, limited):
+    """`HopProgress` with a new status if the step has failed: the safety function stopped the robot, or it fell.
+
+    Its height is judged above a ground that may be lower by `drop` [m].
+    """
     status = hop.status
     if limited & STOPS:
         status = StepStatus.DOUBTFUL.value if limited & _DOUBTS else StepStatus.STOPPED.value
-    elif uprightness(leg, motion.hip_height, motion.alpha_1, motion.alpha_2) < 0.0:
+    elif uprightness(leg, motion.hip_height + drop, motion.alpha_1, motion.alpha_2) < 0.0:
         status = StepStatus.FELL.value
     return _with_status(hop, status)
 

@@ -124,9 +124,11 @@ def judge_sensors(settings, state, sampled, phase, motion, body, flight, inputs)
         settings, state, sampled, contact, phase, body, inputs
     )
     yaw_there, foot_there, slid = _judge_stance(settings, state, contact, phase, body)
-    low, misplaced = _judge_foot(settings.limits, state, sampled, contact, phase, motion.hip_height + body.foot_y)
+    known = state.landing.ground if settings.uneven else 0.0  # of the stance before, if this is a touchdown
+    height = motion.hip_height + body.foot_y - known
+    low, misplaced = _judge_foot(settings.limits, state, sampled, contact, phase, height)
     force = inputs.contact_force if contact and _is_stance(phase) else 0.0
-    closures, unclosed = judge_closures(settings.limits, state, flight, sampled, force, phase, motion, body)
+    closures, unclosed = judge_closures(settings.limits, state, flight, sampled, force, phase, height, body)
     if inputs.mode == Mode.STEP:
         doubts |= slid | misplaced
         if settings.limits.frozen_time < np.inf:

@@ -5,6 +5,17 @@ from typing import NamedTuple
 import numpy as np
 
 from stepgap.base.compiled import as_written
+from stepgap.robots.hopper.twin.treads import (
+    HEIGHT,
+    SLOPE,
+    START,
+    UnevenViews,
+    beyond,
+    move_riser,
+    put_on_tread,
+    tilt_ground,
+    tread_under,
+)
 from stepgap.step import Array
 
 READ, OUT_OF_REACH, TOO_FAST = 0, 1, 2
@@ -71,6 +82,7 @@ class Views(NamedTuple):
         foot: Position of the foot in MuJoCo's frame; shape (3,) [m].
         ground: Position of the ground; shape (3,) [m].
         waves: Wave number per turn, phase [rad] and amplitude [m] of each wave of the ground; shape (w, 3).
+        uneven: Treads of the ground, and what is moved with them.
     """
 
     qpos: Array
@@ -81,6 +93,7 @@ class Views(NamedTuple):
     foot: Array
     ground: Array
     waves: Array
+    uneven: UnevenViews
 
 
 @as_written
@@ -142,7 +155,7 @@ def drive(devices, torque_1, torque_2, noise, views):
     force[rig.motor_1] = rig.noise_kept * force[rig.motor_1] + rig.noise_fresh * noise[0]
     force[rig.motor_2] = rig.noise_kept * force[rig.motor_2] + rig.noise_fresh * noise[1]
     if len(waves) > 0 and views.touch[0] == 0.0:
-        views.ground[2] = ground_under(devices, waves, views.foot)
+        views.ground[2] = ground_under(devices, views)
     return torque_1, torque_2
 
 
@@ -154,18 +167,47 @@ def _saturated(devices, torque):
 
 
 @as_written
-def ground_under(devices, waves, foot):
-    """Height of the ground under the foot [m].
+def ground_under(devices, views):
+    """Height of the ground under the foot [m]; on treads, that of the tread on which it is, or to which it falls."""
+    rig, uneven = devices[0], views.uneven
+    yaw = _foot_yaw(rig, views.foot) + rig.floor_yaw
+    height = _wave_height(views.waves, yaw)
+    if len(uneven.treads) > 0:
+        tread = uneven.treads[int(uneven.under[0])]
+        height += tread[HEIGHT] + tread[SLOPE] * beyond(uneven.length, rig.boom_length * yaw, tread[START])
+    return height
 
-    Args:
-        devices: Record of `Devices`.
-        waves: Waves per turn, phase [rad] and amplitude [m] of each wave of the ground; shape (w, 3).
-        foot: Position of the foot in MuJoCo's frame [m]; shape (3,).
-    """
-    rig = devices[0]
-    yaw = np.arctan2(foot[0], -foot[1]) if rig.boom_arc else foot[0] / rig.boom_length
-    yaw += rig.floor_yaw
+
+@as_written
+def _foot_yaw(rig, foot):
+    """Yaw of the boom at which the foot is in its middle plane [rad]."""
+    return np.arctan2(foot[0], -foot[1]) if rig.boom_arc else foot[0] / rig.boom_length
+
+
+@as_written
+def _wave_height(waves, yaw):
+    """Height of the waves of the ground at a yaw of the floor [m]."""
     height = 0.0
     for wave in range(len(waves)):
         height += waves[wave, 2] * np.sin(waves[wave, 0] * yaw + waves[wave, 1])
     return height
+
+
+@as_written
+def move_ground(devices, views):
+    """Moves tread and riser under the foot, before a physics step on uneven ground.
+
+    A foot on the ground stays on its tread until it lifts.
+    """
+    rig, uneven, foot = devices[0], views.uneven, views.foot
+    yaw = _foot_yaw(rig, foot)
+    place = rig.boom_length * (yaw + rig.floor_yaw)
+    height = foot[2] - _wave_height(views.waves, yaw + rig.floor_yaw)
+    if views.touch[0] == 0.0:
+        tread = tread_under(uneven, int(uneven.under[0]), place, height)
+        if tread != uneven.under[0]:
+            put_on_tread(uneven, tread)
+        views.ground[0], views.ground[1], views.ground[2] = foot[0], foot[1], ground_under(devices, views)
+        tilt_ground(uneven, yaw if rig.boom_arc else 0.0)
+    if len(uneven.riser) > 0:
+        move_riser(rig, uneven, foot, yaw, place, height)

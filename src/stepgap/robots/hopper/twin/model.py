@@ -1,4 +1,4 @@
-"""The twin's MuJoCo model: a boom, a four-bar leg and a ground that can be moved up and down.
+"""The twin's MuJoCo model: a boom, a four-bar leg, and a ground and a riser that can be moved under the foot.
 
 MuJoCo's x points forward at yaw 0, y to the boom's pivot side, z up. On the arc the pivot stands over the
 origin; in the plane the hip starts over it. Angles of the leg turn forward, about −y.
@@ -8,14 +8,17 @@ origin; in the plane the hip starts over it. Angles of the leg turn forward, abo
 # (MuJoCo ships no types for its compiled part.)
 
 from math import cos, inf, isinf, pi, sin, sqrt, tan
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.base.ranges import require
+from stepgap.robots.ground import FLAT, UnevenGround
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.treads import LOWEST_RISER
 
 FOOT_RADIUS = 1e-5
 """Radius of the colliding foot point [m]; the ground is lower by this radius, so contact starts at the foot's end."""
@@ -45,27 +48,57 @@ FORWARD, UP, LEG_AXIS, PITCH_AXIS = (1, 0, 0), (0, 0, 1), (0, -1, 0), (-1, 0, 0)
 
 
 class GroundProfile:
-    """Height of the ground around the circle: a tilted floor plus a smooth random profile.
+    """Height of the ground around the circle: a tilted floor plus a smooth random profile, and treads upon it.
 
     Args:
         gap: Gap with the slope and the roughness.
         boom_length: Radius of the circle [m].
-        rng: Draws the phases; the profile is fixed from then on.
+        rng: Draws phases and treads; the profile is fixed from then on.
+        uneven: What else is uneven.
 
     Attributes:
         waves: Waves per turn, phase [rad] and amplitude [m] of each wave; shape (w, 3), w = 0 for flat ground.
+        treads: What else is uneven; None if nothing is.
     """
 
-    def __init__(self, gap: RealityGap, boom_length: float, rng: np.random.Generator):
+    def __init__(
+        self, gap: RealityGap, boom_length: float, rng: np.random.Generator, uneven: UnevenGround = FLAT
+    ):
         amplitude = gap.ground_roughness * sqrt(2 / len(HARMONICS))
         phases = rng.uniform(0, 2 * pi, len(HARMONICS))
         waves = [(k, float(phase), amplitude) for k, phase in zip(HARMONICS, phases, strict=True) if amplitude > 0]
         slope = boom_length * tan(gap.ground_slope)
         self.waves = np.array([(1, 0.0, slope)] * (slope != 0) + waves, float).reshape(-1, 3)
+        self.treads = None if uneven.is_flat else uneven.treads(2 * pi * boom_length, rng)
+        self._boom_length = boom_length
+
+    @property
+    def has_risers(self) -> bool:
+        """Whether the height jumps from a tread to the next."""
+        if self.treads is None:
+            return False
+        ends = np.append(self.treads.start[1:], 2 * pi * self._boom_length)
+        ending = self.treads.height + self.treads.slope * (ends - self.treads.start)
+        return bool((np.abs(np.roll(self.treads.height, -1) - ending) > LOWEST_RISER).any())
+
+    def tread_at(self, yaw: float) -> int:
+        """Number of the tread at a boom angle ψ [rad] of the foot; 0 without treads."""
+        if self.treads is None:
+            return 0
+        return int(np.searchsorted(self.treads.start, self._boom_length * (yaw % (2 * pi)), "right")) - 1
+
+    def tread_height(self, yaw: float) -> float:
+        """Height of the tread at a boom angle ψ [rad] of the foot, [m]."""
+        if self.treads is None:
+            return 0.0
+        tread = self.tread_at(yaw)
+        along = self._boom_length * (yaw % (2 * pi)) - float(self.treads.start[tread])
+        return float(self.treads.height[tread]) + float(self.treads.slope[tread]) * along
 
     def height(self, yaw: float) -> float:
         """Height of the ground at a boom angle ψ [rad] of the foot, [m]."""
-        return sum(amplitude * sin(k * yaw + phase) for k, phase, amplitude in self.waves.tolist())
+        waves = sum(amplitude * sin(k * yaw + phase) for k, phase, amplitude in self.waves.tolist())
+        return waves + self.tread_height(yaw) if self.treads else waves
 
 
 def carried_mass(robot: RobotParameters, gap: RealityGap) -> float:
@@ -80,7 +113,9 @@ def gravity(robot: RobotParameters, gap: RealityGap, floor_yaw: float = 0.0) -> 
     return robot.gravity * np.array([sin(tilt) * sin(floor_yaw), sin(tilt) * cos(floor_yaw), -cos(tilt)])
 
 
-def build_spec(robot: RobotParameters, gap: RealityGap, timestep: float, visual: bool = False) -> mujoco.MjSpec:
+def build_spec(
+    robot: RobotParameters, gap: RealityGap, timestep: float, visual: bool = False, risers: bool = False
+) -> mujoco.MjSpec:
     """Builds the twin as an editable MuJoCo specification.
 
     Args:
@@ -88,6 +123,7 @@ def build_spec(robot: RobotParameters, gap: RealityGap, timestep: float, visual:
         gap: Differences of the twin from it.
         timestep: Physics step [s].
         visual: Whether to add visible shapes, which have no mass and collide with nothing.
+        risers: Whether there is a riser that stops the foot.
 
     Raises:
         ValueError: The boom is elastic but has no inertia.
@@ -100,15 +136,15 @@ def build_spec(robot: RobotParameters, gap: RealityGap, timestep: float, visual:
     _close_four_bar(spec, timestep)
     _add_start_locks(spec, gap, timestep)
     _add_motors(spec, gap, timestep)
-    _add_ground(spec, gap)
+    _add_ground(spec, gap, ("ground", "riser") if risers else ("ground",))
     if visual:
         _add_shapes(spec, robot, gap)
     return spec
 
 
-def build_model(robot: RobotParameters, gap: RealityGap, timestep: float, visual: bool = False) -> mujoco.MjModel:
+def build_model(robot: RobotParameters, gap: RealityGap, timestep: float, risers: bool = False) -> mujoco.MjModel:
     """Builds the compiled model of the twin, with the ground's stiffness in N/m; arguments as for `build_spec`."""
-    model = build_spec(robot, gap, timestep, visual).compile()
+    model = build_spec(robot, gap, timestep, risers=risers).compile()
     _set_contact(model, robot, gap)
     return model
 
@@ -253,31 +289,51 @@ def _add_motors(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> None:
             motor.delay, motor.nsample = (steps - 0.5) * timestep, steps + 1
 
 
-def _add_ground(spec: mujoco.MjSpec, gap: RealityGap) -> None:
-    """Adds a level plane whose height can be changed and that collides only with the foot."""
-    ground = spec.worldbody.add_body(name="ground", mocap=True)
-    plane = ground.add_geom(name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, pos=(0, 0, -FOOT_RADIUS))
-    plane.size = np.array([4, 4, 0.05])
-    plane.contype = plane.conaffinity = 0
+def _add_ground(spec: mujoco.MjSpec, gap: RealityGap, names: tuple[str, ...]) -> None:
+    """Adds level planes that can be moved and that collide only with the foot."""
     friction = STICKING if isinf(gap.ground_friction) else gap.ground_friction
-    pair = spec.add_pair(name="contact", geomname1="foot", geomname2="ground", condim=3)
-    pair.friction = np.array([friction, friction, 0, 0, 0])
+    for name in names:
+        ground = spec.worldbody.add_body(name=name, mocap=True)
+        plane = ground.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, pos=(0, 0, -FOOT_RADIUS))
+        plane.size = np.array([4, 4, 0.05])
+        plane.contype = plane.conaffinity = 0
+        pair = spec.add_pair(name=f"foot_{name}", geomname1="foot", geomname2=name, condim=3)
+        pair.friction = np.array([friction, friction, 0, 0, 0])
 
 
-def _set_contact(model: mujoco.MjModel, robot: RobotParameters, gap: RealityGap) -> None:
-    """Sets the spring and damper constants of the contact.
+class Contact(NamedTuple):
+    """MuJoCo's numbers of a contact: impedance, spring and damper, those of friction, and its coefficient."""
+
+    impedance: float
+    spring: float
+    damper: float
+    slip: float
+    friction: float
+
+
+def contact_of(
+    model: mujoco.MjModel, robot: RobotParameters, gap: RealityGap, stiffness: float = 1.0, friction: float = 1.0
+) -> Contact:
+    """MuJoCo's numbers of the contact with a ground.
 
     MuJoCo's contact force is f = −(a + b v + k r)/R for penetration −r and acceleration a, with
     R = w (1 − d)/d, impedance d and the constant inverse weight w of the foot; −solref is (k d, b d).
     So k/R is a stiffness [N/m], b/R a damping [N·s/m] and 1/R a mass [kg] coupled to the foot in contact.
     On soft ground that mass is as small as an explicit step of spring and damper allows. Rigid ground
     stops the foot within a few steps, without a bounce, and yields by micrometres.
+
+    Args:
+        model: The compiled model.
+        robot: As for `build_spec`.
+        gap: As for `build_spec`.
+        stiffness: Stiffness as a part of the gap's; no effect on rigid ground.
+        friction: Coefficient of friction as a part of the gap's; no effect where the foot never slips.
     """
     step = model.opt.timestep
     sticks = isinf(gap.ground_friction)
     foot_mass = 0.25 * gap.leg_mass_scale * 2 * (robot.top_mass + robot.bottom_mass)
     if not isinf(gap.ground_stiffness):
-        stiffness = gap.ground_stiffness
+        stiffness *= gap.ground_stiffness
         damping = 2 * gap.ground_damping_ratio * sqrt(stiffness * carried_mass(robot, gap))
         mass = max(0.5 * (damping * step + stiffness * step**2) - foot_mass, 1e-3)
     else:
@@ -286,9 +342,22 @@ def _set_contact(model: mujoco.MjModel, robot: RobotParameters, gap: RealityGap)
         stiffness = RECOVERY_RATE * damping
     weighted = mass * model.body_invweight0[model.geom("foot").bodyid[0], 0]
     impedance = weighted / (1 + weighted)
-    model.pair_solimp[0] = [impedance, impedance, 0.001, 0.5, 2]
-    model.pair_solref[0] = [-stiffness / mass * impedance, -damping / mass * impedance]
-    model.pair_solreffriction[0] = [-1, -impedance * (1 / step if sticks else min(SLIP_RATE, 0.5 / step))]
+    return Contact(
+        impedance=impedance,
+        spring=-stiffness / mass * impedance,
+        damper=-damping / mass * impedance,
+        slip=-impedance * (1 / step if sticks else min(SLIP_RATE, 0.5 / step)),
+        friction=STICKING if sticks else friction * gap.ground_friction,
+    )
+
+
+def _set_contact(model: mujoco.MjModel, robot: RobotParameters, gap: RealityGap) -> None:
+    """Sets the spring and damper constants of all contacts."""
+    contact = contact_of(model, robot, gap)
+    for pair in range(model.npair):
+        model.pair_solimp[pair] = [contact.impedance, contact.impedance, 0.001, 0.5, 2]
+        model.pair_solref[pair] = [contact.spring, contact.damper]
+        model.pair_solreffriction[pair] = [-1, contact.slip]
 
 
 def _add_shapes(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) -> None:

@@ -14,14 +14,14 @@ from stepgap.base.compiled import as_written
 from stepgap.plants.tick_control import TickFlag
 from stepgap.robots.hopper.tick.hop_tick import UNREADABLE, tick
 from stepgap.robots.hopper.tick.tick_row import TICK_COLUMN
-from stepgap.robots.hopper.twin.devices import READ, drive, read_counts
+from stepgap.robots.hopper.twin.devices import READ, drive, move_ground, read_counts
 from stepgap.robots.hopper.twin.true_apex import update_apex
 from stepgap.robots.mujoco_callbacks import c_library
 
 NO_NUMBER, NO_TORQUE = 3, 4
 """How a tick ended, besides the outcomes of a reading: a sensor value or a torque is not finite."""
 
-_ENDS_STEP = int(TickFlag.STEP_ENDED | TickFlag.FAILED)
+_ENDS_RUN = int(TickFlag.STEP_ENDED | TickFlag.FAILED | TickFlag.TOUCHDOWN)
 
 # Compiled code finds MuJoCo's C function by its name; its address is that in the library which Python has loaded.
 try:
@@ -36,7 +36,7 @@ def run_ticks(
     control, devices, views, physics, apex, noise, rows, time, tick_time, mode, share, force_x, force_y, applied_1,
     applied_2,
 ):  # fmt: skip
-    """Runs ticks until a step ends or fails, at most as many as `rows` has.
+    """Runs ticks until a foot touches down, or a step ends or fails, at most as many as `rows` has.
 
     Args:
         control: Records of `TickSettings` and `HopState`, and a row of the tick log.
@@ -55,7 +55,7 @@ def run_ticks(
     """
     settings, memory, row = control
     model, data, substeps = physics
-    flags = 0
+    flags, uneven = 0, len(views.uneven.treads) > 0
     for i in range(len(rows)):
         counts, outcome = read_counts(devices, views)
         if outcome != READ:
@@ -71,11 +71,13 @@ def run_ticks(
             return i, NO_TORQUE, flags, time, applied_1, applied_2
         applied_1, applied_2 = applied
         for _ in range(substeps):
+            if uneven:
+                move_ground(devices, views)
             _mj_step(model, data)
         update_apex(apex, devices, views)
         time += tick_time
         rows[i] = row
         rows[i, TICK_COLUMN.applied_1], rows[i, TICK_COLUMN.applied_2] = applied_1, applied_2
-        if flags & _ENDS_STEP:
+        if flags & _ENDS_RUN:
             return i + 1, READ, flags, time, applied_1, applied_2
     return len(rows), READ, flags, time, applied_1, applied_2

@@ -14,6 +14,7 @@ from stepgap.plants.plant import RepeatablePlant
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.ticks.stream import OnTicks
 from stepgap.rigs.rig import Rig
+from stepgap.robots.ground import FLAT, UnevenGround
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.tick.hop_control import HopperControl
 from stepgap.robots.hopper.twin.model import GroundProfile
@@ -50,6 +51,7 @@ class HopperSimulation(Simulation):
         gap: Differences of the twin from it.
         make_control: Makes the control of a plant.
         world: Draws the floor.
+        ground: What is uneven besides.
 
     Raises:
         InputError: No twin can be made with these settings.
@@ -63,9 +65,11 @@ class HopperSimulation(Simulation):
         gap: RealityGap,
         make_control: Callable[[], HopperControl],
         world: np.random.Generator,
+        ground: UnevenGround = FLAT,
     ):
         self.parameters, self.make_control = parameters, make_control
-        self.make_twin = partial(_twin, parameters, gap, GroundProfile(gap, parameters.boom_length, world))
+        profile = GroundProfile(gap, parameters.boom_length, world, ground)
+        self.make_twin = partial(_twin, parameters, gap, profile)
         self.make_twin(np.random.default_rng(0))  # reports errors before the first deployment
 
     def repeatable_plant(self, rng: np.random.Generator) -> TwinPlant:

@@ -75,7 +75,7 @@ def true_state(model: Any, scratch: Any, devices: Record, views: Views, time: fl
         leg_rate=data.qvel[motors],
         deflection=data.qpos[2:4].copy() if rig["boom_elastic"] else np.zeros(2),
         foot=foot,
-        ground_height=ground_under(devices, views.waves, foot),
+        ground_height=ground_under(devices, views._replace(foot=foot)),
         contact_force=views.touch[0],
         qpos=data.qpos.copy(),
     )

@@ -27,11 +27,13 @@ from stepgap.robots.hopper.twin.devices import (
     Devices,
     Views,
     drive,
+    move_ground,
     read_counts,
 )
-from stepgap.robots.hopper.twin.model import GroundProfile, build_model, export_xml, gravity
+from stepgap.robots.hopper.twin.model import GroundProfile, build_model, contact_of, export_xml, gravity
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.run_ticks import NO_NUMBER, NO_TORQUE, run_ticks
+from stepgap.robots.hopper.twin.treads import UnevenViews, put_on_tread
 from stepgap.robots.hopper.twin.true_apex import TrueApex, update_apex
 from stepgap.robots.hopper.twin.true_state import TrueState, true_state
 from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
@@ -110,19 +112,21 @@ class Twin(CompiledRig):
         self._hold_ticks = round(hold / tick)
         self._substeps = max(FEWEST_STEPS, ceil(tick / LONGEST_STEP - 1e-9))
         self._ground = ground or GroundProfile(gap, robot.boom_length, rng)
+        self._under = np.zeros(1)
         self._sensor_model = twin_sensor_model(robot, gap, tick)
         set_mujoco_callbacks()
-        self._model = build_model(robot, gap, tick / self._substeps)
+        self._model = build_model(robot, gap, tick / self._substeps, self._ground.has_risers)
         self._data = mujoco.MjData(self._model)
         self._bind()
         self._noise, self._noise_used = NO_NOISE, len(NO_NOISE)
         self._connected, self._fault, self._hold_remaining = False, "", 0
         self._apex = as_record(TrueApex())
         self._set_floor_yaw(floor_yaw)
-        lowest = START_LENGTH + robot.foot_length + max(self._ground.height(floor_yaw), 0.0)
+        waves = self._ground.height(floor_yaw) - self._ground.tread_height(floor_yaw)
+        lowest = START_LENGTH + robot.foot_length + max(waves, 0.0)
         rule = f"exceed {lowest:.4g}, or the foot is in the ground"
         require(start_height > lowest, "start_height", start_height, rule)
-        self._vertical_coordinate(start_height)
+        self._vertical_coordinate(self._held_height)
 
     def _bind(self) -> None:
         """Takes views of MuJoCo's memory."""
@@ -137,8 +141,38 @@ class Twin(CompiledRig):
             foot=data.geom("foot").xpos,
             ground=data.mocap_pos[0],
             waves=self._ground.waves,
+            uneven=self._uneven_views(),
         )
         self._motors = [int(model.joint(f"motor_{motor}").qposadr[0]) for motor in (1, 2)]
+
+    def _uneven_views(self) -> UnevenViews:
+        """Treads with their contacts, and what MuJoCo moves with them."""
+        model, data, treads, robot, gap = self._model, self._data, self._ground.treads, self._robot, self._gap
+        table = np.zeros((0, 8))
+        if treads is not None:
+            shares = zip(treads.stiffness.tolist(), treads.friction.tolist(), strict=True)
+            contacts = {share: contact_of(model, robot, gap, *share) for share in set(shares)}
+            shares = zip(treads.stiffness.tolist(), treads.friction.tolist(), strict=True)
+            places = np.column_stack([treads.start, treads.height, treads.slope])
+            table = np.hstack([places, [contacts[share] for share in shares]])
+        pair, risers = model.pair("foot_ground").id, self._ground.has_risers
+        return UnevenViews(
+            treads=table,
+            length=2 * pi * robot.boom_length,
+            under=self._under,
+            turn=data.mocap_quat[0],
+            riser=data.mocap_pos[1] if risers else np.zeros(0),
+            riser_turn=data.mocap_quat[1] if risers else np.zeros(4),
+            impedance=model.pair_solimp[pair],
+            spring=model.pair_solref[pair],
+            slip=model.pair_solreffriction[pair],
+            friction=model.pair_friction[pair],
+        )
+
+    @property
+    def _held_height(self) -> float:
+        """Height of the held hip: it is held above the tread under it [m]."""
+        return self._start_height + self._ground.tread_height(self._floor_yaw)
 
     def _devices_at(self, floor_yaw: float) -> Devices:
         """Sensors and motors, with the floor turned under the robot by an angle [rad]."""
@@ -184,7 +218,7 @@ class Twin(CompiledRig):
     @property
     def released(self) -> tuple[float, ...]:
         """Forward speed [m/s] and height [m] of the held hip, which its sensors show as they show an apex."""
-        return self._start_speed, self._start_height
+        return self._start_speed, self._held_height
 
     def connect(self) -> None:
         """Puts the robot into its starting pose, held and with limp motors, and sets the time to zero."""
@@ -193,6 +227,8 @@ class Twin(CompiledRig):
         data.qpos[:] = self._start_pose()
         model.eq("hold_boom_vertical").data[0] = data.qpos[1]
         self._views.ground[2] = self._ground.height(self._floor_yaw)
+        if self._ground.treads is not None:
+            put_on_tread(self._views.uneven, self._ground.tread_at(self._floor_yaw))
         data.eq_active[:] = 1
         mujoco.mj_forward(model, data)
         self._connected, self._fault, self._apex = True, "", as_record(TrueApex())
@@ -227,7 +263,11 @@ class Twin(CompiledRig):
         applied = drive(self._devices, torque_1, torque_2, self._next_noise(1)[0], self._views)
         if applied[0] != applied[0]:
             raise self._trip(f"torques must be finite, not {torque_1}, {torque_2}")
-        mujoco.mj_step(self._model, self._data, self._substeps)
+        if self._ground.treads is None:
+            mujoco.mj_step(self._model, self._data, self._substeps)
+        for _ in range(0 if self._ground.treads is None else self._substeps):
+            move_ground(self._devices, self._views)
+            mujoco.mj_step(self._model, self._data)
         update_apex(self._apex, self._devices, self._views)
         self._count_ticks(1)
         return applied
@@ -277,7 +317,7 @@ class Twin(CompiledRig):
         """
         twin = copy(self)
         twin._model, twin._data, twin._rng = copy(self._model), copy(self._data), rng
-        twin._apex = self._apex.copy()
+        twin._apex, twin._under = self._apex.copy(), self._under.copy()
         twin._bind()
         twin._set_floor_yaw(self._floor_yaw + floor_yaw)
         twin._noise, twin._noise_used = NO_NOISE, len(NO_NOISE)
@@ -294,7 +334,7 @@ class Twin(CompiledRig):
             ValueError: The sensors, the delay or the joints would be other ones.
         """
         sensors = twin_sensor_model(self._robot, gap, self._sensor_model.tick)
-        model = build_model(self._robot, gap, self._model.opt.timestep)
+        model = build_model(self._robot, gap, self._model.opt.timestep, self._ground.has_risers)
         sizes = ("nq", "nu", "na", "neq", "nhistory")
         if sensors != self._sensor_model or any(getattr(model, n) != getattr(self._model, n) for n in sizes):
             raise ValueError("a robot that moves keeps its sensors, delays and joints; only other numbers may change")
@@ -303,6 +343,8 @@ class Twin(CompiledRig):
         self._gap, self._model, self._data = gap, model, data
         self._bind()
         self._set_floor_yaw(self._floor_yaw)
+        if self._ground.treads is not None:
+            put_on_tread(self._views.uneven, int(self._under[0]))
 
     def push(self, speed: float) -> None:
         """Changes the horizontal speed of the hip at once [m/s], as a short push does."""
@@ -326,7 +368,7 @@ class Twin(CompiledRig):
         """MuJoCo's coordinates of the held robot: leg straight down at landing length."""
         model = self._model
         qpos = np.zeros(model.nq)
-        qpos[1] = self._vertical_coordinate(self._start_height)
+        qpos[1] = self._vertical_coordinate(self._held_height)
         alpha, beta = _leg_triangle(self._robot, START_LENGTH)
         for motor, side in ((1, 1), (2, -1)):
             qpos[model.joint(f"motor_{motor}").qposadr[0]] = side * alpha
