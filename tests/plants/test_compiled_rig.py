@@ -8,8 +8,10 @@ import pytest
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick_control import Mode, Order, TickControl
 from stepgap.rigs.rig import Rig, RigFault, Torques
+from stepgap.robots.ground import FLAT_GROUND, UnevenGround
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.tick.hop_control import NO_COMMAND, HopperControl
+from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import OVERSPEED, Twin
 from stepgap.step import StepRecord, StepStatus
@@ -20,8 +22,12 @@ CONTROL = HopperControl(ROBOT, Gains(), WIDE)
 ORDER = Order(Mode.STEP, 1.0, NO_COMMAND)
 
 
-def twin(seed: int = 0, gap: RealityGap | None = None, hold: float = 0.3) -> Twin:
-    return Twin(ROBOT, gap or RealityGap(), np.random.default_rng(seed), hold=hold)
+UNEVEN = UnevenGround(stair_height=0.02, stair_length=0.1, slope=0.05, roughness=0.002, patch_stiffness=0.3)
+
+
+def twin(seed: int = 0, gap: RealityGap | None = None, hold: float = 0.3, ground: UnevenGround = FLAT_GROUND) -> Twin:
+    gap, rng = gap or RealityGap(), np.random.default_rng(seed)
+    return Twin(ROBOT, gap, rng, hold=hold, ground=GroundProfile(gap, ROBOT.boom_length, rng, ground))
 
 
 def hops(rig: Rig, commands: np.ndarray, at_once: int = 32) -> tuple[np.ndarray, list[StepRecord], str]:
@@ -58,6 +64,14 @@ def test_it_is_the_single_calls(gap: RealityGap, sizes: tuple[int, ...], command
         assert len(records) == len(expected)
         for record, other in zip(records, expected, strict=True):
             np.testing.assert_equal(vars(record), vars(other))
+
+
+def test_it_is_the_single_calls_on_uneven_ground() -> None:
+    commands = np.array([(-5.0, -5.0), (2.0, 5.0), (-7.0, 3.0)])
+    rows, records, _ = hops(twin(5, ground=UNEVEN), commands, 7)
+    singly, expected, _ = hops(SingleTicks(twin(5, ground=UNEVEN)), commands)
+    np.testing.assert_array_equal(rows, singly)
+    assert len(records) == len(expected) == 6
 
 
 @pytest.mark.parametrize("hold", [0.0, 0.001, 0.05])

@@ -47,8 +47,7 @@ class UnevenGround:
     """Uneven ground by place; flat by default.
 
     Attributes:
-        stair_height: Largest height of a tread above or below the mean ground; the heights of treads are drawn
-            independently and uniformly [m].
+        stair_height: Largest height of a riser, up or down; their heights are drawn independently and uniformly [m].
         stair_length: Mean length of a tread [m]; each is between half and one and a half times as long.
         slope: Rise over length of ramps that rise and fall in turn.
         ramp_length: Length of a ramp [m].
@@ -129,10 +128,13 @@ class UnevenGround:
 
     def _stairs(self, length: float, rng: np.random.Generator) -> tuple[Array, Array]:
         """Where treads begin, and their heights [m]."""
-        count = max(1, round(length / self.stair_length))
+        count = max(2, round(length / self.stair_length))
         lengths = rng.uniform(0.5, 1.5, count)
         start = np.append(0.0, np.cumsum(lengths)[:-1]) * (length / lengths.sum())
-        return start, rng.uniform(-self.stair_height, self.stair_height, count)
+        risers = rng.uniform(-self.stair_height, self.stair_height, count)
+        risers -= risers.mean()  # after its length, the ground is as high as where it began
+        heights = np.cumsum(risers * min(1.0, self.stair_height / np.abs(risers).max()))
+        return start, heights - heights.mean()
 
     def _field(self, length: float, rng: np.random.Generator) -> tuple[Array, Array]:
         """Places and heights of the corners of a smooth random profile [m]."""
@@ -149,5 +151,5 @@ def _evenly(length: float, wanted: float) -> Array:
     return np.linspace(0, length, 2 * pairs, endpoint=False)
 
 
-FLAT = UnevenGround()
+FLAT_GROUND = UnevenGround()
 """Ground that is the same everywhere."""

@@ -87,7 +87,9 @@ def _controller(saved: Mapping[str, Any]) -> PortableController:
 
 def _quantities(saved: Mapping[str, Any], key: str) -> tuple[Quantity, ...]:
     return tuple(
-        Quantity(str(each["name"]), str(each["unit"]), *(float(numbers(each, end, 0)) for end in ("lower", "upper")))
+        Quantity(
+            str(each["name"]), str(each["unit"]), float(numbers(each, "lower", 0)), float(numbers(each, "upper", 0))
+        )
         for each in saved[key]
     )
 

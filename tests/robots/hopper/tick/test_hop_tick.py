@@ -105,8 +105,8 @@ class Both:
             return order.share * torque_1, order.share * torque_2
         if order.mode == Mode.LAND:
             return reference.landing_torque(order.share)
-        if order.mode == Mode.STEP and self.command is None and reference.takes_command:
-            self.command = None if np.isnan(order.command[0]) else order.command
+        if order.mode == Mode.STEP and reference.takes_command and not np.isnan(order.command[0]):
+            self.command = order.command
         return reference.hop_torque(self.command or (0.0, 0.0))
 
     def _compare(self, asked, checked):

@@ -72,7 +72,7 @@ class HopControl(TickControl):
         uneven: bool = False,
     ):
         law, self._uneven = joint_law(robot, gains), uneven
-        self._settings = as_record(TickSettings(sensor_model, masses_of(robot), law, limits, int(uneven)))
+        self._settings = as_record(TickSettings(sensor_model, masses_of(robot), law, limits=limits, uneven=int(uneven)))
         self._memory, self._row = as_record(HopState()), np.zeros(len(TICK_UNITS))
         _prepare(self._settings, self._memory, self._row)
 

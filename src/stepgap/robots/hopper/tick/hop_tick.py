@@ -85,8 +85,8 @@ def hop_tick(settings, state, inputs):
         flags |= _TOUCHDOWN
     after = HopState(
         mode=inputs.mode, phase=phase, sampled=sampled, motion=motion, rates=rates, flight=flight, hop=hop,
-        landing=landing, apex=apex, sensors=sensors, watch=checked.watch, asked_1=asked[0], asked_2=asked[1], limited=checked.limited,
-        hops=state.hops + int(flags & _STEP_ENDED != 0), stage=stage, load=load,
+        landing=landing, apex=apex, sensors=sensors, watch=checked.watch, asked_1=asked[0], asked_2=asked[1],
+        limited=checked.limited, hops=state.hops + int(flags & _STEP_ENDED != 0), stage=stage, load=load,
     )  # fmt: skip
     return after, (checked.torque_1, checked.torque_2), flags
 

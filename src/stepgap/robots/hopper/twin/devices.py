@@ -6,9 +6,9 @@ import numpy as np
 
 from stepgap.base.compiled import as_written
 from stepgap.robots.hopper.twin.treads import (
-    HEIGHT,
-    SLOPE,
-    START,
+    TREAD_HEIGHT,
+    TREAD_SLOPE,
+    TREAD_START,
     UnevenViews,
     beyond,
     move_riser,
@@ -174,7 +174,9 @@ def ground_under(devices, views):
     height = _wave_height(views.waves, yaw)
     if len(uneven.treads) > 0:
         tread = uneven.treads[int(uneven.under[0])]
-        height += tread[HEIGHT] + tread[SLOPE] * beyond(uneven.length, rig.boom_length * yaw, tread[START])
+        height += tread[TREAD_HEIGHT] + tread[TREAD_SLOPE] * beyond(
+            uneven.length, rig.boom_length * yaw, tread[TREAD_START]
+        )
     return height
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.base.ranges import require
-from stepgap.robots.ground import FLAT, UnevenGround
+from stepgap.robots.ground import FLAT_GROUND, UnevenGround
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.treads import LOWEST_RISER
@@ -62,7 +62,7 @@ class GroundProfile:
     """
 
     def __init__(
-        self, gap: RealityGap, boom_length: float, rng: np.random.Generator, uneven: UnevenGround = FLAT
+        self, gap: RealityGap, boom_length: float, rng: np.random.Generator, uneven: UnevenGround = FLAT_GROUND
     ):
         amplitude = gap.ground_roughness * sqrt(2 / len(HARMONICS))
         phases = rng.uniform(0, 2 * pi, len(HARMONICS))
@@ -301,7 +301,7 @@ def _add_ground(spec: mujoco.MjSpec, gap: RealityGap, names: tuple[str, ...]) ->
         pair.friction = np.array([friction, friction, 0, 0, 0])
 
 
-class Contact(NamedTuple):
+class FootContact(NamedTuple):
     """MuJoCo's numbers of a contact: impedance, spring and damper, those of friction, and its coefficient."""
 
     impedance: float
@@ -313,7 +313,7 @@ class Contact(NamedTuple):
 
 def contact_of(
     model: mujoco.MjModel, robot: RobotParameters, gap: RealityGap, stiffness: float = 1.0, friction: float = 1.0
-) -> Contact:
+) -> FootContact:
     """MuJoCo's numbers of the contact with a ground.
 
     MuJoCo's contact force is f = −(a + b v + k r)/R for penetration −r and acceleration a, with
@@ -342,7 +342,7 @@ def contact_of(
         stiffness = RECOVERY_RATE * damping
     weighted = mass * model.body_invweight0[model.geom("foot").bodyid[0], 0]
     impedance = weighted / (1 + weighted)
-    return Contact(
+    return FootContact(
         impedance=impedance,
         spring=-stiffness / mass * impedance,
         damper=-damping / mass * impedance,

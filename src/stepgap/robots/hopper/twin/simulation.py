@@ -14,7 +14,7 @@ from stepgap.plants.plant import RepeatablePlant
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.ticks.stream import OnTicks
 from stepgap.rigs.rig import Rig
-from stepgap.robots.ground import FLAT, UnevenGround
+from stepgap.robots.ground import FLAT_GROUND, UnevenGround
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.tick.hop_control import HopperControl
 from stepgap.robots.hopper.twin.model import GroundProfile
@@ -65,7 +65,7 @@ class HopperSimulation(Simulation):
         gap: RealityGap,
         make_control: Callable[[], HopperControl],
         world: np.random.Generator,
-        ground: UnevenGround = FLAT,
+        ground: UnevenGround = FLAT_GROUND,
     ):
         self.parameters, self.make_control = parameters, make_control
         profile = GroundProfile(gap, parameters.boom_length, world, ground)

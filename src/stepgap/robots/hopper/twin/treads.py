@@ -11,7 +11,7 @@ import numpy as np
 from stepgap.base.compiled import as_written
 from stepgap.step import Array
 
-START, HEIGHT, SLOPE, IMPEDANCE, SPRING, DAMPER, SLIP, FRICTION = range(8)
+TREAD_START, TREAD_HEIGHT, TREAD_SLOPE, _IMPEDANCE, _SPRING, _DAMPER, _SLIP, _FRICTION = range(8)
 """Columns of a table of treads: place at which it begins [m], height there [m], rise over length, and the contact."""
 
 LOWEST_RISER = 1e-5
@@ -60,14 +60,14 @@ def beyond(length, place, start):
 def _long(uneven, tread):
     """Length of a tread [m]."""
     treads = uneven.treads
-    end = treads[tread + 1, START] if tread + 1 < len(treads) else uneven.length
-    return end - treads[tread, START]
+    end = treads[tread + 1, TREAD_START] if tread + 1 < len(treads) else uneven.length
+    return end - treads[tread, TREAD_START]
 
 
 @as_written
 def _end_height(uneven, tread):
     """Height at the end of a tread [m]."""
-    return uneven.treads[tread, HEIGHT] + uneven.treads[tread, SLOPE] * _long(uneven, tread)
+    return uneven.treads[tread, TREAD_HEIGHT] + uneven.treads[tread, TREAD_SLOPE] * _long(uneven, tread)
 
 
 @as_written
@@ -84,12 +84,12 @@ def tread_under(uneven, tread, place, height):
     """
     count = len(uneven.treads)
     for _ in range(count):
-        along, long = beyond(uneven.length, place, uneven.treads[tread, START]), _long(uneven, tread)
+        along, long = beyond(uneven.length, place, uneven.treads[tread, TREAD_START]), _long(uneven, tread)
         if count == 1 or 0.0 <= along < long:
             return tread
         if along >= long:
             following, depth = (tread + 1) % count, along - long
-            edge = uneven.treads[following, HEIGHT]
+            edge = uneven.treads[following, TREAD_HEIGHT]
         else:
             following, depth = (tread - 1) % count, -along
             edge = _end_height(uneven, following)
@@ -104,16 +104,16 @@ def put_on_tread(uneven, tread):
     """Gives the ground the contact of a tread."""
     row = uneven.treads[tread]
     uneven.under[0] = tread
-    uneven.impedance[0], uneven.impedance[1] = row[IMPEDANCE], row[IMPEDANCE]
-    uneven.spring[0], uneven.spring[1] = row[SPRING], row[DAMPER]
-    uneven.slip[1] = row[SLIP]
-    uneven.friction[0], uneven.friction[1] = row[FRICTION], row[FRICTION]
+    uneven.impedance[0], uneven.impedance[1] = row[_IMPEDANCE], row[_IMPEDANCE]
+    uneven.spring[0], uneven.spring[1] = row[_SPRING], row[_DAMPER]
+    uneven.slip[1] = row[_SLIP]
+    uneven.friction[0], uneven.friction[1] = row[_FRICTION], row[_FRICTION]
 
 
 @as_written
 def tilt_ground(uneven, yaw):
     """Tilts the ground forward or backward by the slope of the tread under a foot at a yaw of the boom [rad]."""
-    half = 0.5 * np.arctan(uneven.treads[int(uneven.under[0]), SLOPE])
+    half = 0.5 * np.arctan(uneven.treads[int(uneven.under[0]), TREAD_SLOPE])
     turn = uneven.turn
     turn[0], turn[1], turn[2] = np.cos(half), np.sin(half) * np.sin(yaw), -np.sin(half) * np.cos(yaw)
 
@@ -132,12 +132,12 @@ def move_riser(rig, uneven, foot, yaw, place, height):
     """
     tread, count = int(uneven.under[0]), len(uneven.treads)
     riser, turn = uneven.riser, uneven.riser_turn
-    along, long = beyond(uneven.length, place, uneven.treads[tread, START]), _long(uneven, tread)
+    along, long = beyond(uneven.length, place, uneven.treads[tread, TREAD_START]), _long(uneven, tread)
     following, before = (tread + 1) % count, (tread - 1) % count
     ahead = long - along
-    front, rear = uneven.treads[following, HEIGHT], _end_height(uneven, before)
+    front, rear = uneven.treads[following, TREAD_HEIGHT], _end_height(uneven, before)
     stops_front = front > height and front > _end_height(uneven, tread) + LOWEST_RISER
-    stops_rear = rear > height and rear > uneven.treads[tread, HEIGHT] + LOWEST_RISER
+    stops_rear = rear > height and rear > uneven.treads[tread, TREAD_HEIGHT] + LOWEST_RISER
     if stops_front and (ahead <= along or not stops_rear):
         distance, side = ahead, 1.0
     elif stops_rear:
