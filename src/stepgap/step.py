@@ -217,12 +217,12 @@ class StepSpace:
 
         Args:
             state: State from fixed zeros; shape (n,).
-            context: Context of the step in the order of `context`, or empty: then nothing is subtracted.
+            context: Context of the step in the order of `context`, or empty. What is unknown of it is not subtracted.
         """
         if not (context and self.is_above_context):
             return state
         zeros = dict(zip(self.context_names, context, strict=True)) | {"": 0.0}
-        return state - np.array([zeros[each.above] for each in self.state])
+        return state - np.nan_to_num([zeros[each.above] for each in self.state])
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -74,7 +74,8 @@ class FinishedStep(NamedTuple):
         state: State at its end; shape (n,), NaN for a failed step.
         command: Command that acted; shape (m,), NaN if none came in time.
         lost: Part of the command that limits removed during the step; shape (m,).
-        context: Context of the step, in the order of `StepSpace.context`; empty if it is unknown, as of a failed step.
+        context: Context of the step, in the order of `StepSpace.context`; empty if it is unknown, as of a failed step,
+            or NaN where it is.
     """
 
     state: Array

@@ -5,6 +5,7 @@ import resource
 import select
 import signal
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from math import inf
 from multiprocessing import get_context
@@ -223,3 +224,27 @@ def test_an_emergency_stop_from_the_learning_side(tmp_path):
         assert "emergency stop" in plant.fault
         assert session.board.request == Request.START
         check_off(ring)
+
+
+def test_a_command_of_the_touchdown_acts_in_its_step(tmp_path):
+    """The time of the ring goes on meanwhile; in lock-step, planning takes none of it."""
+    uneven = HopperControl(ROBOT, GAINS, BOUNDS, uneven=True)
+    other, found = COMMAND * 1.5, []
+
+    def plan(touchdown):
+        found.append(touchdown)
+        return other
+
+    with (
+        live_ring(make_machine=RecordedTwin),
+        RealtimePlant(replace(SETUP, robot_control=uneven), tmp_path, unattended) as plant,
+    ):
+        plant.start()
+        records = [plant.take_replanned_step(COMMAND, plan) for _ in range(2)]
+    for touchdown, record in zip(found, records, strict=True):
+        assert record.status == StepStatus.OK
+        np.testing.assert_array_equal(record.command, other)
+        np.testing.assert_array_equal(record.requested, other)
+        np.testing.assert_array_equal(touchdown.state, record.state)
+        assert abs(touchdown.context["ground"]) < 0.01
+        assert touchdown.context["ground"] == record.context["ground"]

@@ -15,10 +15,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stepgap.plants.plant import Touchdown
 from stepgap.plants.process.line_channel import LONGEST_LINE, Child, Connection
 from stepgap.plants.process.messages import ProcessFault, check_ready, read_answer, read_start
 from stepgap.plants.process.process_plant import ProcessPlant, Timeouts
-from stepgap.step import Quantity, StepSpace, StepStatus
+from stepgap.step import ContextQuantity, Quantity, StepSpace, StepStatus
 from tests.control.maps import YAW
 
 BALL = [sys.executable, str(Path(__file__).with_name("ball.py"))]
@@ -232,3 +233,43 @@ def test_stopping_waits_for_the_robot_to_come_to_rest() -> None:
 def test_times_are_positive(name: str) -> None:
     with pytest.raises(ValueError, match=f"{name} = 0, but it must be a positive number of seconds"):
         Timeouts(**{name: 0})
+
+
+FLOOR = StepSpace(
+    (Quantity("height", "m", 0.2, 1.0, above="floor"),),
+    (Quantity("paddle", "m/s", -0.5, 1.0),),
+    (ContextQuantity("floor", "m"),),
+)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_touchdown_is_answered_by_the_command_that_acts(late: bool) -> None:
+    """States are those above the floor that the step has found; a command that came too late is not recorded."""
+    program = [sys.executable, str(Path(__file__).with_name("floor.py")), *["late"] * late]
+    found = []
+
+    def plan(touchdown: Touchdown) -> np.ndarray:
+        found.append((touchdown.state[0], touchdown.context["floor"]))
+        return np.array([0.7])
+
+    with ProcessPlant(partial(Child, program), FLOOR, PATIENT) as plant:
+        plant.start()
+        records = [plant.take_replanned_step(REQUESTED, plan) for _ in range(2)]
+        alone = plant.take_step(REQUESTED)
+    acted = 0.5 if late else 0.7
+    first = 0.6 * 0.4 + 0.2 * acted
+    np.testing.assert_allclose(found, [(0.4, 0.1), (first + 0.1 + 0.05, -0.05)])
+    for record, state in zip(records, (0.4, first + 0.15), strict=True):
+        assert (record.command, record.requested, record.applied) == ([acted],) * 3
+        assert record.state == pytest.approx([state])
+        assert record.next_state == pytest.approx([0.6 * state + 0.2 * acted])
+    assert (alone.requested, alone.context) == ([0.5], {"floor": 0.0})
+
+
+def test_a_command_of_a_touchdown_that_is_no_number_stops_the_step() -> None:
+    program = [sys.executable, str(Path(__file__).with_name("floor.py"))]
+    with ProcessPlant(partial(Child, program), FLOOR, PATIENT) as plant:
+        plant.start()
+        record = plant.take_replanned_step(REQUESTED, lambda found: np.array([np.nan]))
+        assert record.status == StepStatus.STOPPED
+        assert "the command at touchdown must be finite, not [nan]" in plant.fault

@@ -23,7 +23,7 @@ LONGEST_MESSAGE = 2048
 
 
 class Field(IntEnum):
-    """Offsets of the fields, in words of 8 bytes; after `CONTEXT` follow the vectors of the robot, and the message."""
+    """Offsets of the fields, in words of 8 bytes; after them follow the vectors of the robot, and the message."""
 
     STATES = 0
     COMMANDS = 1
@@ -39,6 +39,7 @@ class Field(IntEnum):
     PRESSES = 11
     MESSAGE_LENGTH = 12
     CONTEXT = 13
+    TOUCHDOWN_NUMBER = 14
 
 
 class Request(IntEnum):
@@ -74,10 +75,10 @@ class Board:
     def __init__(self, memory: SharedMemory, states: int, commands: int, context: int):
         assert memory.buf is not None  # until it is closed
         self._memory = memory
-        ends = accumulate((commands, states, commands, commands, context), initial=len(Field))
+        ends = accumulate((commands, states, commands, commands, context, context), initial=len(Field))
         parts = [slice(*pair) for pair in pairwise(ends)]
-        self._command, self._state, self._acted, self._lost, self._context = parts
-        length = self._context.stop
+        self._command, self._state, self._acted, self._lost, self._context, self._found = parts
+        length = self._found.stop
         self._words = memory.buf[: 8 * length].cast("q")
         self._numbers = memory.buf[: 8 * length].cast("d")
         self._message = memory.buf[8 * length :][:LONGEST_MESSAGE]
@@ -85,11 +86,12 @@ class Board:
     @classmethod
     def create(cls, states: int, commands: int, context: int) -> Self:
         """Creates a board, everything zero: no request, OFF, no command; arguments as of the class."""
-        length = len(Field) + states + 3 * commands + context
+        length = len(Field) + states + 3 * commands + 2 * context
         board = cls(created_memory(8 * length + LONGEST_MESSAGE), states, commands, context)
         board._words[Field.STATES], board._words[Field.COMMANDS] = states, commands
         board._words[Field.CONTEXT] = context
-        board._words[Field.COMMAND_NUMBER] = board._words[Field.STEP_NUMBER] = -1
+        for number in (Field.COMMAND_NUMBER, Field.STEP_NUMBER, Field.TOUCHDOWN_NUMBER):
+            board._words[number] = -1
         return board
 
     @classmethod
@@ -134,7 +136,7 @@ class Board:
         self._words[Field.EMERGENCY_STOP] = 1
 
     def post_command(self, number: int, command: Sequence[float]) -> None:
-        """Posts the command of a step; m numbers."""
+        """Posts the command of a step, m numbers; it replaces the one that was posted before."""
         self._words[Field.COMMAND_NUMBER] = -1
         self._write(self._command, command)
         self._words[Field.COMMAND_NUMBER] = number
@@ -155,6 +157,20 @@ class Board:
     @state.setter
     def state(self, state: RigState) -> None:
         self._words[Field.RIG_STATE] = state
+
+    def post_touchdown(self, number: int, context: Sequence[float]) -> None:
+        """Posts what the touchdown of a step has found, in the order of the robot's context."""
+        self._words[Field.TOUCHDOWN_NUMBER] = -1
+        self._write(self._found, context)
+        self._words[Field.TOUCHDOWN_NUMBER] = number
+
+    def touchdown(self, number: int) -> tuple[float, ...] | None:
+        """What the touchdown of a step has found; None before it and after that of the next one."""
+        words = self._words
+        if words[Field.TOUCHDOWN_NUMBER] != number:
+            return None
+        context = tuple(self._numbers[self._found].tolist())
+        return context if words[Field.TOUCHDOWN_NUMBER] == number else None
 
     def post_step(self, number: int, end: StepEnd) -> None:
         """Posts how a step ended; the number of the one that begins when the robot is released is 0."""

@@ -229,7 +229,9 @@ class ControlLoop:
         return tuple(min(upper, max(lower, value)) for lower, value, upper in limited)
 
     def _judge_step(self) -> None:
-        """Posts a step that has ended; a failed step, or too many steps without a command, stop the robot."""
+        """Posts a touchdown, and a step that has ended; a failed one, or too many without a command, stop the robot."""
+        if self._flags & _TOUCHDOWN:
+            self._board.post_touchdown(self._step, self._control.touchdown())
         if self._flags & _STEP_ENDED:
             finished = self._control.finished_step()
         elif self._flags & _FAILED:

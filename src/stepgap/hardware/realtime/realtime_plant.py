@@ -1,5 +1,6 @@
 """A plant in real time: the loop runs in a separate process, and this one gives it a command for every step."""
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from time import sleep
@@ -10,7 +11,7 @@ from stepgap.hardware.realtime.board import Request, StepEnd
 from stepgap.hardware.realtime.consent import Consent
 from stepgap.hardware.realtime.process import RealtimeSetup
 from stepgap.hardware.realtime.session import Session
-from stepgap.plants.plant import Plant
+from stepgap.plants.plant import AtTouchdown, Plant, Touchdown
 from stepgap.plants.tick_control import FinishedStep
 from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
 from stepgap.rigs.rig import RigFault
@@ -39,7 +40,7 @@ class RealtimePlant(Plant):
         self._setup, self._logs, self._consent, self._settings = setup, logs, consent, settings
         self._consented = ExitStack()
         self._space, self._session = setup.robot_control.space, None
-        self._state, self._step, self._fault = np.full(len(self._space.state), np.nan), 0, ""
+        self._measured, self._step, self._fault = np.full(len(self._space.state), np.nan), 0, ""
 
     @property
     def space(self) -> StepSpace:
@@ -72,33 +73,57 @@ class RealtimePlant(Plant):
         session.await_ready()
         self._consented.enter_context(self._consent(session.board))
         session.board.request = Request.START
-        status = self._await_step(session).status
+        first, status = self._await_step(session)
         if status != StepStatus.OK:
             detail = f" ({self._fault})" if self._fault else ""
             raise RigFault(f"the first step failed: {status.label}{detail}: {self.space.advice_on(status)}")
-        return self._state
+        return self._space.above(first.state, first.context)
 
     def take_step(self, command: Array) -> StepRecord:
+        """Takes a step, as `take_replanned_step` does, with the command alone."""
+        return self._next(command, None)
+
+    def take_replanned_step(self, command: Array, at_touchdown: AtTouchdown) -> StepRecord:
+        """Takes a step whose command is chosen anew at its touchdown; if that is too late, the first one acts."""
+        return self._next(command, at_touchdown)
+
+    def _next(self, command: Array, at_touchdown: AtTouchdown | None) -> StepRecord:
         """Takes a step; after a fall, a fault or a safety stop the record has no next state, and the robot lands.
 
         Args:
             command: Command, which is limited to the bounds; shape (m,).
+            at_touchdown: Chooses another one at touchdown.
 
         Raises:
             RigFault: The log of ticks cannot be written.
         """
-        session, state, command = self._session, self._state, np.asarray(command, float)
+        session, before, space = self._session, self._measured, self._space
         if session is None:
             raise RigFault("the rig is not started")
-        within = np.clip(command, self._space.command_lower, self._space.command_upper)
+        given = [np.asarray(command, float)]
+        within = self._within(given[0])
         if np.isnan(within).any():
             self.stop()
-            return StepRecord(state, command, within, np.full(len(state), np.nan), StepStatus.INVALID)
+            return StepRecord(before, given[0], within, np.full(len(before), np.nan), StepStatus.INVALID)
         self._step += 1
         session.board.post_command(self._step, within.tolist())
-        step, status = self._await_step(session)
-        context = self._space.named_context(step.context)
-        return StepRecord(state, command, step.applied, step.state, status, context, step.requested)
+
+        def look() -> None:
+            found = session.board.touchdown(self._step) if len(given) == 1 and at_touchdown else None
+            if at_touchdown and found is not None:
+                touchdown = Touchdown(space.above(before, found), space.named_context(found))
+                given.append(np.asarray(at_touchdown(touchdown), float))
+                session.board.post_command(self._step, self._within(given[1]).tolist())
+
+        step, status = self._await_step(session, look)
+        command = next((each for each in given if np.array_equal(self._within(each), step.command)), given[-1])
+        state, next_state = space.above(before, step.context), space.above(step.state, step.context)
+        context = space.named_context(step.context)
+        return StepRecord(state, command, step.applied, next_state, status, context, step.requested)
+
+    def _within(self, command: Array) -> Array:
+        """The command within its bounds; shape (m,)."""
+        return np.clip(command, self._space.command_lower, self._space.command_upper)
 
     def stop(self) -> None:
         """Lands the robot and switches torque off."""
@@ -110,16 +135,17 @@ class RealtimePlant(Plant):
                 self._consented.close()
             self._fault = self._fault or session.message()
 
-    def _await_step(self, session: Session) -> StepEnd:
-        """Waits for the end of the present step."""
+    def _await_step(self, session: Session, look: Callable[[], None] = lambda: None) -> StepEnd:
+        """Waits for the end of the present step; looks meanwhile for other things, too."""
         while (end := session.board.finished(self._step)) is None:
             if session.over():  # the loop may have finished the step since the last look
                 stopped = StepEnd(FinishedStep.stopped(self._space), StepStatus.STOPPED)
                 end = session.board.finished(self._step) or stopped
                 break
             session.check_sink()
+            look()
             sleep(_CHECK_EVERY)
         if end.status != StepStatus.OK:
             self._fault = session.message()
-        self._state = end.result.state
+        self._measured = end.result.state
         return end

@@ -10,6 +10,10 @@ A QUANTITY is `{"name": …, "unit": …, "lower": …, "upper": …}`. An answe
 after all limits, and the numbers of the robot's context, each under its name. Its status is one of the names of
 `StepStatus` in lower case; a step that is not `"ok"` needs no next state and ends the deployment. The program also has
 to bring the robot to rest when its input ends.
+
+Before its answer the program may send `{"step": NUMBER, "touchdown": {NAME: NUMBER…}}`, with what it has just measured
+of its context, such as the height of the ground under the foot. StepGap then sends `{"step": NUMBER, "command": {…}}`
+again, and that command shall act if it comes in time; the answer to the step says which did, as `"requested"`.
 """
 
 import json
@@ -39,12 +43,14 @@ class Answer(NamedTuple):
         applied: The command after all limits; shape (m,).
         status: How the step ended.
         context: What was measured around the step, by name.
+        requested: The command that acted, before limits; shape (m,).
     """
 
     next_state: Array
     applied: Array
     status: StepStatus
     context: dict[str, float]
+    requested: Array
 
 
 def hello(space: StepSpace) -> str:
@@ -98,7 +104,8 @@ def read_answer(line: str, number: int, requested: Array, space: StepSpace) -> A
     Args:
         line: The answer.
         number: Number of the step that it must belong to.
-        requested: Command that was sent, which counts as applied if the answer does not contain another one.
+        requested: Command that was sent last, which counts as the one that acted, and as applied, if the answer does
+            not contain another one.
         space: Names of state and command.
 
     Raises:
@@ -114,12 +121,30 @@ def read_answer(line: str, number: int, requested: Array, space: StepSpace) -> A
     next_state = np.full(len(space.state), np.nan)
     if status == StepStatus.OK:
         next_state = _numbers(answer, "next", space.state_names, line)
-    applied = _numbers(answer, "applied", space.command_names, line) if "applied" in answer else requested
-    context = {name: value for name in space.context_names if (value := answer.get(name)) is not None}
+    acted = _numbers(answer, "requested", space.command_names, line) if "requested" in answer else requested
+    applied = _numbers(answer, "applied", space.command_names, line) if "applied" in answer else acted
+    return Answer(next_state, applied, status, _context(answer, space, line), acted)
+
+
+def read_touchdown(line: str, number: int, space: StepSpace) -> dict[str, float] | None:
+    """What the touchdown of a step has found, by name; None for another line.
+
+    Raises:
+        ProcessFault: The line is invalid.
+    """
+    content = _parsed(line)
+    if "touchdown" not in content or content.get("step") != number:
+        return None
+    return _context(_table(content, "touchdown", line), space, line)
+
+
+def _context(content: Mapping[str, Any], space: StepSpace, line: str) -> dict[str, float]:
+    """The numbers of the robot's context in a table."""
+    context = {name: value for name in space.context_names if (value := content.get(name)) is not None}
     for name, value in context.items():
         if not is_measurement(value):
             raise ProcessFault(f'{_quoted(line)}: "{name}" must be a number within ±{LARGEST_NUMBER:g}')
-    return Answer(next_state, applied, status, {name: float(value) for name, value in context.items()})
+    return {name: float(value) for name, value in context.items()}
 
 
 def _line(content: Mapping[str, Any]) -> str:

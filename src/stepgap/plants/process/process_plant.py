@@ -1,14 +1,14 @@
 """A plant whose steps another program executes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
-from stepgap.base.ranges import require
-from stepgap.plants.plant import Plant
+from stepgap.base.ranges import format_value, require
+from stepgap.plants.plant import AtTouchdown, Plant, Touchdown
 from stepgap.plants.process.line_channel import LineChannel
 from stepgap.plants.process.messages import (
     START,
@@ -19,6 +19,7 @@ from stepgap.plants.process.messages import (
     hello,
     read_answer,
     read_start,
+    read_touchdown,
     step,
 )
 from stepgap.step import Array, StepRecord, StepSpace, StepStatus
@@ -69,7 +70,7 @@ class ProcessPlant(Plant):
     ):
         self._connect, self._space, self._timeouts = connect, space, timeouts
         self._channel: LineChannel | None = None
-        self._state = np.full(len(space.state), np.nan)
+        self._measured = np.full(len(space.state), np.nan)  # from fixed zeros
         self._step, self._fault = 0, ""
 
     @property
@@ -92,25 +93,37 @@ class ProcessPlant(Plant):
         channel.send(hello(self._space))
         check_ready(channel.receive(self._timeouts.ready), self._space)
         channel.send(START)
-        self._state = read_start(channel.receive(self._timeouts.start), self._space)
+        self._measured = read_start(channel.receive(self._timeouts.start), self._space)
         self._step = 0
-        return self._state
+        return self._measured
 
     def take_step(self, command: Array) -> StepRecord:
         """Sends the command, within its bounds, and waits for the next state."""
-        state, command, self._step = self._state, np.asarray(command, float), self._step + 1
-        within = np.clip(command, self._space.command_lower, self._space.command_upper)
-        nowhere = np.full(len(state), np.nan)
+        return self.take_replanned_step(command, lambda found: command)
+
+    def take_replanned_step(self, command: Array, at_touchdown: AtTouchdown) -> StepRecord:
+        """Sends the command, and another one when the program reports a touchdown; waits for the next state."""
+        before, self._step = self._measured, self._step + 1
+        given = [np.asarray(command, float)]
+        within = self._within(given[0])
+        nowhere = np.full(len(before), np.nan)
         if not np.isfinite(within).all():
-            return StepRecord(state, command, np.zeros_like(command), nowhere, StepStatus.INVALID)
+            return StepRecord(before, given[0], np.zeros_like(within), nowhere, StepStatus.INVALID)
+
+        def chosen(found: dict[str, float]) -> Array:
+            given.append(np.asarray(at_touchdown(Touchdown(self._above(before, found), found)), float))
+            return self._within(given[-1])
+
         try:
-            answer = self._exchange(within)
+            answer = self._exchange(within, chosen)
         except ProcessFault as fault:
             self._fault = str(fault)
             self.stop()
-            return StepRecord(state, command, within, nowhere, StepStatus.STOPPED, requested=within)
-        self._state = answer.next_state
-        return StepRecord(state, command, answer.applied, self._state, answer.status, answer.context, within)
+            return StepRecord(before, given[0], within, nowhere, StepStatus.STOPPED, requested=within)
+        self._measured = answer.next_state
+        command = next((each for each in given if np.array_equal(self._within(each), answer.requested)), given[-1])
+        state, next_state = self._above(before, answer.context), self._above(answer.next_state, answer.context)
+        return StepRecord(state, command, answer.applied, next_state, answer.status, answer.context, answer.requested)
 
     def stop(self) -> None:
         """Asks the program to bring the robot to rest, and waits until it has ended."""
@@ -123,10 +136,25 @@ class ProcessPlant(Plant):
         finally:
             channel.close(self._timeouts.stop)
 
-    def _exchange(self, command: Array) -> Answer:
+    def _exchange(self, command: Array, chosen: Callable[[dict[str, float]], Array]) -> Answer:
+        """Sends a command, and another one at a touchdown; the answer to the step."""
         if self._channel is None:
             raise ProcessFault("the program is not running; call start first")
         self._channel.check_quiet()
         self._channel.send(step(self._step, command, self._space))
         line = self._channel.receive(self._timeouts.step)
+        if (found := read_touchdown(line, self._step, self._space)) is not None:
+            command = chosen(found)
+            if not np.isfinite(command).all():
+                raise ProcessFault(f"the command at touchdown must be finite, not {format_value(command.tolist())}")
+            self._channel.send(step(self._step, command, self._space))
+            line = self._channel.receive(self._timeouts.step)
         return read_answer(line, self._step, command, self._space)
+
+    def _within(self, command: Array) -> Array:
+        """The command within its bounds; shape (m,)."""
+        return np.clip(command, self._space.command_lower, self._space.command_upper)
+
+    def _above(self, state: Array, context: Mapping[str, float]) -> Array:
+        """A state with the coordinates that are measured above a context; shape (n,)."""
+        return self._space.above(state, [context.get(name, np.nan) for name in self._space.context_names])

@@ -145,7 +145,8 @@ class HopControl(TickControl):
     def failed_step(self, applied: Torques | None) -> FinishedStep:
         """The hop that was interrupted after the last tick."""
         force_x, force_y, *lost = interrupted_hop(self._settings, self._memory, *(applied or (np.nan, np.nan)))
-        return FinishedStep(np.full(2, np.nan), np.array([force_x, force_y]), np.array(lost))
+        context = self._context(nan) if self._uneven else ()
+        return FinishedStep(np.full(2, np.nan), np.array([force_x, force_y]), np.array(lost), context)
 
     @property
     def status(self) -> StepStatus:
