@@ -62,7 +62,7 @@ class Hopper(Robot):
         """Map of the physics model."""
         from stepgap.robots.hopper.model.apex_map import ApexMap
 
-        return ApexMap(self.parameters, self.gains, self.command)
+        return ApexMap(self.parameters, self.gains, self.command, uneven=self.ground.is_measured)
 
     def nominal_maps(self) -> Mapping[str, Callable[[], StepMap]]:
         """The equations of motion."""
@@ -72,7 +72,7 @@ class Hopper(Robot):
         """The equations of motion with torques that are held for a tick [s]."""
         from stepgap.robots.hopper.model.sampled_map import SampledApexMap
 
-        return SampledApexMap(self.parameters, self.gains, self.command, tick)
+        return SampledApexMap(self.parameters, self.gains, self.command, tick, uneven=self.ground.is_measured)
 
     @property
     def as_modelled(self) -> Self:

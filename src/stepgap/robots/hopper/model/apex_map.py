@@ -104,6 +104,7 @@ class ApexMap(StepMap):
         gains: Its joint controller.
         bounds: Range of the command.
         tolerances: Local errors of the integration.
+        uneven: Whether the height is declared as that above the ground of the hop, which does not change the map.
 
     Raises:
         ValueError: A length is out of the leg's reach, or command bounds are reversed.
@@ -113,6 +114,7 @@ class ApexMap(StepMap):
     gains: Gains = field(default_factory=Gains)
     bounds: CommandBounds = field(default_factory=CommandBounds)
     tolerances: Tolerances = Tolerances(flight=Tolerance(5e-3, 5e-4), stance=Tolerance(2e-7, 2e-7))
+    uneven: bool = False
 
     def __post_init__(self) -> None:
         joint_law(self.robot, self.gains)
@@ -125,7 +127,7 @@ class ApexMap(StepMap):
 
     @cached_property
     def _space(self) -> StepSpace:
-        return self.bounds.space()
+        return self.bounds.space(self.uneven)
 
     @cached_property
     def _constants(self) -> Array:

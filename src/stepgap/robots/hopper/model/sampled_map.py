@@ -44,6 +44,7 @@ class SampledApexMap(StepMap):
         bounds: Range of the command.
         tick: Time for which torques are held [s].
         tolerance: Local error of the integration within a tick.
+        uneven: As of `ApexMap`.
 
     Raises:
         ValueError: A length is out of the leg's reach, or the tick is out of its range.
@@ -54,6 +55,7 @@ class SampledApexMap(StepMap):
     bounds: CommandBounds = field(default_factory=CommandBounds)
     tick: float = 1e-3
     tolerance: Tolerance = Tolerance(1e-7, 1e-8)
+    uneven: bool = False
 
     def __post_init__(self) -> None:
         joint_law(self.robot, self.gains)
@@ -62,7 +64,7 @@ class SampledApexMap(StepMap):
     @property
     def space(self) -> StepSpace:
         """State [speed, height], command [fx, fy]."""
-        return self.bounds.space()
+        return self.bounds.space(self.uneven)
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
         """Next apexes and status codes; state (…, 2) and command (…, 2) broadcast.
