@@ -133,18 +133,23 @@ class ContextQuantity:
         unit: SI unit, for example `rad`; empty if it is unknown.
         period: Change after which the robot is where it was, such as 2π of an angle about the vertical: the part of the
             error that returns with it is estimated and removed. Infinite if there is none.
+        input_scale: Change that counts as one where a residual may depend on it, such as on the slope of the ground,
+            because it is known at the touchdown of the step, before the command acts. 0: it is no input.
 
     Raises:
-        ValueError: The name is no identifier, the unit has a character that no unit has, or the period is not positive.
+        ValueError: The name is no identifier, the unit has a character that no unit has, the period is not positive, or
+            the scale is negative.
     """
 
     name: str
     unit: str
     period: float = inf
+    input_scale: float = 0.0
 
     def __post_init__(self) -> None:
         _check_words(self.name, self.unit)
         require(self.period > 0, "period", self.period, f"be positive ({self.name})")
+        require(0 <= self.input_scale < inf, "input_scale", self.input_scale, f"be from 0 on ({self.name})")
 
     def phase(self, value: _Number) -> _Number:
         """A value, or an array of values, as an angle that is 2π at the period [rad]."""
@@ -206,6 +211,11 @@ class StepSpace:
     def named_context(self, values: Sequence[float]) -> dict[str, float]:
         """Context of a step by name, from all its numbers in the order of `context`, or from none."""
         return dict(zip(self.context_names if values else (), values, strict=True))
+
+    @cached_property
+    def context_inputs(self) -> tuple[ContextQuantity, ...]:
+        """Quantities of the context on which a residual may depend."""
+        return tuple(each for each in self.context if each.input_scale)
 
     @cached_property
     def is_above_context(self) -> bool:

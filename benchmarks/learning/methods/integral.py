@@ -5,7 +5,7 @@ residual of a `Learner` it has what the default learner has: the disturbance fil
 part from earlier deployments.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self, final
 
@@ -72,6 +72,10 @@ class IntegralCorrection:
     def step_map(self) -> CorrectedMap:
         """Map for planning the next step; it has no standard deviation."""
         return CorrectedMap(AdjustedMap(self.nominal, self.shift), self.conditioned_residual)
+
+    def found(self, context: Mapping[str, float]) -> Self:  # noqa: ARG002
+        """The same: it has no context inputs."""
+        return self
 
     def after(self, logged: LoggedStep) -> Self:
         """The correction after the executed step."""

@@ -1,6 +1,6 @@
 """One deployment: tracking a reference step by step with the map as known so far."""
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Protocol, Self, final
@@ -59,6 +59,10 @@ class AdaptiveMap(Protocol):
 
     def step_map(self) -> StepMap:
         """Map for planning the next step."""
+        ...
+
+    def found(self, context: Mapping[str, float]) -> Self:
+        """State of knowledge at the touchdown of the next step, with the context that it has found."""
         ...
 
     def after(self, logged: LoggedStep) -> Self:
@@ -232,6 +236,8 @@ def _taken(
     plans = [plan]
 
     def at_touchdown(found: Touchdown) -> Array:
+        nonlocal controller
+        controller = replace(controller, learner=controller.learner.found(found.context))
         plans.append(controller.plan(found.state, targets[0], targets[1:]))
         return plans[-1].command
 

@@ -75,7 +75,7 @@ def diagnose(observed: Observations) -> Diagnosis:
     plain = fit_linear(basis, observed.error)
     gains = {}
     for name in HISTORY:
-        inputs = HistoryInputs(name).of(observed.history, n)
+        inputs = HistoryInputs(name, context_inputs=observed.context_inputs).of(observed.history, n)
         gains[name] = _gains(plain, fit_linear(np.hstack([basis, inputs]), observed.error))
     heteroscedasticity = np.array([_heteroscedasticity(_scaled(observed), residual) for residual in plain.residual.T])
     return Diagnosis(len(observed), gains, heteroscedasticity)

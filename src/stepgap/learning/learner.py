@@ -1,5 +1,6 @@
 """The state of learning at every step: a residual fitted to a log, trusted or not, and updated online if wanted."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import nan
 from typing import Self, final
@@ -8,7 +9,7 @@ import numpy as np
 
 from stepgap.learning.background import Deferred
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.observations import error_of, history_after, next_history, observe
+from stepgap.learning.observations import context_inputs_of, error_of, history_after, next_history, observe
 from stepgap.learning.outliers import LEAST_KNOWN, improbable_errors
 from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_check import check_prediction
@@ -60,7 +61,7 @@ class Learner:
         iteration: Number of the deployment.
         log: All steps known.
         residual: The fitted residual, which may depend on the history of a step, too.
-        history: History of the next step, as `observations` defines it; shape (2n + m + 1,).
+        history: History of the next step, as `observations` defines it; shape (2n + m + 1 + q,).
         failures: Points (state, command) of the steps that failed; shape (k, n + m).
         steps_to_learn: Number of further steps of this deployment that will be learned from.
         trust: Which map is trusted, and the disturbance of the corrected one.
@@ -153,12 +154,22 @@ class Learner:
         """Returns the map that plans the next step."""
         return self.trust.step_map(self.nominal, self.conditioned_residual, self.phase)
 
+    def found(self, context: Mapping[str, float]) -> Self:
+        """Returns the learner at the touchdown of the next step, with the context inputs that it has found."""
+        inputs = context_inputs_of(context, self.nominal.space)
+        if not len(inputs):
+            return self
+        return replace(self, history=np.append(self.history[: -len(inputs)], inputs))
+
     def after(self, logged: LoggedStep) -> "Learner":
         """Returns the learner after the step just executed.
 
         Raises:
             ResidualError: The residual has no finite prediction of this step, or a new fit failed.
         """
+        return self.found(logged.record.context)._after(logged)
+
+    def _after(self, logged: LoggedStep) -> "Learner":
         record, log = logged.record, self.log + [logged]  # noqa: RUF005 they share memory
         error, point = error_of(record, self.nominal), _point_of(record)
         failed = record.status not in _NO_FAILURE

@@ -1,11 +1,13 @@
 """Observations: the error of the nominal map at each recorded step, computed from `Steps`, and the history of the step.
 
-The *history* of a step is the information on earlier steps when it starts, a row of 2n + m + 1 numbers: error,
-requested command and state of the step before in the same deployment, and the number of steps recorded before it. All
-but the last are normalised by half ranges, and states and commands are measured from the middle of the range. They are
-zero for the first step of a deployment.
+The *history* of a step is what is known besides state and command before its command acts, a row of 2n + m + 1 + q
+numbers: error, requested command and state of the step before in the same deployment, the number of steps recorded
+before it, and the q context inputs. The first 2n + m are normalised by half ranges, and states and commands are
+measured from the middle of the range; they are zero for the first step of a deployment. Context inputs are those of the
+step itself, as its touchdown finds them; until then, those of the step before.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import final
 
@@ -27,7 +29,7 @@ class Observations:
         state: State at the section each step started from; shape (N, n).
         command: Command requested of the joints; shape (N, m).
         error: Actual − nominal next state; shape (N, n).
-        history: History of each step; shape (N, 2n + m + 1). None: only the order of the steps is known.
+        history: History of each step; shape (N, 2n + m + 1 + q). None: only the order of the steps is known.
         phase: Phase at which each step started [rad], NaN where it is unknown; shape (N,). None: all are unknown.
         deployment: Number of the deployment of each step; shape (N,). None: all belong to one.
         number: Number of each step in its deployment; shape (N,). None: they are consecutive, from 0.
@@ -52,7 +54,8 @@ class Observations:
         _check_rows(self.error, "error", state)
         if self.history is not None:
             errors = (f"error of {name}" for name in state)
-            _check_rows(self.history, "history", (*errors, *command, *state, "steps before"))
+            inputs = (each.name for each in self.space.context_inputs)
+            _check_rows(self.history, "history", (*errors, *command, *state, "steps before", *inputs))
         parts = (self.state, self.command, self.error, self.history, self.phase, self.deployment, self.number)
         sizes = [len(part) for part in parts if part is not None]
         if len(set(sizes)) != 1:
@@ -75,12 +78,17 @@ class Observations:
         number = np.arange(len(self)) if self.number is None else self.number
         return np.stack([deployment, number], axis=1)
 
+    @property
+    def context_inputs(self) -> int:
+        """Number of context inputs that the history has, q."""
+        return 0 if self.history is None else len(self.space.context_inputs)
+
     def points(self, history_inputs: HistoryInputs) -> Array:
         """State, command and history inputs; shape (N, n + m + c)."""
         n, m = len(self.space.state), len(self.space.command)
         history = self.history
         if history is None:
-            if history_inputs.lagged_inputs != "none":
+            if history_inputs.lagged_inputs != "none" or history_inputs.context_inputs:
                 raise ValueError(
                     f"lagged inputs {history_inputs.lagged_inputs!r} need the history of the steps; observe a log"
                 )
@@ -97,14 +105,14 @@ def observe(log: Steps, nominal: StepMap) -> Observations:
     error = log.next_state - nominal.evaluate(log.state, log.requested).next_state
     lagged = _lagged_quantities(nominal.space, error, log.requested, log.state)
     before = np.where(log.follows[:, None], np.roll(lagged, 1, axis=0), 0.0)
-    history = np.hstack([before, np.arange(float(len(log)))[:, None]])
+    history = np.hstack([before, np.arange(float(len(log)))[:, None], _context_inputs(nominal.space, log)])
     known = np.isfinite(error).all(axis=1) & ~log.doubtful
     rows = log.state[known], log.requested[known], error[known], history[known], log.phase[known]
     return Observations(nominal.space, *rows, log.iteration[known], log.number[known])
 
 
 def next_history(log: Steps, nominal: StepMap, iteration: int) -> Array:
-    """History of the step that follows a log; shape (2n + m + 1,).
+    """History of the step that follows a log; shape (2n + m + 1 + q,).
 
     Args:
         log: All earlier steps.
@@ -113,12 +121,13 @@ def next_history(log: Steps, nominal: StepMap, iteration: int) -> Array:
     """
     last = log.last
     if last is None or last.iteration != iteration:
-        return np.append(np.zeros(2 * len(log.space.state) + len(log.space.command)), len(log))
-    return history_after(last.record, error_of(last.record, nominal), log.space, len(log))
+        nothing = np.zeros(2 * len(log.space.state) + len(log.space.command))
+        return np.concatenate([nothing, [len(log)], np.zeros(len(nominal.space.context_inputs))])
+    return history_after(last.record, error_of(last.record, nominal), nominal.space, len(log))
 
 
 def history_after(record: StepRecord, error: Array, space: StepSpace, steps: int) -> Array:
-    """History of the step that follows another one; shape (2n + m + 1,).
+    """History of the step that follows another one; shape (2n + m + 1 + q,).
 
     Args:
         record: The step before.
@@ -126,7 +135,20 @@ def history_after(record: StepRecord, error: Array, space: StepSpace, steps: int
         space: Step space of both.
         steps: Number of steps recorded, including the one before.
     """
-    return np.append(_lagged_quantities(space, error, record.requested, record.state), steps)
+    lagged = _lagged_quantities(space, error, record.requested, record.state)
+    return np.concatenate([lagged, [steps], context_inputs_of(record.context, space)])
+
+
+def context_inputs_of(context: Mapping[str, float], space: StepSpace) -> Array:
+    """Context inputs of a step in units of their scales, zero where one is unknown; shape (q,)."""
+    found = [context.get(each.name, 0.0) / each.input_scale for each in space.context_inputs]
+    return np.nan_to_num(np.array(found, float))
+
+
+def _context_inputs(space: StepSpace, log: Steps) -> Array:
+    """Context inputs of all steps of a log; shape (N, q)."""
+    columns = [log.space.context_names.index(each.name) for each in space.context_inputs]
+    return np.nan_to_num(log.context[:, columns] / [each.input_scale for each in space.context_inputs])
 
 
 def error_of(record: StepRecord, nominal: StepMap) -> Array:

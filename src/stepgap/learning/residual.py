@@ -24,10 +24,12 @@ class HistoryInputs:
         lagged_inputs: Which quantities of the step before are inputs.
         forgetting_time: Number of steps T in which the influence of a step falls to 1/e: polynomials weight it by
             exp(−age/T), and a Gaussian process has the time as an input with length scale T; inf: it never falls.
+        context_inputs: Number of context inputs at the end of the history, all of which are inputs.
     """
 
     lagged_inputs: LaggedInputs = "none"
     forgetting_time: float = inf
+    context_inputs: int = 0
 
     def __post_init__(self) -> None:
         names = ", ".join(LAGGED_INPUTS)
@@ -42,14 +44,16 @@ class HistoryInputs:
         return isfinite(self.forgetting_time)
 
     def of(self, history: Array, state_size: int) -> Array:
-        """Selects the inputs from a history; (…, 2n + m + 1) to (…, c).
+        """Selects the inputs from a history; (…, 2n + m + 1 + q) to (…, c).
 
-        The columns of a history are, as in `observations`, error (n), requested command (m), state (n) and number of
-        steps before (1).
+        The columns of a history are, as in `observations`, error (n), requested command (m), state (n), number of steps
+        before (1) and context inputs (q). The time is the last input, if it is one.
         """
-        used = {"none": 0, "previous_error": state_size, "previous_step": history.shape[-1] - 1}[self.lagged_inputs]
-        time = history[..., -1:] / self.forgetting_time
-        return np.concatenate([history[..., :used], time if self.timed else time[..., :0]], axis=-1)
+        steps = history.shape[-1] - self.context_inputs - 1
+        used = {"none": 0, "previous_error": state_size, "previous_step": steps}[self.lagged_inputs]
+        time = history[..., steps : steps + 1] / self.forgetting_time
+        parts = [history[..., :used], history[..., steps + 1 :], time if self.timed else time[..., :0]]
+        return np.concatenate(parts, axis=-1)
 
 
 @final
@@ -87,7 +91,7 @@ class Residual:
             if not isinstance(regression, Regression):
                 raise ResidualError(f"residual '{self.kind}': made {regression!r:.40}; it must make a Regression")
         n, m = self.sizes
-        c = self.history_inputs.of(np.zeros(2 * n + m + 1), n).size
+        c = self.history_inputs.of(np.zeros(2 * n + m + 1 + self.history_inputs.context_inputs), n).size
         inputs = sorted({regression.inputs for regression in self.regressions})
         if m < 1 or inputs != [n + m + c]:
             raise ValueError(
@@ -166,12 +170,14 @@ class Residual:
     def to_dict(self) -> dict[str, Any]:
         """Converts the residual to JSON-ready data, which `residual_from_dict` reads; `history_values` is not kept."""
         feature_map = {} if self.feature_map == NO_FEATURE_MAP else {"feature_map": self.feature_map}
+        count = self.history_inputs.context_inputs
         return {
             "kind": self.kind,
             **feature_map,
             "command_size": self.command_size,
             "lagged_inputs": self.history_inputs.lagged_inputs,
             "forgetting_time": self.history_inputs.forgetting_time if self.history_inputs.timed else None,
+            **({"context_inputs": count} if count else {}),
             "regressions": [regression.to_dict() for regression in self.regressions],
             "outliers": [list(label) for label in self.outliers],
         }

@@ -71,11 +71,15 @@ def fit_residual(
     least: LaggedInputs = "none" if lagged_inputs == "auto" else lagged_inputs
     if features := _feature_model(feature_map):
         models = [model if model == NONE else with_features(model, features) for model in models]
-    fits = [_fit(model, _history_inputs(model, least, forgetting_time), observations, start) for model in models]
+    fits = [
+        _fit(model, _history_inputs(model, least, forgetting_time, observations), observations, start)
+        for model in models
+    ]
     found = _best(fits, observations)
     if lagged_inputs == "auto" and diagnose(observations).lagged:
         wider = LAGGED_INPUTS[LAGGED_INPUTS.index(found.history_inputs.lagged_inputs) + 1 :]
-        more = [_fit(found.model, HistoryInputs(each, forgetting_time), observations, start) for each in wider]
+        inputs = [replace(found.history_inputs, lagged_inputs=each) for each in wider]
+        more = [_fit(found.model, each, observations, start) for each in inputs]
         found = _best([found, *more], observations)
     return replace(found, feature_map=features.name) if features and found.model != NONE else found
 
@@ -219,7 +223,10 @@ def residual_from_dict(data: Mapping[str, Any]) -> Residual:
     model = with_features(model, features) if features else model
     regressions = tuple(_regression(model, item, f"regressions[{i}]") for i, item in enumerate(saved))
     forgetting_time = inf if data.get("forgetting_time", 0) is None else number(data, "forgetting_time")
-    history_inputs = HistoryInputs(data.get("lagged_inputs"), forgetting_time)  # pyright: ignore[reportArgumentType] it checks them
+    context_inputs = integer(data, "context_inputs") if "context_inputs" in data else 0
+    if not 0 <= context_inputs <= LARGEST_DIMENSION:
+        raise ValueError(f"context_inputs must be from 0 to {LARGEST_DIMENSION}, not {context_inputs}")
+    history_inputs = HistoryInputs(data.get("lagged_inputs"), forgetting_time, context_inputs)  # pyright: ignore[reportArgumentType] it checks them
     labels = numbers(data, "outliers", 2) if data.get("outliers") else np.empty((0, 2))
     if labels.shape[1] != 2:
         raise ValueError("outliers must be pairs of the numbers of a deployment and a step")
@@ -245,10 +252,12 @@ def _candidates(observations: Observations) -> list[ResidualModel]:
     return [model for model in residual_models() if model.candidate and model.lagged_inputs in known]
 
 
-def _history_inputs(model: ResidualModel, lagged_inputs: LaggedInputs, forgetting_time: float) -> HistoryInputs:
+def _history_inputs(
+    model: ResidualModel, lagged_inputs: LaggedInputs, forgetting_time: float, observations: Observations
+) -> HistoryInputs:
     """The requested inputs and those that the model always has; each of `LAGGED_INPUTS` includes the one before it."""
     widest = max(LAGGED_INPUTS.index(lagged_inputs), LAGGED_INPUTS.index(model.lagged_inputs))
-    return HistoryInputs(LAGGED_INPUTS[widest], forgetting_time)
+    return HistoryInputs(LAGGED_INPUTS[widest], forgetting_time, observations.context_inputs)
 
 
 def _best(fits: Sequence[Residual], observations: Observations) -> Residual:

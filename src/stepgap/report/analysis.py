@@ -102,8 +102,9 @@ def input_quantities(space: StepSpace, history_inputs: HistoryInputs) -> list[Qu
         previous += [Quantity(f"previous_{each.name}", "half ranges", -1, 1) for each in (*space.command, *space.state)]
     elif history_inputs.lagged_inputs == "none":
         previous = []
+    found = [Quantity(each.name, f"{each.input_scale:g} {each.unit}", -1, 1) for each in space.context_inputs]
     time = [Quantity("time", "forgetting times", -1, 1)] if history_inputs.timed else []
-    return [*space.state, *space.command, *previous, *time]
+    return [*space.state, *space.command, *previous, *found[: history_inputs.context_inputs], *time]
 
 
 def centre_of(learned: LearnedResidual, gait: object) -> Array:

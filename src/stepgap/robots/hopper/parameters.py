@@ -170,17 +170,23 @@ class CommandBounds:
 
         Args:
             uneven: Whether the height is that above the ground which the foot finds at touchdown, and not that above
-                the zero of the boom; then its height and the place of the foot are measured, too.
+                the zero of the boom; then the ground is measured, too: its height and slope, where the foot stood, and
+                how it yielded in the stance before.
         """
         above = "ground" if uneven else ""
-        found = (ContextQuantity("ground", "m"), ContextQuantity("foothold", "m")) if uneven else ()
+        ground = (
+            ContextQuantity("ground", "m"),
+            ContextQuantity("foothold", "m"),
+            ContextQuantity("slope", "", input_scale=0.1),
+            ContextQuantity("yielding", "m/N", input_scale=1e-4),
+        )
         return StepSpace(
             state=(Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.52, 0.64, above=above)),
             command=(
                 Quantity("fx", "N", self.fx_lower, self.fx_upper),
                 Quantity("fy", "N", self.fy_lower, self.fy_upper),
             ),
-            context=(ContextQuantity("yaw", "rad", period=tau), *found),
+            context=(ContextQuantity("yaw", "rad", period=tau), *(ground if uneven else ())),
             advice=ADVICE_ON_HOPS,
         )
 

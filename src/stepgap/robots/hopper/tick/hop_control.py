@@ -140,7 +140,8 @@ class HopControl(TickControl):
     def _context(self, yaw: float) -> tuple[float, ...]:
         """Context of a hop that ended at a yaw [rad], in the order of its `StepSpace`."""
         landing = Landing(*self._memory["landing"][0].item())
-        return (yaw, landing.ground, landing.foothold) if self._uneven else (yaw,)
+        found = landing.ground, landing.foothold, landing.slope, landing.yielding
+        return (yaw, *found) if self._uneven else (yaw,)
 
     def failed_step(self, applied: Torques | None) -> FinishedStep:
         """The hop that was interrupted after the last tick."""

@@ -118,10 +118,18 @@ class Landing(NamedTuple):
     Attributes:
         ground: Height of the foot [m].
         foothold: Where it stood, as a distance travelled [m].
+        slope: Rise over distance from the foothold before; that of earlier ones where the distance is short.
+        yielding: By what ground and boom yielded in the stance before, per force [m/N].
+        deepest: By what the foot has sunk in this stance [m].
+        strongest: Largest contact force in this stance [N].
     """
 
     ground: float = 0.0
     foothold: float = 0.0
+    slope: float = 0.0
+    yielding: float = 0.0
+    deepest: float = 0.0
+    strongest: float = 0.0
 
 
 class Apex(NamedTuple):

@@ -44,6 +44,13 @@ LARGEST_DROP = 0.2
 """Step down that a robot may fly over on uneven ground without having fallen [m]; the ground below is not known yet."""
 
 
+SHORT_HOP = 0.03
+"""Distance of two footholds from which a slope follows [m]; their heights are right to a millimetre."""
+
+STEEPEST = 0.3
+"""Largest slope that two footholds show; what rises more is a riser."""
+
+
 @as_written
 def hop_tick(settings, state, inputs):
     """Computes one tick.
@@ -63,7 +70,7 @@ def hop_tick(settings, state, inputs):
     rates, motion, body = sense(settings, state.rates, sampled, inputs)
     flight, phase = update_flight(settings.sensor_model, state, sampled, motion, body, inputs)
     hop, phase = _update_hop(hop, state.phase, phase, state.mode, inputs)
-    landing = _landing(state, phase, motion, body)
+    landing = _landing(state, phase, motion, body, inputs.contact_force)
     asked = wanted_torque(settings.law, phase, motion, flight, hop, inputs)
     requested = (0.0, 0.0) if inputs.mode == Mode.LIMP else asked  # a limp robot only logs what the law asks for
     sensors, doubts = judge_sensors(settings, state, sampled, phase, motion, body, flight, inputs)
@@ -92,11 +99,23 @@ def hop_tick(settings, state, inputs):
 
 
 @as_written
-def _landing(state, phase, motion, body):
-    """`Landing` of this tick: in the first one of a stance, where leg and boom find the foot."""
-    if phase != Phase.COMPRESSION or state.phase == Phase.COMPRESSION:
-        return state.landing
-    return Landing(ground=motion.hip_height + body.foot_y, foothold=body.x + body.foot_x)
+def _landing(state, phase, motion, body, contact_force):
+    """`Landing` of this tick: in the first one of a stance, where leg and boom find the foot; then how it sinks."""
+    last, height = state.landing, motion.hip_height + body.foot_y
+    if phase == Phase.ASCENT or phase == Phase.DESCENT:
+        return last
+    if phase == Phase.THRUST or state.phase == Phase.COMPRESSION:
+        return Landing(
+            ground=last.ground, foothold=last.foothold, slope=last.slope, yielding=last.yielding,
+            deepest=max(last.deepest, last.ground - height), strongest=max(last.strongest, contact_force),
+        )  # fmt: skip
+    foothold, slope = body.x + body.foot_x, last.slope
+    if state.hops > 0 and abs(foothold - last.foothold) > SHORT_HOP:
+        slope = (height - last.ground) / (foothold - last.foothold)
+    return Landing(
+        ground=height, foothold=foothold, slope=min(max(slope, -STEEPEST), STEEPEST),
+        yielding=last.deepest / last.strongest if last.strongest > 0.0 else 0.0, deepest=0.0, strongest=0.0,
+    )  # fmt: skip
 
 
 @as_written
