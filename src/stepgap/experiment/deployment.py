@@ -207,7 +207,7 @@ def deploy(
             on_time("planning", perf_counter() - begin)
             background.compute(controller.learner.pending)  # after the command, so that it causes no delay
             targets = reference.targets[max(number - 1, 0) :] if number > 0 else plan.predicted[None]
-            record, plan = _taken(plant, controller, plan, targets)
+            record, plan = _taken(plant, controller, plan, targets, on_time)
             logged = LoggedStep(iteration, number, targets[0], plan.predicted, plan.std, record)
             yield logged
             if record.status != StepStatus.OK:
@@ -219,7 +219,11 @@ def deploy(
 
 
 def _taken(
-    plant: Plant, controller: DeploymentController, plan: CautiousPlan, targets: Array
+    plant: Plant,
+    controller: DeploymentController,
+    plan: CautiousPlan,
+    targets: Array,
+    on_time: Callable[[str, float], None],
 ) -> tuple[StepRecord, CautiousPlan]:
     """A step as it was taken, and the plan of the command that acted, from the state that was found.
 
@@ -230,6 +234,7 @@ def _taken(
         controller: Plans it.
         plan: Plan from the state as it is known before.
         targets: Target of this step and those after it; shape (k, n).
+        on_time: As of `deploy`.
     """
     if not plant.space.is_above_context:
         return plant.take_step(plan.command), plan
@@ -237,8 +242,10 @@ def _taken(
 
     def at_touchdown(found: Touchdown) -> Array:
         nonlocal controller
+        begin = perf_counter()
         controller = replace(controller, learner=controller.learner.found(found.context))
         plans.append(controller.plan(found.state, targets[0], targets[1:]))
+        on_time("planning", perf_counter() - begin)
         return plans[-1].command
 
     record = plant.take_replanned_step(plan.command, at_touchdown)

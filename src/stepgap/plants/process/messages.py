@@ -123,7 +123,7 @@ def read_answer(line: str, number: int, requested: Array, space: StepSpace) -> A
         next_state = _numbers(answer, "next", space.state_names, line)
     acted = _numbers(answer, "requested", space.command_names, line) if "requested" in answer else requested
     applied = _numbers(answer, "applied", space.command_names, line) if "applied" in answer else acted
-    return Answer(next_state, applied, status, _context(answer, space, line), acted)
+    return Answer(next_state, applied, status, context=_context(answer, space, line), requested=acted)
 
 
 def read_touchdown(line: str, number: int, space: StepSpace) -> dict[str, float] | None:
