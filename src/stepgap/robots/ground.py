@@ -58,6 +58,8 @@ class UnevenGround:
         patch_length: Length of a patch [m].
         measured_heights: Whether a robot without a simulation, too, measures heights above the ground that its foot
             finds at touchdown, and chooses the command anew there; on uneven ground it always does.
+        inputs: Whether the slope and the yielding that a touchdown finds are inputs of the residual; `false` for a
+            controller that will be exported.
     """
 
     stair_height: float = 0.0
@@ -70,6 +72,7 @@ class UnevenGround:
     patch_friction: float = 1.0
     patch_length: float = 1.0
     measured_heights: bool = False
+    inputs: bool = True
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -92,6 +95,7 @@ class UnevenGround:
             wave_length=self.wave_length,
             patch_length=self.patch_length,
             measured_heights=self.measured_heights,
+            inputs=self.inputs,
         )
 
     @property

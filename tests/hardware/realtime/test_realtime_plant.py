@@ -23,6 +23,7 @@ from stepgap.hardware.realtime.session import FIRST_TICKS
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import read_description, read_ticks
 from stepgap.rigs.rig import RigFault
+from stepgap.robots.ground import UnevenGround
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.tick.hop_control import HopperControl
 from stepgap.step import StepStatus
@@ -228,7 +229,7 @@ def test_an_emergency_stop_from_the_learning_side(tmp_path):
 
 def test_a_command_of_the_touchdown_acts_in_its_step(tmp_path):
     """The time of the ring goes on meanwhile; in lock-step, planning takes none of it."""
-    uneven = HopperControl(ROBOT, GAINS, BOUNDS, uneven=True)
+    uneven = HopperControl(ROBOT, GAINS, BOUNDS, ground=UnevenGround(measured_heights=True))
     other, found = COMMAND * 1.5, []
 
     def plan(touchdown):

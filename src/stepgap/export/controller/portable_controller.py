@@ -190,8 +190,9 @@ def portable_controller(run: Run, deployment: int | None, rng: np.random.Generat
 def _check_inputs(residual: Residual) -> None:
     if residual.history_inputs != HistoryInputs():
         raise InputError(
-            f"residual '{residual.name}': lagged inputs and a forgetting time cannot be exported; run with "
-            'learning.lagged_inputs = "none" and learning.forgetting_time = inf'
+            f"residual '{residual.name}': lagged inputs, inputs that a touchdown finds and a forgetting time cannot be "
+            'exported; run with learning.lagged_inputs = "none", learning.forgetting_time = inf and, on uneven ground, '
+            "ground.inputs = false"
         )
     if residual.feature_map != NO_FEATURE_MAP:
         raise InputError(
@@ -200,7 +201,11 @@ def _check_inputs(residual: Residual) -> None:
 
 
 def _notes(space: StepSpace, control: ControlSettings, steps_to_learn: float) -> tuple[str, ...]:
-    notes = []
+    notes = [
+        f"{each.name} is that above the {each.above} of the step: subtract what your robot finds, and plan at touchdown"
+        for each in space.state
+        if each.above
+    ]
     if not space.tracked.all():
         untracked = ", ".join(each.name for each in space.state if not each.weight)
         notes.append(

@@ -9,6 +9,7 @@ from math import isfinite, tau
 
 from stepgap.base.errors import InputError
 from stepgap.base.ranges import require
+from stepgap.robots.ground import FLAT_GROUND, UnevenGround
 from stepgap.robots.robot import Robot
 from stepgap.step import ContextQuantity, Quantity, StepSpace, StepStatus
 
@@ -165,20 +166,20 @@ class CommandBounds:
         require(self.fx_lower < self.fx_upper, "fx_lower", self.fx_lower, f"lie below fx_upper = {self.fx_upper}")
         require(self.fy_lower < self.fy_upper, "fy_lower", self.fy_lower, f"lie below fy_upper = {self.fy_upper}")
 
-    def space(self, uneven: bool = False) -> StepSpace:
+    def space(self, ground: UnevenGround = FLAT_GROUND) -> StepSpace:
         """State [speed, height] and command [fx, fy] of the hopper (Eq. 10), and the yaw of its boom at the apex.
 
         Args:
-            uneven: Whether the height is that above the ground which the foot finds at touchdown, and not that above
-                the zero of the boom; then the ground is measured, too: its height and slope, where the foot stood, and
-                how it yielded in the stance before.
+            ground: If it is measured, the height is that above the ground which the foot finds at touchdown, not that
+                above the zero of the boom, and the context has its height and slope, where the foot stood, and how it
+                yielded in the stance before.
         """
-        above = "ground" if uneven else ""
-        ground = (
+        above, slope, yielding = "ground" if ground.is_measured else "", 0.1 * ground.inputs, 1e-4 * ground.inputs
+        found = (
             ContextQuantity("ground", "m"),
             ContextQuantity("foothold", "m"),
-            ContextQuantity("slope", "", input_scale=0.1),
-            ContextQuantity("yielding", "m/N", input_scale=1e-4),
+            ContextQuantity("slope", "", input_scale=slope),
+            ContextQuantity("yielding", "m/N", input_scale=yielding),
         )
         return StepSpace(
             state=(Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.52, 0.64, above=above)),
@@ -186,7 +187,7 @@ class CommandBounds:
                 Quantity("fx", "N", self.fx_lower, self.fx_upper),
                 Quantity("fy", "N", self.fy_lower, self.fy_upper),
             ),
-            context=(ContextQuantity("yaw", "rad", period=tau), *(ground if uneven else ())),
+            context=(ContextQuantity("yaw", "rad", period=tau), *(found if above else ())),
             advice=ADVICE_ON_HOPS,
         )
 

@@ -56,13 +56,13 @@ class Hopper(Robot):
     @property
     def space(self) -> StepSpace:
         """State [speed, height], command [fx, fy]; on uneven ground, the height above what the foot finds."""
-        return self.command.space(self.ground.is_measured)
+        return self.command.space(self.ground)
 
     def apex_map(self) -> "ApexMap":
         """Map of the physics model."""
         from stepgap.robots.hopper.model.apex_map import ApexMap
 
-        return ApexMap(self.parameters, self.gains, self.command, uneven=self.ground.is_measured)
+        return ApexMap(self.parameters, self.gains, self.command, ground=self.ground)
 
     def nominal_maps(self) -> Mapping[str, Callable[[], StepMap]]:
         """The equations of motion."""
@@ -72,7 +72,7 @@ class Hopper(Robot):
         """The equations of motion with torques that are held for a tick [s]."""
         from stepgap.robots.hopper.model.sampled_map import SampledApexMap
 
-        return SampledApexMap(self.parameters, self.gains, self.command, tick, uneven=self.ground.is_measured)
+        return SampledApexMap(self.parameters, self.gains, self.command, tick, ground=self.ground)
 
     @property
     def as_modelled(self) -> Self:
@@ -107,7 +107,7 @@ class Hopper(Robot):
         """The joint controller."""
         from stepgap.robots.hopper.tick.hop_control import HopperControl
 
-        return HopperControl(self.parameters, self.gains, self.command, uneven=self.ground.is_measured)
+        return HopperControl(self.parameters, self.gains, self.command, ground=self.ground)
 
     def kinematics(self, sensors: SensorModel | None = None) -> "HopperKinematics":
         """Kinematics of boom and leg with the sensors of a rig, or with those of the twin."""

@@ -39,7 +39,7 @@ def yaw_of(twin, state, floor_yaw):
 def hopping(twin, hops=6):
     """True states in every tick of some hops."""
     states = []
-    control = HopperControl(ROBOT, Gains(), CommandBounds(), uneven=True)
+    control = HopperControl(ROBOT, Gains(), CommandBounds(), ground=STAIRS)
     with RigPlant(SingleTicks(twin), control, lambda rows, step: states.append(twin.true_state())) as plant:
         plant.start()
         for _ in range(hops):

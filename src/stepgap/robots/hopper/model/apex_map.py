@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepgap.base.compiled import compiled
 from stepgap.hybrid.integrator import Tolerance, make_trace
+from stepgap.robots.ground import FLAT_GROUND, UnevenGround
 from stepgap.robots.hopper.model.dynamics import Masses, masses_of
 from stepgap.robots.hopper.model.hop import INVALID, OK, Tolerances, to_apex, to_midstance
 from stepgap.robots.hopper.model.joint_control import JointLaw, joint_law
@@ -104,7 +105,7 @@ class ApexMap(StepMap):
         gains: Its joint controller.
         bounds: Range of the command.
         tolerances: Local errors of the integration.
-        uneven: Whether the height is declared as that above the ground of the hop, which does not change the map.
+        ground: Where it is measured, the height is that above the ground of the hop, which does not change the map.
 
     Raises:
         ValueError: A length is out of the leg's reach, or command bounds are reversed.
@@ -114,7 +115,7 @@ class ApexMap(StepMap):
     gains: Gains = field(default_factory=Gains)
     bounds: CommandBounds = field(default_factory=CommandBounds)
     tolerances: Tolerances = Tolerances(flight=Tolerance(5e-3, 5e-4), stance=Tolerance(2e-7, 2e-7))
-    uneven: bool = False
+    ground: UnevenGround = FLAT_GROUND
 
     def __post_init__(self) -> None:
         joint_law(self.robot, self.gains)
@@ -127,7 +128,7 @@ class ApexMap(StepMap):
 
     @cached_property
     def _space(self) -> StepSpace:
-        return self.bounds.space(self.uneven)
+        return self.bounds.space(self.ground)
 
     @cached_property
     def _constants(self) -> Array:

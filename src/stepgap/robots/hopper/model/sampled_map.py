@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from stepgap.base.compiled import compiled
 from stepgap.base.ranges import require
 from stepgap.hybrid.integrator import Tolerance, make_trace
+from stepgap.robots.ground import FLAT_GROUND, UnevenGround
 from stepgap.robots.hopper.model.apex_map import as_points, on_all_cores
 from stepgap.robots.hopper.model.dynamics import masses_of
 from stepgap.robots.hopper.model.joint_control import joint_law
@@ -44,7 +45,7 @@ class SampledApexMap(StepMap):
         bounds: Range of the command.
         tick: Time for which torques are held [s].
         tolerance: Local error of the integration within a tick.
-        uneven: As of `ApexMap`.
+        ground: As of `ApexMap`.
 
     Raises:
         ValueError: A length is out of the leg's reach, or the tick is out of its range.
@@ -55,7 +56,7 @@ class SampledApexMap(StepMap):
     bounds: CommandBounds = field(default_factory=CommandBounds)
     tick: float = 1e-3
     tolerance: Tolerance = Tolerance(1e-7, 1e-8)
-    uneven: bool = False
+    ground: UnevenGround = FLAT_GROUND
 
     def __post_init__(self) -> None:
         joint_law(self.robot, self.gains)
@@ -64,7 +65,7 @@ class SampledApexMap(StepMap):
     @property
     def space(self) -> StepSpace:
         """State [speed, height], command [fx, fy]."""
-        return self.bounds.space(self.uneven)
+        return self.bounds.space(self.ground)
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
         """Next apexes and status codes; state (…, 2) and command (…, 2) broadcast.

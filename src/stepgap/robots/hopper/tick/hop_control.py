@@ -14,6 +14,7 @@ from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl,
 from stepgap.plants.ticks.log_description import FieldMeaning
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigFault, Torques
+from stepgap.robots.ground import FLAT_GROUND, UnevenGround
 from stepgap.robots.hopper.model.dynamics import masses_of
 from stepgap.robots.hopper.model.joint_control import joint_law
 from stepgap.robots.hopper.model.leg import foot, four_bar, leg_of
@@ -175,19 +176,19 @@ class HopperControl(RobotControl):
         gains: Gains of the joint controller.
         bounds: Range of the command.
         limits: Limits of the safety function; None for the rig's or, if it has none, those of a simulation.
-        uneven: Whether heights are those above the ground that the foot finds at touchdown.
+        ground: Whether heights are those above the ground that the foot finds at touchdown.
     """
 
     robot: RobotParameters
     gains: Gains
     bounds: CommandBounds
     limits: SafetyLimits | None = None
-    uneven: bool = False
+    ground: UnevenGround = FLAT_GROUND
 
     @property
     def space(self) -> StepSpace:
         """State [speed, height], command [fx, fy]."""
-        return self.bounds.space(self.uneven)
+        return self.bounds.space(self.ground)
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -254,7 +255,7 @@ class HopperControl(RobotControl):
 
     def _new_control(self, rig: Rig) -> HopControl:
         sensors, limits = hopper_sensors(rig.sensor_model), self.limits_of(rig)
-        return HopControl(sensors, self.robot, self.gains, limits, self.uneven)
+        return HopControl(sensors, self.robot, self.gains, limits, self.ground.is_measured)
 
     def limits_of(self, rig: Rig) -> SafetyLimits:
         """Limits that were given, or the rig's, or those of a simulation."""
