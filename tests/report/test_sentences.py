@@ -10,10 +10,10 @@ from scipy.signal import lfilter
 
 from stepgap.experiment.bands import rmse_interval
 from stepgap.experiment.run import Run
-from stepgap.learning.steps import Steps
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.records.summary import parse_summary
 from stepgap.report.sentences import floor_sentences, headline, sentences
-from stepgap.step import Quantity, StepSpace
+from stepgap.step import ContextQuantity, Quantity, StepRecord, StepSpace, StepStatus
 from tests.control.maps import LossyHopper
 from tests.report.runs import logged, make_run
 
@@ -78,3 +78,23 @@ def test_cut_commands_and_targets_that_were_not_held_are_listed(run: Path) -> No
     assert "; and 2 more)" in text
     text = " ".join(sentences(changed(run, 0.001, cut=0, unreachable=[], missed=[])))
     assert not any(word in text for word in ("cut", "Not held", "Missed"))
+
+
+def test_the_ground_above_which_heights_are_measured_is_named(tmp_path: Path) -> None:
+    space = StepSpace(
+        (Quantity("speed", "m/s", 0, 1), Quantity("height", "m", 0, 1, above="ground")),
+        (Quantity("force", "N", 0, 1),),
+        (ContextQuantity("ground", "m"),),
+    )
+    steps = [
+        LoggedStep(0, number, np.zeros(2), np.zeros(2), np.zeros(2), record)
+        for number, ground in enumerate((0.01, -0.03, np.nan, 0.02), 1)
+        for record in [
+            StepRecord(*map(np.array, ([0.1, 0.5], [0.5], [0.5], [0.1, 0.5])), StepStatus.OK, {"ground": ground})
+        ]
+    ]
+    run = Run(tmp_path, space=space, recorded=Steps(space, steps))
+    assert sentences(run)[0] == (
+        "Height is measured above the ground that each step found, which lay between −0.030 and 0.020 m and changed by "
+        "up to 0.050 m from a step to the next."
+    )

@@ -45,6 +45,7 @@ def sentences(run: Run) -> list[str]:
             for deployment in run.deployments
             if deployment.failed_steps
         ),
+        *_grounds(run),
         *_limits(run),
         *(
             f"Deployment {iteration} is running or was interrupted: "
@@ -137,6 +138,24 @@ def _with_intervals(run: Run, floor: Array, ends: Array, rows: Sequence[int]) ->
     return ", ".join(
         f"{state[row].name} {decimal(floor[row])}{unit_suffix(state[row])}{between(ends[:, row])}" for row in rows
     )
+
+
+def _grounds(run: Run) -> list[str]:
+    """Sentences on what states are measured above."""
+    found = []
+    for name in dict.fromkeys(each.above for each in run.space.state if each.above):
+        context, names = run.steps.context[:, run.steps.space.context_names.index(name)], run.steps.space.context
+        known = context[np.isfinite(context)]
+        if not len(known):
+            continue
+        above = listed([each.name for each in run.space.state if each.above == name])
+        unit = next(f" {each.unit}" for each in names if each.name == name)
+        found.append(
+            f"{capitalised(above)} is measured above the {name} that each step found, which lay between "
+            f"{decimal(known.min(), 2)} and {decimal(known.max(), 2)}{unit} and changed by up to "
+            f"{decimal(np.abs(np.diff(known)).max(initial=0.0), 2)}{unit} from a step to the next."
+        )
+    return found
 
 
 def _limits(run: Run) -> list[str]:

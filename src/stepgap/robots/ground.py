@@ -103,6 +103,11 @@ class UnevenGround:
         """Whether heights are those above the ground that was measured at touchdown."""
         return self.measured_heights or not self.is_flat
 
+    @property
+    def largest_change(self) -> float:
+        """Largest change of height from a foothold to the next [m], for limits: on ramps, of a stride of 0.3 m."""
+        return self.stair_height + 0.3 * self.slope + 6 * self.roughness
+
     def treads(self, length: float, rng: np.random.Generator) -> Treads:
         """The pieces of a ground that repeats after a length [m].
 

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from math import isfinite
 
@@ -29,13 +30,15 @@ class RingSimulation(HopperSimulation):
     """The twin behind the drives of an emulated EtherCAT ring, which runs in another process."""
 
     def __init__(self, hopper: Hopper, world: np.random.Generator):
-        super().__init__(hopper.parameters, hopper.gap, hopper.control, world)
+        super().__init__(hopper.parameters, hopper.gap, hopper.control, world, hopper.ground)
         for name in ("motor_counts", "boom_counts_horizontal", "boom_counts_vertical"):
             if not isfinite(getattr(hopper.gap, name)):
                 raise InputError(f"gap.{name} must be finite: a ring carries integer counts, such as {name} = 16384")
         sensors = twin_sensor_model(hopper.parameters, hopper.gap)
         interface = f"sg{os.getpid()}"  # several runs may be active
-        self._bus: RigSettings = emulated_settings(sensors, hopper.parameters, RING, interface)
+        bus = emulated_settings(sensors, hopper.parameters, RING, interface)
+        known = bus.limits.ground_height + hopper.ground.largest_change
+        self._bus: RigSettings = replace(bus, limits=replace(bus.limits, ground_height=known))
 
     def plant(self, rng: np.random.Generator, on_ticks: OnTicks | None = None) -> RigPlant:
         """Plant of one deployment, whose ring begins with it."""

@@ -231,6 +231,8 @@ class Twin(CompiledRig):
             put_on_tread(self._views.uneven, self._ground.tread_at(self._floor_yaw))
         data.eq_active[:] = 1
         mujoco.mj_forward(model, data)
+        if self._ground.treads is not None:
+            move_ground(self._devices, self._views)  # also compiles it, for which a ring would not wait later
         self._connected, self._fault, self._apex = True, "", as_record(TrueApex())
         self._hold_remaining = self._hold_ticks
         if self._hold_remaining == 0:
