@@ -135,14 +135,15 @@ class HopControl(TickControl):
         return FinishedStep(state, np.array([apex.force_x, apex.force_y]), lost, self._context(apex.yaw))
 
     def touchdown(self) -> tuple[float, ...]:
-        """Height of the ground and place of the foot; the yaw is that of the apex, which is not known yet."""
+        """Ground of this touchdown, yielding of the stance before; the yaw is that of the apex, not known yet."""
         return self._context(nan)
 
     def _context(self, yaw: float) -> tuple[float, ...]:
         """Context of a hop that ended at a yaw [rad], in the order of its `StepSpace`."""
         landing = Landing(*self._memory["landing"][0].item())
-        found = landing.ground, landing.foothold, landing.slope, landing.yielding
-        return (yaw, *found) if self._uneven else (yaw,)
+        stood = landing.strongest > 0  # else it has just landed, and the ground may be like that of the stance before
+        yielding = landing.deepest / landing.strongest if stood else landing.yielding
+        return (yaw, landing.ground, landing.foothold, landing.slope, yielding) if self._uneven else (yaw,)
 
     def failed_step(self, applied: Torques | None) -> FinishedStep:
         """The hop that was interrupted after the last tick."""
