@@ -86,12 +86,11 @@ def test_the_ground_above_which_heights_are_measured_is_named(tmp_path: Path) ->
         (Quantity("force", "N", 0, 1),),
         (ContextQuantity("ground", "m"),),
     )
+    state, command, nothing = np.array([0.1, 0.5]), np.array([0.5]), np.zeros(2)
     steps = [
-        LoggedStep(0, number, np.zeros(2), np.zeros(2), np.zeros(2), record)
-        for number, ground in enumerate((0.01, -0.03, np.nan, 0.02), 1)
-        for record in [
-            StepRecord(*map(np.array, ([0.1, 0.5], [0.5], [0.5], [0.1, 0.5])), StepStatus.OK, {"ground": ground})
-        ]
+        LoggedStep(0, number, nothing, nothing, nothing, record)
+        for number, context in enumerate(({"ground": 0.01}, {"ground": -0.03}, {}, {"ground": 0.02}), 1)
+        for record in [StepRecord(state, command, command, state, StepStatus.OK, context)]
     ]
     run = Run(tmp_path, space=space, recorded=Steps(space, steps))
     assert sentences(run)[0] == (
