@@ -25,6 +25,7 @@ from stepgap.hardware.hopper.ring_rig import emulated_settings
 from stepgap.hardware.hopper.twin_machine import TwinMachine
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.tick.sensors import HopperSensorModel
+from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.twin import Twin
 
 
@@ -56,7 +57,7 @@ def emulate_ring(
         _leave_for_namespace(settings_file, program)
     make_machine = partial(_make_machine, hopper, seed, hold)
     sensors = _sensors_behind_ring(hopper, hold)
-    text = tomli_w.dumps(to_table(emulated_settings(sensors, hopper.parameters, ring, interface)))
+    text = tomli_w.dumps(to_table(emulated_settings(sensors, hopper.parameters, ring, interface, hopper.ground)))
     _has_settings(settings_file, text)  # a file that describes another rig is refused before the ring starts
 
     def started(line: str) -> None:
@@ -99,12 +100,17 @@ def run_program(program: Sequence[str]) -> int:
 
 def _make_machine(hopper: Hopper, seed: int, hold: float) -> TwinMachine:
     """The twin behind the ring; its code is compiled, which takes seconds once, before a frame waits for an answer."""
-    machine, other = (
-        TwinMachine(Twin(hopper.parameters, hopper.gap, np.random.default_rng(seed), hold=hold)) for _ in range(2)
-    )
+    machine, other = (TwinMachine(_twin(hopper, seed, hold)) for _ in range(2))
     other.start()
     other.tick((0.0, 0.0))
     return machine
+
+
+def _twin(hopper: Hopper, seed: int, hold: float) -> Twin:
+    """The twin on its ground, which is drawn with its noise."""
+    rng = np.random.default_rng(seed)
+    ground = GroundProfile(hopper.gap, hopper.parameters.boom_length, rng, hopper.ground)
+    return Twin(hopper.parameters, hopper.gap, rng, hold=hold, ground=ground)
 
 
 def _sensors_behind_ring(hopper: Hopper, hold: float) -> HopperSensorModel:
@@ -115,9 +121,10 @@ def _sensors_behind_ring(hopper: Hopper, hold: float) -> HopperSensorModel:
                 f"[gap] {name} = inf: a ring carries integer counts; give a number, such as --gap.{name} 16384"
             )
     try:
-        return Twin(hopper.parameters, hopper.gap, np.random.default_rng(0), hold=hold).sensor_model
+        return _twin(hopper, 0, hold).sensor_model
     except ValueError as error:
-        raise InputError(f"no twin can be made with the settings [parameters] and [gap]: {error}") from None
+        tables = "[parameters], [gap] and [ground]"
+        raise InputError(f"no twin can be made with the settings {tables}: {error}") from None
 
 
 def _has_settings(file: Path, text: str) -> bool:

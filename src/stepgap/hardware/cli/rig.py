@@ -250,7 +250,7 @@ def emulate(
     """Emulate a bus with the twin as its robot, until Ctrl-C, or while the COMMAND given after -- is running.
 
     Args:
-        experiment: TOML file of settings, whose [parameters] and [gap] are the twin's.
+        experiment: TOML file of settings, whose [parameters], [gap] and [ground] are the twin's.
         extra: Not allowed; a command is written after --.
         interface: Name of the network interface that a master opens.
         lock_step: Advance time by one tick with every frame. [default: time follows the clock]

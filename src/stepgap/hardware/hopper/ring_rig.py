@@ -14,6 +14,7 @@ from stepgap.hardware.ethercat.emulator.terminals import ANALOG_IDENTITY, COUPLE
 from stepgap.hardware.ethercat.rig_settings import Encoder, Motor, Slave, WrittenPdo, WrittenPdoSet
 from stepgap.hardware.hopper.ethercat import Contact, RigSettings, hopper_on_ethercat
 from stepgap.rigs.rig import Health, Reading, Rig, RigFault, Torques
+from stepgap.robots.ground import FLAT_GROUND, UnevenGround
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.tick.limits import SafetyLimits
 from stepgap.robots.hopper.tick.sensors import HopperSensorModel
@@ -69,7 +70,11 @@ _DEVICES = (
 
 
 def emulated_settings(
-    sensor_model: HopperSensorModel, robot: RobotParameters, ring: RingSettings, interface: str = INTERFACE
+    sensor_model: HopperSensorModel,
+    robot: RobotParameters,
+    ring: RingSettings,
+    interface: str = INTERFACE,
+    ground: UnevenGround = FLAT_GROUND,
 ) -> RigSettings:
     """Settings, as in a `rig.toml`, of an emulated ring whose encoders count from zero, forward positive.
 
@@ -78,6 +83,7 @@ def emulated_settings(
         robot: Robot whose torque limit the motors have, as far as the drives allow.
         ring: Settings of the ring.
         interface: Network interface that the master opens.
+        ground: Ground on which the twin hops, whose changes the limits allow.
     """
     rated = ring.rated_torque / 1000
     most = min(robot.torque_limit, rated * ring.largest_torque / 1000)
@@ -109,7 +115,7 @@ def emulated_settings(
             touchdown_force=sensor_model.touchdown_force,
             takeoff_length=sensor_model.takeoff_length,
         ),
-        limits=_limits(most, 0.1 if ring.lock_step else 1.0),
+        limits=_limits(most, 0.1 if ring.lock_step else 1.0, 0.03 + ground.largest_change),
         tick=sensor_model.tick,
         reply_timeout=PATIENT_REPLY if ring.lock_step else sensor_model.tick / 2,
         watchdog=PATIENT_WATCHDOG if ring.lock_step else 0.05,
@@ -130,8 +136,14 @@ def _slaves(ring: RingSettings) -> tuple[Slave, ...]:
     )
 
 
-def _limits(torque: float, jitter: float) -> SafetyLimits:
-    """Complete limits for a torque [N·m] and a sample jitter; a hopping twin never reaches them: it cannot break."""
+def _limits(torque: float, jitter: float, ground: float) -> SafetyLimits:
+    """Complete limits, which a hopping twin never reaches: it cannot break.
+
+    Args:
+        torque: Largest torque [N·m].
+        jitter: As `SafetyLimits.sample_jitter`.
+        ground: As `SafetyLimits.ground_height` [m].
+    """
     return SafetyLimits(
         torque=torque,
         torque_step=2 * torque,
@@ -156,7 +168,7 @@ def _limits(torque: float, jitter: float) -> SafetyLimits:
         jump_angle=0.004,
         sample_jitter=jitter,
         frozen_time=0.016,
-        ground_height=0.03,
+        ground_height=ground,
     )
 
 

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from math import isfinite
 
@@ -36,9 +35,7 @@ class RingSimulation(HopperSimulation):
                 raise InputError(f"gap.{name} must be finite: a ring carries integer counts, such as {name} = 16384")
         sensors = twin_sensor_model(hopper.parameters, hopper.gap)
         interface = f"sg{os.getpid()}"  # several runs may be active
-        bus = emulated_settings(sensors, hopper.parameters, RING, interface)
-        known = bus.limits.ground_height + hopper.ground.largest_change
-        self._bus: RigSettings = replace(bus, limits=replace(bus.limits, ground_height=known))
+        self._bus: RigSettings = emulated_settings(sensors, hopper.parameters, RING, interface, hopper.ground)
 
     def plant(self, rng: np.random.Generator, on_ticks: OnTicks | None = None) -> RigPlant:
         """Plant of one deployment, whose ring begins with it."""

@@ -107,4 +107,4 @@ def _twin(parameters: RobotParameters, gap: RealityGap, ground: GroundProfile, r
     try:
         return Twin(parameters, gap, rng, ground=ground, floor_yaw=floor_yaw)
     except ValueError as error:
-        raise InputError(f"no twin can be made with the settings [parameters] and [gap]: {error}") from None
+        raise InputError(f"no twin can be made with the settings [parameters], [gap] and [ground]: {error}") from None
