@@ -134,7 +134,7 @@ class ContextQuantity:
         period: Change after which the robot is where it was, such as 2π of an angle about the vertical: the part of the
             error that returns with it is estimated and removed. Infinite if there is none.
         input_scale: Change that counts as one where a residual may depend on it, such as on the slope of the ground,
-            because it is known at the touchdown of the step, before the command acts. 0: it is no input.
+            because it is known, if only roughly, at the touchdown of the step, before the command acts. 0: no input.
 
     Raises:
         ValueError: The name is no identifier, the unit has a character that no unit has, the period is not positive, or
@@ -168,7 +168,7 @@ class StepSpace:
 
     Raises:
         ValueError: Several quantities of the context have a period, no state coordinate is tracked, or one is measured
-            above a quantity that is not in the context.
+            above a quantity that is not in the context, or in another unit.
     """
 
     state: tuple[Quantity, ...]
@@ -179,8 +179,12 @@ class StepSpace:
     def __post_init__(self) -> None:
         periodic = [each.name for each in self.context if isfinite(each.period)]
         require(len(periodic) <= 1, "context", periodic, "have at most one quantity with a period")
+        units = {each.name: each.unit for each in self.context}
         for each in self.state:
-            require(each.above in ("", *self.context_names), "above", each.above, "be the name of a context quantity")
+            rule = f"be the name of a context quantity in {each.unit or 'the same unit'} ({each.name})"
+            require(not each.above or units.get(each.above) == each.unit, "above", each.above, rule)
+        for each in self.command:
+            require(not each.above, "above", each.above, f"be empty, since it is a command ({each.name})")
         weights = [each.weight for each in self.state]
         require(any(weights) or not weights, "state", weights, "have a weight above 0 of at least one coordinate")
 

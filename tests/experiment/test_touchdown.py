@@ -9,14 +9,18 @@ import pytest
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
 from stepgap.experiment.deployment import deploy
+from stepgap.experiment.noise_floor import measure_noise_floor
+from stepgap.learning.diagnosis import diagnose
 from stepgap.learning.learner import Learner
+from stepgap.learning.observations import Observations, observe
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.steps import Steps
+from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.plants.plant import Touchdown
+from stepgap.records.steps_csv import StepWriter, read_step_log
 from stepgap.robots.ground import UnevenGround
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.nominal_maps.weighted_map import with_space
-from stepgap.step import ContextQuantity, Quantity, StepSpace
+from stepgap.step import ContextQuantity, Quantity, StepRecord, StepSpace, StepStatus
 
 STAIRS = Hopper(ground=UnevenGround(stair_height=0.04, stair_length=0.2))
 FLAT = Hopper(ground=UnevenGround(measured_heights=True))
@@ -112,3 +116,62 @@ def test_a_step_that_was_not_planned_again_is_predicted_from_the_ground_that_it_
     for each in hops_of(STAIRS, nominal, replanned=False):
         predicted = nominal.evaluate(each.record.state, each.record.command).next_state
         np.testing.assert_allclose(each.predicted, predicted)
+
+
+@pytest.mark.parametrize("command", [[np.nan, -3.0], [-4.0, np.inf], [1.0]])
+def test_a_command_that_is_not_finite_leaves_the_first_one(command):
+    with plant_of(STAIRS) as plant:
+        plant.start()
+        record = plant.take_replanned_step(COMMAND, lambda found: np.array(command))
+        assert record.status == StepStatus.OK
+        np.testing.assert_array_equal(record.requested, COMMAND)
+
+
+def test_an_exploratory_step_keeps_its_command():
+    """Its target is what its map predicts of it, from the ground that it found."""
+    nominal = STAIRS.apex_map()
+    learner = Learner.start(nominal, Steps(nominal.space), LearningSettings(online=True), 0)
+    reference = Reference(("speed", "height"), np.tile([0.2, 0.58], (2, 1))).of(nominal.space)
+    with closing(deploy(learner, plant_of(STAIRS), reference, 0, exploration=4)) as steps:
+        explored = [each for each in steps if each.step < 1 and each.planned]
+    assert len(explored) >= 3
+    for each in explored:
+        np.testing.assert_array_equal(each.target, each.predicted)
+
+
+def test_known_steps_of_flat_ground_have_heights_above_it(tmp_path):
+    """A file of a run without measured ground has no column of it."""
+    plain, uneven = Hopper().space, STAIRS.space
+    record = StepRecord(np.array([0.1, 0.56]), COMMAND, COMMAND, np.array([0.2, 0.57]), StepStatus.OK, {"yaw": 0.1})
+    path = tmp_path / "steps.csv"
+    with closing(StepWriter(path, plain)) as writer:
+        writer.append(LoggedStep(0, 1, np.array([0.2, 0.57]), record.next_state, np.zeros(2), record))
+    known = read_step_log(path, uneven)
+    observed = observe(known, STAIRS.apex_map())
+    np.testing.assert_array_equal(known.next_state, [record.next_state])
+    assert observed.context_inputs == 2
+    assert observed.history is not None
+    assert not observed.history[:, -2:].any()
+
+
+def test_no_noise_floor_is_measured_where_the_ground_belongs_to_the_place():
+    nominal, rng = STAIRS.apex_map(), np.random.default_rng(0)
+    simulation = STAIRS.simulations()["twin"](random_stream(0))
+    reference = Reference(("speed", "height"), np.tile([0.2, 0.58], (12, 1)))
+    found = measure_noise_floor(simulation.repeatable_plant, nominal, reference, rng, lambda done, of: None, 1)
+    assert np.isnan(found.any_phase).all()
+
+
+def test_what_a_touchdown_finds_is_not_called_memory():
+    """An error that depends on the slope alone, which is drawn anew for each step."""
+    rng, space = np.random.default_rng(0), STAIRS.space
+    slope, inputs = rng.normal(0, 1, 300), rng.normal(0, 0.3, (300, 4))
+    points = np.hstack([space.state_centre, space.command_centre]) + inputs * np.hstack(
+        [space.state_scale, space.command_scale]
+    )
+    error = np.column_stack([slope, -slope]) * 0.01 + rng.normal(0, 1e-4, (300, 2))
+    before = np.vstack([np.zeros(6), rng.normal(0, 1, (299, 6))])
+    before[1:, :2] = error[:-1] / space.state_scale
+    history = np.column_stack([before, np.arange(300.0), slope, np.zeros(300)])
+    found = diagnose(Observations(space, points[:, :2], points[:, 2:], error, history))
+    assert not found.lagged

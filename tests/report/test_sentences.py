@@ -95,5 +95,5 @@ def test_the_ground_above_which_heights_are_measured_is_named(tmp_path: Path) ->
     run = Run(tmp_path, space=space, recorded=Steps(space, steps))
     assert sentences(run)[0] == (
         "Height is measured above the ground that each step found, which lay between −0.030 and 0.020 m and changed by "
-        "up to 0.050 m from a step to the next."
+        "up to 0.040 m from a step to the next."
     )

@@ -83,7 +83,7 @@ def test_flat_ground_draws_nothing():
     [
         ("stair_height", -0.1, "not be negative"),
         ("slope", 0.6, "lie between 0 and 0.5"),
-        ("stair_length", 0.0, "be at least 0.001 m"),
+        ("stair_length", 0.0, "be at least 0.02 m"),
         ("patch_stiffness", 0.0, "be positive"),
         ("roughness", float("nan"), "be finite"),
     ],

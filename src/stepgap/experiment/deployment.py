@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from time import perf_counter
 from typing import Protocol, Self, final
 
@@ -205,10 +206,11 @@ def deploy(
             else:
                 plan = controller.plan(state, reference.targets[number - 1], reference.targets[number:])
             on_time("planning", perf_counter() - begin)
-            background.compute(controller.learner.pending)  # after the command, so that it causes no delay
-            targets = reference.targets[max(number - 1, 0) :] if number > 0 else plan.predicted[None]
-            record, plan = _taken(plant, controller, plan, targets, on_time)
-            logged = LoggedStep(iteration, number, targets[0], plan.predicted, plan.std, record)
+            fit = partial(background.compute, controller.learner.pending)  # after the command: it causes no delay
+            replan = partial(_replanned, reference, number, plan, on_time)
+            record, plan = _taken(plant, controller, plan, replan, fit)
+            target = reference.targets[number - 1] if number > 0 else plan.predicted
+            logged = LoggedStep(iteration, number, target, plan.predicted, plan.std, record)
             yield logged
             if record.status != StepStatus.OK:
                 return
@@ -218,12 +220,29 @@ def deploy(
             on_learner(controller.learner)
 
 
+def _replanned(
+    reference: Reference,
+    number: int,
+    plan: CautiousPlan,
+    on_time: Callable[[str, float], None],
+    controller: DeploymentController,
+    found: Touchdown,
+) -> CautiousPlan:
+    """Plan of a step at its touchdown; an exploratory one keeps its command."""
+    if number < 1:
+        return controller.predicted_plan(found.state, plan.command)
+    begin = perf_counter()
+    plan = controller.plan(found.state, reference.targets[number - 1], reference.targets[number:])
+    on_time("planning", perf_counter() - begin)
+    return plan
+
+
 def _taken(
     plant: Plant,
     controller: DeploymentController,
     plan: CautiousPlan,
-    targets: Array,
-    on_time: Callable[[str, float], None],
+    replan: Callable[[DeploymentController, Touchdown], CautiousPlan],
+    planned: Callable[[], None],
 ) -> tuple[StepRecord, CautiousPlan]:
     """A step as it was taken, and the plan of the command that acted, from the state that was found.
 
@@ -231,27 +250,27 @@ def _taken(
 
     Args:
         plant: Takes the step.
-        controller: Plans it.
+        controller: What is known before it.
         plan: Plan from the state as it is known before.
-        targets: Target of this step and those after it; shape (k, n).
-        on_time: As of `deploy`.
+        replan: Plans the step again.
+        planned: Called when the command is known, as long as the robot moves.
     """
     if not plant.space.is_above_context:
+        planned()
         return plant.take_step(plan.command), plan
     plans = [plan]
 
     def at_touchdown(found: Touchdown) -> Array:
-        nonlocal controller
-        begin = perf_counter()
-        controller = replace(controller, learner=controller.learner.found(found.context))
-        plans.append(controller.plan(found.state, targets[0], targets[1:]))
-        on_time("planning", perf_counter() - begin)
+        knowing = replace(controller, learner=controller.learner.found(found.context))
+        plans.append(replan(knowing, found))
+        planned()
         return plans[-1].command
 
     record = plant.take_replanned_step(plan.command, at_touchdown)
     if len(plans) > 1 and np.array_equal(plans[-1].command, record.command):
         return record, plans[-1]
-    return record, controller.predicted_plan(record.state, record.command)
+    knowing = replace(controller, learner=controller.learner.found(record.context))
+    return record, knowing.predicted_plan(record.state, record.command)
 
 
 def _explored(controller: DeploymentController, reference: Reference, state: Array) -> CautiousPlan:

@@ -67,8 +67,11 @@ def measure_noise_floor(
         threads: Number of targets that are measured at once.
 
     Returns:
-        NaN where no step could be repeated at two phases.
+        NaN where no step could be repeated at two phases, and where states are measured above a ground: at another
+        phase it would be another one.
     """
+    if step_map.space.is_above_context:
+        return NoiseFloor.unknown(len(reference.names))
     starts = np.unique([0, *reference.changes])
     chosen = starts[np.unique(np.linspace(0, len(starts) - 1, REPEATED_TARGETS).round().astype(int))]
     size, groups = len(reference.names), list[Array]()

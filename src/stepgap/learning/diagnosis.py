@@ -10,7 +10,7 @@ steps enough), whose residual is what neither can explain:
   form of Koenker 1981), although the learned models have one noise level.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -72,10 +72,12 @@ def diagnose(observed: Observations) -> Diagnosis:
     if basis is None or observed.history is None:
         unknown = np.full(n, np.nan)
         return Diagnosis(len(observed), dict.fromkeys(HISTORY, unknown), unknown)
+    known = HistoryInputs(context_inputs=observed.context_inputs)
+    basis = np.hstack([basis, known.of(observed.history, n)])
     plain = fit_linear(basis, observed.error)
     gains = {}
     for name in HISTORY:
-        inputs = HistoryInputs(name, context_inputs=observed.context_inputs).of(observed.history, n)
+        inputs = replace(known, lagged_inputs=name).of(observed.history, n)
         gains[name] = _gains(plain, fit_linear(np.hstack([basis, inputs]), observed.error))
     heteroscedasticity = np.array([_heteroscedasticity(_scaled(observed), residual) for residual in plain.residual.T])
     return Diagnosis(len(observed), gains, heteroscedasticity)
@@ -96,7 +98,8 @@ def _scaled(observed: Observations) -> Array:
 def _basis(observed: Observations) -> Array | None:
     """Columns of the regression in state and command: quadratic or linear; None if the steps are too few for these."""
     points = _scaled(observed)
-    most = points.shape[1] * 2 + len(observed.space.state)  # with the columns of the history
+    history = points.shape[1] + len(observed.space.state) + observed.context_inputs
+    most = points.shape[1] + history
     for degree in (2, 1):
         basis = monomials(points, degree)
         if len(observed) >= FEWEST_STEPS_PER_WEIGHT * (basis.shape[1] + most):

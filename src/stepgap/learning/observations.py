@@ -147,8 +147,11 @@ def context_inputs_of(context: Mapping[str, float], space: StepSpace) -> Array:
 
 def _context_inputs(space: StepSpace, log: Steps) -> Array:
     """Context inputs of all steps of a log; shape (N, q)."""
-    columns = [log.space.context_names.index(each.name) for each in space.context_inputs]
-    return np.nan_to_num(log.context[:, columns] / [each.input_scale for each in space.context_inputs])
+    found, names = np.zeros((len(log), len(space.context_inputs))), log.space.context_names
+    for column, each in enumerate(space.context_inputs):
+        if each.name in names:
+            found[:, column] = np.nan_to_num(log.context[:, names.index(each.name)] / each.input_scale)
+    return found
 
 
 def error_of(record: StepRecord, nominal: StepMap) -> Array:

@@ -27,6 +27,49 @@ AtTouchdown = Callable[[Touchdown], Array]
 """Chooses the command of a step anew at its touchdown; shape (m,)."""
 
 
+class StepCommands:
+    """The commands that were given for a step, the first one and that of its touchdown, checked alike by all plants.
+
+    Args:
+        space: Names and bounds.
+        first: Command before the step; shape (m,).
+    """
+
+    def __init__(self, space: StepSpace, first: Array):
+        self._space, self._given = space, [np.asarray(first, float)]
+
+    @property
+    def first(self) -> Array:
+        """The command before the step; shape (m,)."""
+        return self._given[0]
+
+    @property
+    def within(self) -> Array:
+        """The latest command within its bounds; shape (m,)."""
+        return self._limited(self._given[-1])
+
+    def replace(self, choose: AtTouchdown, found: Touchdown) -> Array:
+        """Asks for another command, once per step; the present one stays if that is not m finite numbers.
+
+        Returns:
+            The command within its bounds; shape (m,).
+        """
+        if len(self._given) == 1:
+            command = np.asarray(choose(found), float)
+            if command.shape == self._given[0].shape and np.isfinite(command).all():
+                self._given.append(command)
+        return self.within
+
+    def acted(self, requested: Array) -> Array:
+        """The given command that is nearest to the one that acted within its bounds; shape (m,)."""
+        distances = [float(np.abs(self._limited(each) - requested).sum()) for each in reversed(self._given)]
+        nearest = int(np.argmin(np.nan_to_num(distances, nan=np.inf)))
+        return self._given[len(self._given) - 1 - nearest]
+
+    def _limited(self, command: Array) -> Array:
+        return np.clip(command, self._space.command_lower, self._space.command_upper)
+
+
 class Plant(ABC):
     """Executes steps, one deployment at a time.
 

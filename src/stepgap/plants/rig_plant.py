@@ -6,7 +6,7 @@ import numpy as np
 
 from stepgap.base.ranges import require
 from stepgap.plants.compiled_rig import CompiledRig, TickRun
-from stepgap.plants.plant import AtTouchdown, Plant, Touchdown
+from stepgap.plants.plant import AtTouchdown, Plant, StepCommands, Touchdown
 from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl, TickFlag
 from stepgap.plants.ticks.stream import OnTicks
 from stepgap.rigs.rig import Rig, RigFault, Torques
@@ -82,7 +82,7 @@ class RigPlant(Plant):
         self._begin()
         released, nothing = self._rig.released, np.zeros(len(self._space.command))
         self._measured = np.array(released) if released else np.full(len(self._space.state), np.nan)
-        first = self._taken(nothing, nothing, None)
+        first = self._taken(StepCommands(self._space, nothing), nothing, None)
         if self._status != StepStatus.OK:
             detail = f" ({self._fault})" if self._fault else ""
             raise RigFault(
@@ -101,34 +101,33 @@ class RigPlant(Plant):
         return self._next(command, at_touchdown)
 
     def _next(self, command: Array, at_touchdown: AtTouchdown | None) -> StepRecord:
-        command = np.asarray(command, float)
-        within = np.clip(command, self._space.command_lower, self._space.command_upper)
         self._number += 1
-        if np.isnan(within).any():
+        commands = StepCommands(self._space, command)
+        if np.isnan(commands.within).any():
             self._status = StepStatus.INVALID
-        return self._taken(command, within, at_touchdown)
+        return self._taken(commands, commands.within, at_touchdown)
 
     def stop(self) -> None:
         """Switches torque off."""
         self._rig.close()
 
-    def _taken(self, command: Array, within: Array, at_touchdown: AtTouchdown | None) -> StepRecord:
+    def _taken(self, commands: StepCommands, within: Array, at_touchdown: AtTouchdown | None) -> StepRecord:
         """Takes a step with a command, which is limited to `within`, from the present state to the next."""
         space, before, true_state = self._space, self._measured, np.full(len(self._measured), np.nan)
-        given = [(command, within)]
 
         def chosen() -> tuple[float, ...]:
             context = self._control.touchdown()
             if at_touchdown and context:
                 found = Touchdown(space.above(before, context), space.named_context(context))
-                command = np.asarray(at_touchdown(found), float)
-                given.append((command, np.clip(command, space.command_lower, space.command_upper)))
-            return tuple(given[-1][1].tolist())
+                return tuple(commands.replace(at_touchdown, found).tolist())
+            return tuple(within.tolist())
 
         self._measured, acted, lost, context = self._step(tuple(within.tolist()), chosen)
         if self._status == StepStatus.OK and self._rig.truth:
             true_state[:] = self._rig.truth
-        command, within = next((pair for pair in given if np.array_equal(pair[1], acted)), given[-1])
+        command = commands.acted(acted)
+        if command is not commands.first:
+            within = commands.within
         state, next_state, true_state = (space.above(each, context) for each in (before, self._measured, true_state))
         named = space.named_context(context)
         return StepRecord(state, command, within - lost, next_state, self._status, named, within, true_state)

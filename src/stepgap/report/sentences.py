@@ -144,8 +144,9 @@ def _grounds(run: Run) -> list[str]:
     """Sentences on what states are measured above."""
     found = []
     for name in dict.fromkeys(each.above for each in run.space.state if each.above):
-        context, names = run.steps.context[:, run.steps.space.context_names.index(name)], run.steps.space.context
-        known = context[np.isfinite(context)]
+        names = run.steps.space.context
+        context = run.steps.context[:, run.steps.space.context_names.index(name)]
+        known, changes = context[np.isfinite(context)], np.abs(np.diff(context, prepend=np.nan))[run.steps.follows]
         if not len(known):
             continue
         above = listed([each.name for each in run.space.state if each.above == name])
@@ -153,7 +154,7 @@ def _grounds(run: Run) -> list[str]:
         found.append(
             f"{capitalised(above)} is measured above the {name} that each step found, which lay between "
             f"{decimal(known.min(), 2)} and {decimal(known.max(), 2)}{unit} and changed by up to "
-            f"{decimal(np.abs(np.diff(known)).max(initial=0.0), 2)}{unit} from a step to the next."
+            f"{decimal(np.nanmax(np.append(changes, 0.0)), 2)}{unit} from a step to the next."
         )
     return found
 

@@ -20,8 +20,11 @@ LARGEST_SLOPE = 0.5
 FINEST = 0.01
 """Length of the straight pieces of a random field [m], or a tenth of its wave length where that is shorter."""
 
-SHORTEST = 1e-3
+SHORTEST = 0.02
 """Shortest length of a tread, a ramp, a wave or a patch [m]."""
+
+LONGEST_STRIDE = 0.3
+"""Distance of two footholds that limits expect [m]."""
 
 
 class Treads(NamedTuple):
@@ -89,14 +92,8 @@ class UnevenGround:
     @property
     def is_flat(self) -> bool:
         """Whether the ground is the same everywhere."""
-        return self == type(self)(
-            stair_length=self.stair_length,
-            ramp_length=self.ramp_length,
-            wave_length=self.wave_length,
-            patch_length=self.patch_length,
-            measured_heights=self.measured_heights,
-            inputs=self.inputs,
-        )
+        patches = self.patch_stiffness != 1 or self.patch_friction != 1
+        return not (self.stair_height or self.slope or self.roughness or patches)
 
     @property
     def is_measured(self) -> bool:
@@ -105,8 +102,8 @@ class UnevenGround:
 
     @property
     def largest_change(self) -> float:
-        """Largest change of height from a foothold to the next [m], for limits: on ramps, of a stride of 0.3 m."""
-        return self.stair_height + 0.3 * self.slope + 6 * self.roughness
+        """Change of height from a foothold to the next [m] that limits should allow; three deviations at rough ones."""
+        return self.stair_height + LONGEST_STRIDE * self.slope + 6 * self.roughness
 
     def treads(self, length: float, rng: np.random.Generator) -> Treads:
         """The pieces of a ground that repeats after a length [m].

@@ -4,7 +4,7 @@ import json
 import sys
 
 height, floors = 0.5, iter([0.1, -0.05, 0.0])
-late = "late" in sys.argv
+late, breaks = "late" in sys.argv, "breaks" in sys.argv
 
 
 def answer(content: object) -> None:
@@ -16,11 +16,13 @@ for line in sys.stdin:
     if "stepgap" in message:
         answer({"ready": {"state": {"height": "m"}, "command": {"paddle": "m/s"}}})
     elif "start" in message:
-        answer({"state": {"height": height}})
+        answer({"state": {"height": height}, "floor": 0.0})
     elif "step" in message:
         number, floor, first = message["step"], next(floors), message["command"]
         answer({"step": number, "touchdown": {"floor": floor}})
         command = json.loads(sys.stdin.readline())["command"]
+        if breaks:
+            answer({"error": "it is hot"})
         if late:
             command = first
         height = 0.6 * (height - floor) + 0.2 * command["paddle"] + floor

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from stepgap.plants.plant import Touchdown
 from stepgap.plants.process.line_channel import LONGEST_LINE, Child, Connection
-from stepgap.plants.process.messages import ProcessFault, check_ready, read_answer, read_start
+from stepgap.plants.process.messages import ProcessFault, check_ready, read_answer, read_start, read_touchdown
 from stepgap.plants.process.process_plant import ProcessPlant, Timeouts
 from stepgap.step import ContextQuantity, Quantity, StepSpace, StepStatus
 from tests.control.maps import YAW
@@ -266,10 +266,41 @@ def test_a_touchdown_is_answered_by_the_command_that_acts(late: bool) -> None:
     assert (alone.requested, alone.context) == ([0.5], {"floor": 0.0})
 
 
-def test_a_command_of_a_touchdown_that_is_no_number_stops_the_step() -> None:
+def test_a_command_of_a_touchdown_that_is_no_number_leaves_the_first_one() -> None:
     program = [sys.executable, str(Path(__file__).with_name("floor.py"))]
     with ProcessPlant(partial(Child, program), FLOOR, PATIENT) as plant:
         plant.start()
         record = plant.take_replanned_step(REQUESTED, lambda found: np.array([np.nan]))
+        assert (record.status, record.requested) == (StepStatus.OK, REQUESTED)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (
+            '{"step": 1, "next": {"height": 0.5}, "status": "ok"}',
+            'must contain "floor", above which a state is',
+        ),
+        ('{"step": 1, "touchdown": {"flor": 0.1}}', 'must contain "floor", above which a state is'),
+        (
+            '{"step": 1, "next": {"height": 0.5}, "status": "ok", "floor": 0.1, "requested": {"paddle": 2}}',
+            "requested.paddle must lie within its bounds",
+        ),
+    ],
+)
+def test_an_answer_without_what_states_are_measured_above_is_refused(line: str, message: str) -> None:
+    def read() -> object:
+        found = read_touchdown(line, 1, FLOOR)
+        return read_answer(line, 1, REQUESTED, FLOOR) if found is None else found
+
+    with pytest.raises(ProcessFault, match=message):
+        read()
+
+
+def test_a_failed_step_has_its_state_above_the_floor_that_it_found() -> None:
+    program = [sys.executable, str(Path(__file__).with_name("floor.py")), "breaks"]
+    with ProcessPlant(partial(Child, program), FLOOR, PATIENT) as plant:
+        plant.start()
+        record = plant.take_replanned_step(REQUESTED, lambda found: REQUESTED)
         assert record.status == StepStatus.STOPPED
-        assert "the command at touchdown must be finite, not [nan]" in plant.fault
+        assert record.state == pytest.approx([0.4])

@@ -1,8 +1,9 @@
 """Messages between the real-time process and the learning process, in shared memory; neither waits for the other.
 
-Every field is 8 bytes at a multiple of 8, which processors write atomically. A command or a finished step has a number
-that is written last and read twice, so that an incomplete one is never used. This requires that stores become visible
-in their order, as on x86-64; on ARM it holds in practice, since the interpreter executes much code between two stores.
+Every field is 8 bytes at a multiple of 8, which processors write atomically. A finished step has a number that is
+written last and read twice. A command and a touchdown, of which a step may have several, have a version that is odd
+while they are written. So an incomplete one is never used. This requires that stores become visible in their order, as
+on x86-64; on ARM it holds in practice, since the interpreter executes much code between two stores.
 """
 
 from collections.abc import Sequence
@@ -40,6 +41,8 @@ class Field(IntEnum):
     MESSAGE_LENGTH = 12
     CONTEXT = 13
     TOUCHDOWN_NUMBER = 14
+    COMMAND_VERSION = 15
+    TOUCHDOWN_VERSION = 16
 
 
 class Request(IntEnum):
@@ -137,17 +140,19 @@ class Board:
 
     def post_command(self, number: int, command: Sequence[float]) -> None:
         """Posts the command of a step, m numbers; it replaces the one that was posted before."""
-        self._words[Field.COMMAND_NUMBER] = -1
+        self._words[Field.COMMAND_VERSION] += 1
         self._write(self._command, command)
         self._words[Field.COMMAND_NUMBER] = number
+        self._words[Field.COMMAND_VERSION] += 1
 
     def command(self, number: int) -> tuple[float, ...] | None:
         """The command of a step, m numbers; None if it has not been posted."""
         words = self._words
-        if words[Field.COMMAND_NUMBER] != number:
+        version = words[Field.COMMAND_VERSION]
+        if version % 2 or words[Field.COMMAND_NUMBER] != number:
             return None
         command = tuple(self._numbers[self._command].tolist())
-        return command if words[Field.COMMAND_NUMBER] == number else None
+        return command if words[Field.COMMAND_VERSION] == version else None
 
     @property
     def state(self) -> RigState:
@@ -160,17 +165,19 @@ class Board:
 
     def post_touchdown(self, number: int, context: Sequence[float]) -> None:
         """Posts what the touchdown of a step has found, in the order of the robot's context."""
-        self._words[Field.TOUCHDOWN_NUMBER] = -1
+        self._words[Field.TOUCHDOWN_VERSION] += 1
         self._write(self._found, context)
         self._words[Field.TOUCHDOWN_NUMBER] = number
+        self._words[Field.TOUCHDOWN_VERSION] += 1
 
     def touchdown(self, number: int) -> tuple[float, ...] | None:
         """What the touchdown of a step has found; None before it and after that of the next one."""
         words = self._words
-        if words[Field.TOUCHDOWN_NUMBER] != number:
+        version = words[Field.TOUCHDOWN_VERSION]
+        if version % 2 or words[Field.TOUCHDOWN_NUMBER] != number:
             return None
         context = tuple(self._numbers[self._found].tolist())
-        return context if words[Field.TOUCHDOWN_NUMBER] == number else None
+        return context if words[Field.TOUCHDOWN_VERSION] == version else None
 
     def post_step(self, number: int, end: StepEnd) -> None:
         """Posts how a step ended; the number of the one that begins when the robot is released is 0."""

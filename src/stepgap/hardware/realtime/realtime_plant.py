@@ -11,7 +11,7 @@ from stepgap.hardware.realtime.board import Request, StepEnd
 from stepgap.hardware.realtime.consent import Consent
 from stepgap.hardware.realtime.process import RealtimeSetup
 from stepgap.hardware.realtime.session import Session
-from stepgap.plants.plant import AtTouchdown, Plant, Touchdown
+from stepgap.plants.plant import AtTouchdown, Plant, StepCommands, Touchdown
 from stepgap.plants.tick_control import FinishedStep
 from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
 from stepgap.rigs.rig import RigFault
@@ -41,6 +41,7 @@ class RealtimePlant(Plant):
         self._consented = ExitStack()
         self._space, self._session = setup.robot_control.space, None
         self._measured, self._step, self._fault = np.full(len(self._space.state), np.nan), 0, ""
+        self._context: tuple[float, ...] = ()
 
     @property
     def space(self) -> StepSpace:
@@ -77,7 +78,7 @@ class RealtimePlant(Plant):
         if status != StepStatus.OK:
             detail = f" ({self._fault})" if self._fault else ""
             raise RigFault(f"the first step failed: {status.label}{detail}: {self.space.advice_on(status)}")
-        return self._space.above(first.state, first.context)
+        return self._space.above(first.state, self._context)
 
     def take_step(self, command: Array) -> StepRecord:
         """Takes a step, as `take_replanned_step` does, with the command alone."""
@@ -100,30 +101,27 @@ class RealtimePlant(Plant):
         session, before, space = self._session, self._measured, self._space
         if session is None:
             raise RigFault("the rig is not started")
-        given = [np.asarray(command, float)]
-        within = self._within(given[0])
-        if np.isnan(within).any():
+        commands = StepCommands(space, command)
+        if np.isnan(commands.within).any():
             self.stop()
-            return StepRecord(before, given[0], within, np.full(len(before), np.nan), StepStatus.INVALID)
+            state, nowhere = space.above(before, self._context), np.full(len(before), np.nan)
+            return StepRecord(state, commands.first, commands.within, nowhere, StepStatus.INVALID)
         self._step += 1
-        session.board.post_command(self._step, within.tolist())
+        session.board.post_command(self._step, commands.within.tolist())
+        asked = False
 
         def look() -> None:
-            found = session.board.touchdown(self._step) if len(given) == 1 and at_touchdown else None
+            nonlocal asked
+            found = None if asked or at_touchdown is None else session.board.touchdown(self._step)
             if at_touchdown and found is not None:
+                asked, self._context = True, found
                 touchdown = Touchdown(space.above(before, found), space.named_context(found))
-                given.append(np.asarray(at_touchdown(touchdown), float))
-                session.board.post_command(self._step, self._within(given[1]).tolist())
+                session.board.post_command(self._step, commands.replace(at_touchdown, touchdown).tolist())
 
         step, status = self._await_step(session, look)
-        command = next((each for each in given if np.array_equal(self._within(each), step.command)), given[-1])
-        state, next_state = space.above(before, step.context), space.above(step.state, step.context)
-        context = space.named_context(step.context)
+        state, next_state = space.above(before, self._context), space.above(step.state, self._context)
+        context, command = space.named_context(step.context), commands.acted(step.command)
         return StepRecord(state, command, step.applied, next_state, status, context, step.requested)
-
-    def _within(self, command: Array) -> Array:
-        """The command within its bounds; shape (m,)."""
-        return np.clip(command, self._space.command_lower, self._space.command_upper)
 
     def stop(self) -> None:
         """Lands the robot and switches torque off."""
@@ -148,4 +146,6 @@ class RealtimePlant(Plant):
         if end.status != StepStatus.OK:
             self._fault = session.message()
         self._measured = end.result.state
+        if np.isfinite(end.result.context).any():  # else that of the touchdown or of the step before holds
+            self._context = end.result.context
         return end

@@ -2,7 +2,7 @@
 
 StepGap sends                                             the program answers
 `{"stepgap": 1, "state": [QUANTITY…], "command": […]}`    `{"ready": {"state": {NAME: UNIT…}, "command": {…}}}`
-`{"start": true}`                                         `{"state": {NAME: NUMBER…}}`
+`{"start": true}`                                         `{"state": {NAME: NUMBER…}, …}`, and its context, as below
 `{"step": NUMBER, "command": {NAME: NUMBER…}}`            `{"step": NUMBER, "next": {…}, "status": "ok", …}`
 `{"stop": true}`                                          nothing; it brings the robot to rest and ends
 
@@ -89,13 +89,14 @@ def check_ready(line: str, space: StepSpace) -> None:
             )
 
 
-def read_start(line: str, space: StepSpace) -> Array:
-    """The state in the answer to `START`; shape (n,).
+def read_start(line: str, space: StepSpace) -> tuple[Array, dict[str, float]]:
+    """The state in the answer to `START`, shape (n,), and what it has of the context.
 
     Raises:
         ProcessFault: The answer is invalid.
     """
-    return _numbers(_parsed(line), "state", space.state_names, line)
+    content = _parsed(line)
+    return _numbers(content, "state", space.state_names, line), _context(content, space, line)
 
 
 def read_answer(line: str, number: int, requested: Array, space: StepSpace) -> Answer:
@@ -122,8 +123,13 @@ def read_answer(line: str, number: int, requested: Array, space: StepSpace) -> A
     if status == StepStatus.OK:
         next_state = _numbers(answer, "next", space.state_names, line)
     acted = _numbers(answer, "requested", space.command_names, line) if "requested" in answer else requested
+    within = (space.command_lower <= acted) & (acted <= space.command_upper)
+    if not within.all():
+        name = space.command_names[int(np.argmin(within))]
+        raise ProcessFault(f"{_quoted(line)}: requested.{name} must lie within its bounds")
     applied = _numbers(answer, "applied", space.command_names, line) if "applied" in answer else acted
-    return Answer(next_state, applied, status, context=_context(answer, space, line), requested=acted)
+    context = _context(answer, space, line, needed=status == StepStatus.OK)
+    return Answer(next_state, applied, status, context=context, requested=acted)
 
 
 def read_touchdown(line: str, number: int, space: StepSpace) -> dict[str, float] | None:
@@ -138,8 +144,11 @@ def read_touchdown(line: str, number: int, space: StepSpace) -> dict[str, float]
     return _context(_table(content, "touchdown", line), space, line)
 
 
-def _context(content: Mapping[str, Any], space: StepSpace, line: str) -> dict[str, float]:
-    """The numbers of the robot's context in a table."""
+def _context(content: Mapping[str, Any], space: StepSpace, line: str, *, needed: bool = True) -> dict[str, float]:
+    """The numbers of the robot's context in a table; if needed, all above which a state is measured."""
+    for name in (each.above for each in space.state if each.above and needed):
+        if name not in content:
+            raise ProcessFault(f'{_quoted(line)}: must contain "{name}", above which a state is measured')
     context = {name: value for name in space.context_names if (value := content.get(name)) is not None}
     for name, value in context.items():
         if not is_measurement(value):

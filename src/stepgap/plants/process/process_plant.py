@@ -7,8 +7,8 @@ from typing import final
 
 import numpy as np
 
-from stepgap.base.ranges import format_value, require
-from stepgap.plants.plant import AtTouchdown, Plant, Touchdown
+from stepgap.base.ranges import require
+from stepgap.plants.plant import AtTouchdown, Plant, StepCommands, Touchdown
 from stepgap.plants.process.line_channel import LineChannel
 from stepgap.plants.process.messages import (
     START,
@@ -71,6 +71,7 @@ class ProcessPlant(Plant):
         self._connect, self._space, self._timeouts = connect, space, timeouts
         self._channel: LineChannel | None = None
         self._measured = np.full(len(space.state), np.nan)  # from fixed zeros
+        self._context: Mapping[str, float] = {}
         self._step, self._fault = 0, ""
 
     @property
@@ -93,9 +94,9 @@ class ProcessPlant(Plant):
         channel.send(hello(self._space))
         check_ready(channel.receive(self._timeouts.ready), self._space)
         channel.send(START)
-        self._measured = read_start(channel.receive(self._timeouts.start), self._space)
+        self._measured, self._context = read_start(channel.receive(self._timeouts.start), self._space)
         self._step = 0
-        return self._measured
+        return self._above(self._measured)
 
     def take_step(self, command: Array) -> StepRecord:
         """Sends the command, within its bounds, and waits for the next state."""
@@ -104,25 +105,26 @@ class ProcessPlant(Plant):
     def take_replanned_step(self, command: Array, at_touchdown: AtTouchdown) -> StepRecord:
         """Sends the command, and another one when the program reports a touchdown; waits for the next state."""
         before, self._step = self._measured, self._step + 1
-        given = [np.asarray(command, float)]
-        within = self._within(given[0])
-        nowhere = np.full(len(before), np.nan)
+        commands, nowhere = StepCommands(self._space, command), np.full(len(before), np.nan)
+        within = commands.within
         if not np.isfinite(within).all():
-            return StepRecord(before, given[0], np.zeros_like(within), nowhere, StepStatus.INVALID)
+            state = self._above(before)
+            return StepRecord(state, commands.first, np.zeros_like(within), nowhere, StepStatus.INVALID)
 
         def chosen(found: dict[str, float]) -> Array:
-            given.append(np.asarray(at_touchdown(Touchdown(self._above(before, found), found)), float))
-            return self._within(given[-1])
+            self._context = found
+            return commands.replace(at_touchdown, Touchdown(self._above(before), found))
 
         try:
             answer = self._exchange(within, chosen)
         except ProcessFault as fault:
             self._fault = str(fault)
             self.stop()
-            return StepRecord(before, given[0], within, nowhere, StepStatus.STOPPED, requested=within)
-        self._measured = answer.next_state
-        command = next((each for each in given if np.array_equal(self._within(each), answer.requested)), given[-1])
-        state, next_state = self._above(before, answer.context), self._above(answer.next_state, answer.context)
+            state, within = self._above(before), commands.within
+            return StepRecord(state, commands.acted(within), within, nowhere, StepStatus.STOPPED, requested=within)
+        self._measured, self._context = answer.next_state, answer.context or self._context
+        state, next_state = self._above(before), self._above(answer.next_state)
+        command = commands.acted(answer.requested)
         return StepRecord(state, command, answer.applied, next_state, answer.status, answer.context, answer.requested)
 
     def stop(self) -> None:
@@ -145,16 +147,10 @@ class ProcessPlant(Plant):
         line = self._channel.receive(self._timeouts.step)
         if (found := read_touchdown(line, self._step, self._space)) is not None:
             command = chosen(found)
-            if not np.isfinite(command).all():
-                raise ProcessFault(f"the command at touchdown must be finite, not {format_value(command.tolist())}")
             self._channel.send(step(self._step, command, self._space))
             line = self._channel.receive(self._timeouts.step)
         return read_answer(line, self._step, command, self._space)
 
-    def _within(self, command: Array) -> Array:
-        """The command within its bounds; shape (m,)."""
-        return np.clip(command, self._space.command_lower, self._space.command_upper)
-
-    def _above(self, state: Array, context: Mapping[str, float]) -> Array:
-        """A state with the coordinates that are measured above a context; shape (n,)."""
-        return self._space.above(state, [context.get(name, np.nan) for name in self._space.context_names])
+    def _above(self, state: Array) -> Array:
+        """A state with the coordinates that are measured above the last known context; shape (n,)."""
+        return self._space.above(state, [self._context.get(name, np.nan) for name in self._space.context_names])

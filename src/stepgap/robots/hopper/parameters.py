@@ -172,7 +172,7 @@ class CommandBounds:
         Args:
             ground: If it is measured, the height is that above the ground which the foot finds at touchdown, not that
                 above the zero of the boom, and the context has its height and slope, where the foot stood, and how it
-                yielded in the stance before.
+                yielded; at touchdown, how it yielded in the stance before.
         """
         above, slope, yielding = "ground" if ground.is_measured else "", 0.1 * ground.inputs, 1e-4 * ground.inputs
         found = (

@@ -1,15 +1,24 @@
 """The twin on uneven ground: treads carry the foot, risers stop it, ramps tilt its contact, patches yield more."""
 
+from contextlib import closing
 from dataclasses import replace
-from math import pi
+from math import inf, pi
 
 import numpy as np
 import pytest
 
+from stepgap.control.reference import Reference
+from stepgap.experiment.deployment import deploy
+from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
+from stepgap.hardware.hopper.ring_rig import emulated_settings
+from stepgap.learning.learner import Learner
+from stepgap.learning.settings import LearningSettings
+from stepgap.learning.steps import Steps
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.ground import UnevenGround
 from stepgap.robots.hopper.model.dynamics import masses_of
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.tick.hop_control import HopperControl
 from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
@@ -142,3 +151,32 @@ def test_another_robot_keeps_its_ground():
     assert states
     assert after.ground_height == before.ground_height
     np.testing.assert_array_equal(after.foot, before.foot)
+
+
+def test_treads_may_be_as_long_as_half_the_circle():
+    for seed in range(3):
+        ground = UnevenGround(stair_height=0.04, stair_length=5.0)
+        profile = profile_of(ground, seed=seed)
+        for yaw in np.linspace(0, 2 * pi, 7):
+            twin = twin_on(ground, float(yaw), seed=seed)
+            for state in hopping(twin, 2):
+                assert state.ground_height == pytest.approx(profile.height(yaw_of(twin, state, yaw)), abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    "ground", [UnevenGround(stair_height=0.08), UnevenGround(slope=0.1), UnevenGround(patch_friction=0.6)]
+)
+def test_the_checks_of_a_rig_do_not_stop_a_healthy_robot(ground):
+    """With the limits of the emulated ring, whose sensors are judged."""
+    twin = twin_on(ground, yaw=1.0)
+    limits = replace(
+        emulated_settings(twin.sensor_model, ROBOT, RingSettings(), ground=ground).limits, torque=ROBOT.torque_limit
+    )
+    control = HopperControl(ROBOT, Gains(), CommandBounds(), replace(limits, torque_step=inf), ground)
+    nominal = Hopper(ground=ground).apex_map()
+    plant = RigPlant(twin, control)
+    reference = Reference(("speed", "height"), np.tile([0.25, 0.58], (40, 1))).of(nominal.space)
+    learner = Learner.start(nominal, Steps(nominal.space), LearningSettings(residual="none"), 0)
+    with closing(deploy(learner, plant, reference, 0)) as steps:
+        found = [each.record.status for each in steps]
+    assert (found, plant.fault) == ([StepStatus.OK] * len(found), "")

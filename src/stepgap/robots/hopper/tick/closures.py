@@ -133,11 +133,11 @@ class Closures(NamedTuple):
 
 
 @as_written
-def judge_closures(limits, state, flight, sampled, force, phase, foot_height, body):
+def judge_closures(settings, state, flight, sampled, force, phase, foot_height, body):
     """Returns `Closures` after this tick, and the reasons to doubt yaw or pitch, as the number of a `Limited`.
 
     Args:
-        limits: `SafetyLimits`.
+        settings: `TickSettings`.
         state: `HopState` after the tick before.
         flight: `FlightState` of this tick.
         sampled: Time of the reading [s].
@@ -151,13 +151,13 @@ def judge_closures(limits, state, flight, sampled, force, phase, foot_height, bo
     apex, fall, change = before.apex, before.fall, before.change
     if force > 0.0:
         if contact.readings == 0:
-            height, doubts = _landed(limits, height, foot_height)
+            height, doubts = _landed(settings.limits, height, foot_height)
             fall, change, unlike = _flown(before, flight.fit)
             apex, doubts = np.nan, doubts | unlike
         if sampled > state.sampled:
             contact = _with_reading(contact, sampled, force, body.x, body.foot_x)
     elif contact.readings > 0:
-        if contact.latest > LEAST_STANCE:
+        if contact.latest > LEAST_STANCE and not settings.uneven:  # on a slope, the foot of a healthy robot slips
             evidence, doubts = _stood(evidence, contact)
         contact = _no_contact()
     if phase == Phase.DESCENT and state.phase == Phase.ASCENT:

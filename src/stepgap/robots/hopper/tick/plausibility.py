@@ -124,11 +124,13 @@ def judge_sensors(settings, state, sampled, phase, motion, body, flight, inputs)
         settings, state, sampled, contact, phase, body, inputs
     )
     yaw_there, foot_there, slid = _judge_stance(settings, state, contact, phase, body)
-    known = state.landing.ground if settings.uneven else 0.0  # of the stance before, if this is a touchdown
-    height = motion.hip_height + body.foot_y - known
-    low, misplaced = _judge_foot(settings.limits, state, sampled, contact, phase, height)
+    height, low, misplaced = motion.hip_height + body.foot_y, 0.0, 0
+    if settings.uneven:  # above the ground of the stance before; until the first take-off none is known
+        height = height - state.landing.ground if state.flight.start > 0.0 else 0.0
+    if not settings.uneven or state.flight.start > 0.0:
+        low, misplaced = _judge_foot(settings, state, sampled, contact, phase, height)
     force = inputs.contact_force if contact and _is_stance(phase) else 0.0
-    closures, unclosed = judge_closures(settings.limits, state, flight, sampled, force, phase, height, body)
+    closures, unclosed = judge_closures(settings, state, flight, sampled, force, phase, height, body)
     if inputs.mode == Mode.STEP:
         doubts |= slid | misplaced
         if settings.limits.frozen_time < np.inf:
@@ -220,12 +222,15 @@ def _judge_stance(settings, state, contact, phase, body):
 
 
 @as_written
-def _judge_foot(limits, state, sampled, contact, phase, height):
+def _judge_foot(settings, state, sampled, contact, phase, height):
     """Time for which a foot at the ground has had no contact force [s]; reasons why leg, height and force contradict.
 
-    Takes the height of the foot [m], which follows from the leg and the pitch of the boom.
+    Takes the height of the foot [m], which follows from the leg and the pitch of the boom. On uneven ground a foot may
+    be low because the ground is.
     """
-    without = not contact and _in_flight(state, phase) and height < FOOT_SHARE * limits.ground_height
+    limits = settings.limits
+    low = height < FOOT_SHARE * limits.ground_height and not settings.uneven
+    without = not contact and _in_flight(state, phase) and low
     low, doubts = state.sensors.low + (sampled - state.sampled) if without else 0.0, 0
     if low > NO_CONTACT * limits.frozen_time and not _rises(state, phase):
         doubts |= _GROUND_WITHOUT_CONTACT

@@ -8,9 +8,8 @@ from stepgap.base.compiled import as_written
 from stepgap.robots.hopper.twin.treads import (
     TREAD_HEIGHT,
     TREAD_SLOPE,
-    TREAD_START,
     UnevenViews,
-    beyond,
+    along_tread,
     move_riser,
     put_on_tread,
     tilt_ground,
@@ -173,10 +172,9 @@ def ground_under(devices, views):
     yaw = _foot_yaw(rig, views.foot) + rig.floor_yaw
     height = _wave_height(views.waves, yaw)
     if len(uneven.treads) > 0:
-        tread = uneven.treads[int(uneven.under[0])]
-        height += tread[TREAD_HEIGHT] + tread[TREAD_SLOPE] * beyond(
-            uneven.length, rig.boom_length * yaw, tread[TREAD_START]
-        )
+        tread = int(uneven.under[0])
+        along = along_tread(uneven, tread, rig.boom_length * yaw)
+        height += uneven.treads[tread, TREAD_HEIGHT] + uneven.treads[tread, TREAD_SLOPE] * along
     return height
 
 

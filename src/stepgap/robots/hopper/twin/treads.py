@@ -50,10 +50,11 @@ class UnevenViews(NamedTuple):
 
 
 @as_written
-def beyond(length, place, start):
-    """Distance from `start` to a place on ground that repeats after a length [m], the shorter way."""
-    distance = (place - start) % length
-    return distance - length if distance > 0.5 * length else distance
+def along_tread(uneven, tread, place):
+    """Distance from the start of a tread to a place [m]; negative, or more than its length, for the nearer end."""
+    distance = (place - uneven.treads[tread, TREAD_START]) % uneven.length
+    rest = uneven.length - _long(uneven, tread)
+    return distance - uneven.length if distance > uneven.length - 0.5 * rest else distance
 
 
 @as_written
@@ -84,7 +85,7 @@ def tread_under(uneven, tread, place, height):
     """
     count = len(uneven.treads)
     for _ in range(count):
-        along, long = beyond(uneven.length, place, uneven.treads[tread, TREAD_START]), _long(uneven, tread)
+        along, long = along_tread(uneven, tread, place), _long(uneven, tread)
         if count == 1 or 0.0 <= along < long:
             return tread
         if along >= long:
@@ -132,7 +133,7 @@ def move_riser(rig, uneven, foot, yaw, place, height):
     """
     tread, count = int(uneven.under[0]), len(uneven.treads)
     riser, turn = uneven.riser, uneven.riser_turn
-    along, long = beyond(uneven.length, place, uneven.treads[tread, TREAD_START]), _long(uneven, tread)
+    along, long = along_tread(uneven, tread, place), _long(uneven, tread)
     following, before = (tread + 1) % count, (tread - 1) % count
     ahead = long - along
     front, rear = uneven.treads[following, TREAD_HEIGHT], _end_height(uneven, before)

@@ -150,9 +150,8 @@ class Twin(CompiledRig):
         model, data, treads, robot, gap = self._model, self._data, self._ground.treads, self._robot, self._gap
         table = np.zeros((0, 8))
         if treads is not None:
-            shares = zip(treads.stiffness.tolist(), treads.friction.tolist(), strict=True)
+            shares = list(zip(treads.stiffness.tolist(), treads.friction.tolist(), strict=True))
             contacts = {share: contact_of(model, robot, gap, *share) for share in set(shares)}
-            shares = zip(treads.stiffness.tolist(), treads.friction.tolist(), strict=True)
             places = np.column_stack([treads.start, treads.height, treads.slope])
             table = np.hstack([places, [contacts[share] for share in shares]])
         pair, risers = model.pair("foot_ground").id, self._ground.has_risers
