@@ -23,7 +23,7 @@ FINEST = 0.01
 SHORTEST = 0.02
 """Shortest length of a tread, a ramp, a wave or a patch [m]."""
 
-LONGEST_STRIDE = 0.3
+_STRIDE = 0.3
 """Distance of two footholds that limits expect [m]."""
 
 
@@ -103,7 +103,7 @@ class UnevenGround:
     @property
     def largest_change(self) -> float:
         """Change of height from a foothold to the next [m] that limits should allow; three deviations at rough ones."""
-        return self.stair_height + LONGEST_STRIDE * self.slope + 6 * self.roughness
+        return self.stair_height + _STRIDE * self.slope + 6 * self.roughness
 
     def treads(self, length: float, rng: np.random.Generator) -> Treads:
         """The pieces of a ground that repeats after a length [m].
