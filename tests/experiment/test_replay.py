@@ -12,7 +12,7 @@ from stepgap.base.errors import InputError
 from stepgap.cli.app import main
 from stepgap.experiment.loop import deployment_generator
 from stepgap.experiment.plants import simulation_of
-from stepgap.experiment.replay import logged_ticks, replay, replayed_steps
+from stepgap.experiment.replay import FOOTPRINT, ground_of, logged_ticks, replay, replayed_steps
 from stepgap.experiment.run import Run
 from stepgap.experiment.settings import read_experiment
 from stepgap.learning.steps import LoggedStep, Steps
@@ -25,6 +25,7 @@ from stepgap.robots.hopper.kinematics import TRUE_UNITS
 from stepgap.robots.hopper.model.dynamics import masses_of
 from stepgap.robots.hopper.model.leg import foot, four_bar
 from stepgap.robots.hopper.parameters import CommandBounds, RobotParameters
+from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.tick.tick_row import TICK_UNITS
 from stepgap.step import StepStatus
 from tests.hardware.ethercat.ring_process import skipping_without_network
@@ -231,3 +232,26 @@ def test_a_deployment_that_cannot_be_reproduced_is_refused(
     spoil(copy)
     with pytest.raises((InputError, RecordError), match=message):
         replay(Run(copy), iteration)
+
+
+def test_the_drawn_ground_is_where_the_feet_found_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """That of a simulation by place; of a rig, only where the feet stood."""
+    leave_out_repeats(monkeypatch)
+    leave_out_report(monkeypatch)
+    run = Run(run_of(tmp_path, "--iterations", "0", "--ground.stair_height", "0.05", "--ground.stair_length", "0.1"))
+    settings, scene = run.needed(run.settings), Hopper().kinematics().scene
+    columns = [run.space.context_names.index(name) for name in ("foothold", "ground")]
+    place, height = run.recorded.context[:, columns].T
+    assert np.ptp(height) > 0.01
+    treads = ground_of(run, 0, scene)
+    assert treads
+    turn = 2 * np.pi * scene.circle
+    along = (place[:, None] - treads.start) % turn
+    on = np.argmax(along < treads.end - treads.start, axis=1)
+    near_an_edge = np.minimum(along[np.arange(len(on)), on], (treads.end - treads.start)[on]) < 5e-3
+    np.testing.assert_allclose(treads.start_height[on][~near_an_edge], height[~near_an_edge], atol=5e-3)
+    trodden = ground_of(Run(run.folder, settings=replace(settings, plant="rig")), 0, scene)
+    assert trodden
+    np.testing.assert_allclose((trodden.start + trodden.end) / 2, place)
+    np.testing.assert_allclose(trodden.end - trodden.start, FOOTPRINT)
+    np.testing.assert_array_equal(trodden.start_height, height)

@@ -13,6 +13,7 @@ import pytest
 from stepgap.experiment.run import Run
 from stepgap.records.motion_file import INTERVAL, Replay
 from stepgap.report.replay_view import COARSE_LEVELS, LEVELS, MOST_FRAMES, replay_view
+from stepgap.robots.scene import GroundPieces
 from tests.control.maps import LossyHopper
 from tests.report.pages import Page, check_alone
 from tests.report.runs import SCENE, make_run, motion, report_of
@@ -74,3 +75,13 @@ def test_the_legend_speaks_of_what_the_robot_has(folder: Path) -> None:
         assert words in whole
         assert words not in short
     assert "what they do not contain is not shown." in short
+
+
+def test_the_ground_is_drawn_and_heights_stand_on_it(folder: Path) -> None:
+    run = Run(folder, space=LossyHopper().space)
+    ground = GroundPieces(*np.array([[0.0, 1.0], [1.0, 1.5], [0.0, 0.05], [0.01, 0.05]]), np.array([False, True]))
+    found = re.search(r'id="replay-data">(.*?)</script>', replay_view(run, Replay({1: motion(40)}, SCENE, {1: ground})))
+    assert found
+    (entry,) = json.loads(found[1])["motions"]
+    assert entry["ground"] == [[0, 1, 0, 0.01, 0], [1, 1.5, 0.05, 0.05, 1]]
+    assert {step[4] for step in entry["steps"]} == {0}

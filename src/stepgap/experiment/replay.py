@@ -24,8 +24,11 @@ from stepgap.records.motion_file import INTERVAL, Replay, motion_path, read_moti
 from stepgap.records.steps_csv import RecordError, digest, row_of
 from stepgap.rigs.entry_points import load_rig
 from stepgap.rigs.rig import RigFault
-from stepgap.robots.scene import Kinematics, Motion
+from stepgap.robots.scene import GroundPieces, Kinematics, Motion, Scene
 from stepgap.step import Array
+
+FOOTPRINT = 0.06
+"""Length of the ground that is drawn where a foot stood [m]."""
 
 
 def kinematics_of(run: Run) -> Kinematics | Missing:
@@ -71,7 +74,38 @@ def _replay_of(run: Run, kinematics: Kinematics) -> Replay:
         return logged_ticks(run, iteration).resampled(1 / INTERVAL)
 
     ends = dict.fromkeys((run.shown_iterations[0], run.shown_iterations[-1]))
-    return Replay({iteration: motion(iteration) for iteration in ends}, scene)
+    found = {iteration: ground_of(run, iteration, scene) for iteration in ends}
+    grounds = {iteration: ground for iteration, ground in found.items() if ground}
+    return Replay({iteration: motion(iteration) for iteration in ends}, scene, grounds)
+
+
+def ground_of(run: Run, iteration: int, scene: Scene) -> GroundPieces | None:
+    """The uneven ground of a deployment: that of its simulation, or else where the feet stood in its steps.
+
+    Returns:
+        Its pieces; None if states are not measured above a ground, or nothing is known of it.
+
+    Raises:
+        InputError: The simulation cannot be made.
+    """
+    settings, space = run.needed(run.settings), run.space
+    if not space.is_above_context:
+        return None
+    if settings.simulated:
+        return simulation_of(settings).ground(deployment_generator(settings.seed, iteration))
+    above = next((each.above for each in space.state if each.name == scene.height), "")
+    if not (above and scene.foothold in space.context_names):
+        return None
+    columns = [space.context_names.index(name) for name in (scene.foothold, above)]
+    found = run.recorded.of_iteration(iteration).context[:, columns]
+    place, height = found[np.isfinite(found).all(axis=1)].T
+    return GroundPieces(
+        start=place - FOOTPRINT / 2,
+        end=place + FOOTPRINT / 2,
+        start_height=height,
+        end_height=height,
+        changed=np.zeros(len(place), bool),
+    )
 
 
 def replay(

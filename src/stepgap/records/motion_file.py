@@ -3,7 +3,7 @@
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from io import BytesIO
 from pathlib import Path
 from typing import Final
@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from stepgap.base.files import write_whole
-from stepgap.robots.scene import Motion, Scene
+from stepgap.robots.scene import GroundPieces, Motion, Scene
 
 INTERVAL: Final = 0.01
 """Time between two frames of a replay [s]; the nearest multiple of the time between two ticks is used."""
@@ -30,10 +30,12 @@ class Replay:
     Attributes:
         motions: Motions by number of the deployment.
         scene: What is drawn.
+        grounds: Grounds by number of the deployment, where they are uneven.
     """
 
     motions: Mapping[int, Motion]
     scene: Scene
+    grounds: Mapping[int, GroundPieces] = field(default_factory=dict)
 
 
 def motion_path(folder: Path, iteration: int) -> Path:

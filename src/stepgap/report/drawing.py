@@ -18,7 +18,7 @@ import numpy as np
 from stepgap.base.files import write_whole
 from stepgap.records.missing import Missing
 from stepgap.report.own_style import own_style
-from stepgap.step import Array, Quantity
+from stepgap.step import Array, ContextQuantity, Quantity
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from matplotlib.axes import Axes
@@ -164,7 +164,7 @@ def _saved(figure: Any, file_format: str) -> bytes:
     return stream.getvalue()
 
 
-def axis_label(quantity: Quantity, capital: bool = True) -> str:
+def axis_label(quantity: Quantity | ContextQuantity, capital: bool = True) -> str:
     """Name of a coordinate with its unit, if the unit is known."""
     name = plain(quantity.name.replace("_", " "))
     return f"{name[:1].upper() + name[1:] if capital else name}{unit_label(quantity)}"
@@ -176,7 +176,7 @@ def plain(text: str) -> str:
     return (known if len(known) <= LONGEST_LABEL else f"{known[: LONGEST_LABEL - 1]}…").replace("$", r"\$")
 
 
-def unit_label(quantity: Quantity) -> str:
+def unit_label(quantity: Quantity | ContextQuantity) -> str:
     """The unit in brackets after a space; empty where it is not known."""
     return f" [{plain(quantity.unit)}]" if quantity.unit else ""
 

@@ -1,6 +1,6 @@
 "use strict";
-// Draws the robot of #replay-data on #replay-canvas: parallel projection, z up, the floor at 0. The robot moves along x,
-// or on a circle around the origin.
+// Draws the robot of #replay-data on #replay-canvas: parallel projection, z up, the floor at 0 or the pieces of an uneven
+// ground. The robot moves along x, or on a circle around the origin.
 (() => {
   const at = (name) => document.getElementById("replay-" + name);
   const data = JSON.parse(at("data").textContent);
@@ -35,7 +35,8 @@
     const contacts = 4 + 3 * data.points.length, signals = contacts + data.feet.length;
     found.contacts = channels.slice(contacts, signals);
     found.signals = channels.slice(signals);
-    found.steps = new Map(source.steps.map(([step, target, reached, command]) => [step, {target, reached, command}]));
+    found.steps = new Map(source.steps.map(([step, target, reached, command, ground]) => [step, {target, reached, command, ground}]));
+    found.ground = source.ground;
     found.ends = new Map();
     for (let i = 1; i < source.frames; i++) if (found.step[i] !== found.step[i - 1]) found.ends.set(found.step[i - 1], i - 1);
     if (found.steps.has(found.step[source.frames - 1])) found.ends.set(found.step[source.frames - 1], source.frames - 1);
@@ -94,7 +95,8 @@
       pen.stroke();
     }
 
-    if (radius) {
+    if (motion.ground.length) drawGround(line, s);
+    else if (radius) {
       for (const ring of [0.88, 1, 1.12]) {
         const circle = [];
         for (let i = 0; i <= TICKS; i++) circle.push(above(2 * Math.PI * i / TICKS, 0).map((value) => ring * value));
@@ -114,17 +116,18 @@
 
     const step = motion.step[frame], entry = motion.steps.get(step);
     const heightOf = (state) => (data.height === null ? null : state[data.height]);
+    const raised = ({ground}, state) => ground + heightOf(state);
     if (entry && heightOf(entry.target) !== null) {
       const arc = [];
-      for (let i = -20; i <= 20; i++) arc.push(above(s + i * 0.03 / metres, heightOf(entry.target)));
+      for (let i = -20; i <= 20; i++) arc.push(above(s + i * 0.03 / metres, raised(entry, entry.target)));
       line(arc, "#000", 1, [6, 5]);
     }
     for (let number = step - MARKS; number < step + (frame === motion.ends.get(step) ? 1 : 0); number++) {
       const end = motion.ends.get(number), known = motion.steps.get(number);
       if (end === undefined || !known || heightOf(known.target) === null) continue;
       const there = progress(end);
-      line([-1, 1].map((side) => above(there + side * 0.0375 / metres, heightOf(known.target))), "#000", 2);
-      if (heightOf(known.reached) !== null) dot(above(there, heightOf(known.reached)), "#d55e00", 3.5, false);
+      line([-1, 1].map((side) => above(there + side * 0.0375 / metres, raised(known, known.target))), "#000", 2);
+      if (heightOf(known.reached) !== null) dot(above(there, raised(known, known.reached)), "#d55e00", 3.5, false);
     }
     const trail = [];
     for (let i = Math.max(0, frame - TRAIL); i <= frame; i++) trail.push(bodyAt(i));
@@ -148,6 +151,32 @@
         `command ${named(entry.command, data.command)}.`
       : "before the first step.");
     charts.forEach(drawChart);
+  }
+
+  // The pieces of the ground near a progress s, with their risers, as a strip along the track.
+  function drawGround(line, s) {
+    const metres = radius || 1, turn = 2 * Math.PI * radius, half = radius ? 0.12 * radius : reach / 2, GRID = 0.1;
+    const edge = (place, up) => [-1, 1].map((side) => {
+      const [x, y, z] = above(place / metres, up);
+      return radius ? [x * (1 + side * half / radius), y * (1 + side * half / radius), z] : [x, side * half, z];
+    });
+    const nearest = (place) => (radius ? place - turn * Math.round((place - s * radius) / turn) : place);
+    let before = motion.ground[motion.ground.length - 1];
+    for (const piece of motion.ground) {
+      const [start, end, low, high, changed] = piece, from = nearest(start), long = end - start;
+      const colour = changed ? "#e69f00" : "#999", count = Math.max(1, Math.ceil(long / GRID));
+      const places = Array.from({length: count + 1}, (_, i) => [from + long * i / count, low + (high - low) * i / count]);
+      const rows = places.map(([place, up]) => edge(place, up));
+      for (const side of [0, 1]) line(rows.map((row) => row[side]), colour, changed ? 2.5 : 1.5);
+      if (count > 1 || changed) for (const row of rows.slice(1, -1)) line(row, changed ? "#f3d99b" : "#ddd", 1);
+      const gap = start - before[1], joined = Math.abs(gap - (turn && turn * Math.round(gap / turn))) < 1e-3;
+      const edges = joined ? [edge(from, before[3]), rows[0]] : [rows[0]];
+      if (!joined || Math.abs(low - before[3]) > 2e-3) {
+        for (const row of edges) line(row, "#999", 1);
+        for (const side of [0, 1]) line(edges.map((row) => row[side]), "#999", 1.5);
+      }
+      before = piece;
+    }
   }
 
   // Curves of the signals with the same unit, over the step that is shown.

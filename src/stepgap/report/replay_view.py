@@ -14,7 +14,7 @@ from stepgap.records.missing import Missing
 from stepgap.records.motion_file import INTERVAL, Replay
 from stepgap.report.html import absence, safe
 from stepgap.report.text import decimals_of
-from stepgap.robots.scene import Motion, Scene
+from stepgap.robots.scene import GroundPieces, Motion, Scene
 from stepgap.step import Array, Quantity
 
 REPLAY_SCRIPT: Final = files("stepgap.report").joinpath("replay.js").read_text(encoding="utf-8")
@@ -50,26 +50,32 @@ def replay_view(run: Run, replay: Replay | Missing) -> str:
         return absence("replay", replay)
     scene, space = replay.scene, run.steps.space
     names, known = list(scene.points), scene.height in space.state_names
+    height = space.state_names.index(scene.height) if known else None
+    above = "" if height is None else space.state[height].above
     data = {
         "points": list(scene.points.values()),
         "links": [[names.index(link.start), names.index(link.end), link.radius, link.shade] for link in scene.links],
         "body": names.index(scene.body),
         "feet": [names.index(foot) for foot in scene.feet],
-        "height": space.state_names.index(scene.height) if known else None,
+        "height": height,
         "circle": scene.circle,
         "signals": list(scene.signals.items()),
         "state": [_described(quantity) for quantity in space.state],
         "command": [_described(quantity) for quantity in space.command],
-        "motions": [_packed(number, motion, scene, run.steps) for number, motion in replay.motions.items()],
+        "motions": [
+            _packed(number, motion, scene, run.steps, above) | {"ground": _drawn(replay.grounds.get(number))}
+            for number, motion in replay.motions.items()
+        ],
     }
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     kept = f'<script type="application/json" id="replay-data">{text}</script>'
     signals = f"{CHARTS}\n" if scene.signals else ""
-    return f'{CONTROLS}\n{signals}<p class="note">{safe(_legend(scene, known))}</p>\n{kept}'
+    return f'{CONTROLS}\n{signals}<p class="note">{safe(_legend(replay, known))}</p>\n{kept}'
 
 
-def _legend(scene: Scene, height: bool) -> str:
+def _legend(replay: Replay, height: bool) -> str:
     """Sentences on what is drawn of this robot; `height` says whether its height has a target."""
+    scene = replay.scene
     parts = ["Drag to rotate; the keys ← and → move by one frame."]
     if scene.feet:
         parts.append("A foot is filled while it touches the ground.")
@@ -78,6 +84,8 @@ def _legend(scene: Scene, height: bool) -> str:
             "Dashed: target height at the end of the step. Circles: measured heights at the ends of steps; bars: their "
             "targets."
         )
+    if any(ground.changed.any() for ground in replay.grounds.values()):
+        parts.append("Yellow: ground that is softer or more slippery, or the contrary, than elsewhere.")
     if scene.signals:
         rate = f"at most {1 / INTERVAL:g} values per second"
         parts.append(f"Curves: the step that is shown, with {rate}; short peaks may be missing.")
@@ -91,11 +99,17 @@ def _described(quantity: Quantity) -> list[str | int]:
     return [quantity.name, quantity.unit, decimals_of(quantity)]
 
 
-def _packed(number: int, motion: Motion, scene: Scene, log: Steps) -> dict[str, Any]:
+def _drawn(ground: GroundPieces | None) -> list[list[float | int]]:
+    """Start and end of each piece of the ground, its heights there [m, to 0.1 mm], and 1 where it is changed."""
+    return [] if ground is None else np.round(np.column_stack(ground), 4).tolist()
+
+
+def _packed(number: int, motion: Motion, scene: Scene, log: Steps, above: str) -> dict[str, Any]:
     """JSON data of a motion: the bends of its channels as consecutive 16-bit integers, compressed, and its steps.
 
-    The channels are the step, the position of the body, those of all points relative to it, the contacts and the
-    signals. Of a channel that is constant, only the value is there.
+    Each step has the height of its ground, which is the quantity `above` which its own height is measured. The channels
+    are the step, the position of the body, those of all points relative to it, the contacts and the signals. Of a
+    channel that is constant, only the value is there.
     """
     every = -(-len(motion.time) // MOST_FRAMES)
     body = motion.positions[:, scene.index(scene.body), :]
@@ -109,7 +123,11 @@ def _packed(number: int, motion: Motion, scene: Scene, log: Steps) -> dict[str, 
     bends = np.diff(np.diff(levels, prepend=0), prepend=0)  # of a smooth motion they are small, and are packed densely
     packed = zlib.compress((bends % (LEVELS + 1)).astype("<u2").tobytes(), 9)
     steps = [
-        [logged.step, *map(_rounded, (logged.target, logged.record.next_state, logged.record.command))]
+        [
+            logged.step,
+            *map(_rounded, (logged.target, logged.record.next_state, logged.record.command)),
+            float(f"{np.nan_to_num(logged.record.context.get(above, 0.0)):.9g}"),
+        ]
         for logged in log.of_iteration(number)
     ]
     return {

@@ -12,7 +12,7 @@ from stepgap.plants.tick_control import RobotControl
 from stepgap.plants.ticks.stream import OnTicks, thinned
 from stepgap.rigs.rig import SensorModel
 from stepgap.robots.published_result import PublishedResult
-from stepgap.robots.scene import Kinematics
+from stepgap.robots.scene import GroundPieces, Kinematics
 from stepgap.step import Array, StepMap, StepSpace
 
 
@@ -43,6 +43,14 @@ class Simulation(ABC):
             every: Interval of the reported ticks.
         """
         return self.plant(rng, thinned(on_ticks, every))
+
+    def ground(self, rng: np.random.Generator) -> GroundPieces | None:  # noqa: ARG002  (others use it)
+        """The ground of a deployment, to be drawn; None if it is level.
+
+        Args:
+            rng: As of `plant`.
+        """
+        return None
 
     def repeatable_plant(self, rng: np.random.Generator) -> RepeatablePlant | None:  # noqa: ARG002  (others use it)
         """Makes a plant that can repeat a step, for the noise floor; None if there is none.

@@ -43,6 +43,7 @@ class Scene:
         height: Name of the state coordinate that is the height of the body; empty if there is none.
         circle: Radius of the circle on which the body moves counter-clockwise, from (0, −circle) on [m]; 0: along x.
         signals: Quantities that are drawn over time beside the robot, such as torques, with their units.
+        foothold: Name of the context quantity that says where a foot stood along the track [m]; empty if there is none.
 
     Raises:
         ValueError: A link, the body or a foot is not one of the points, or a length is negative.
@@ -55,6 +56,7 @@ class Scene:
     height: str = ""
     circle: float = 0.0
     signals: Mapping[str, str] = field(default_factory=dict)
+    foothold: str = ""
 
     def __post_init__(self) -> None:
         used = {self.body, *self.feet, *(end for link in self.links for end in link[:2])}
@@ -88,6 +90,24 @@ class Scene:
             return positions + np.array([by, 0.0, 0.0])
         cos, sin = np.cos(by), np.sin(by)
         return positions @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+class GroundPieces(NamedTuple):
+    """Straight pieces of an uneven ground along the track; places are the progress of the body as a length.
+
+    Attributes:
+        start: Where each piece begins [m]; shape (k,).
+        end: Where it ends [m]; shape (k,).
+        start_height: Height at its start [m]; shape (k,).
+        end_height: Height at its end [m]; shape (k,).
+        changed: Whether it is softer or more slippery, or the contrary, than the ground elsewhere; shape (k,).
+    """
+
+    start: Array
+    end: Array
+    start_height: Array
+    end_height: Array
+    changed: Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -211,7 +211,7 @@ class Page:
             return
         scene, frame = source.kinematics.scene, motion.frame(player.share)
         self._robot.show(motion.positions[frame])
-        self._ground.show(float(motion.ground[frame]))
+        self._ground.show(float(motion.ground[frame]), source.ground(self.iteration))
         ridden = float(scene.progress(motion.positions[frame])) if self._ride.value else 0.0
         yaw, x = (ridden, 0.0) if scene.circle else (0.0, ridden)
         self._world.wxyz, self._world.position = (np.cos(yaw / 2), 0.0, 0.0, -np.sin(yaw / 2)), (-x, 0.0, 0.0)

@@ -3,19 +3,21 @@
 from math import atan2, cos, hypot, sin
 
 import numpy as np
-from viser import CylinderHandle, IcosphereHandle, SceneApi
+from viser import CylinderHandle, IcosphereHandle, MeshHandle, SceneApi
 
-from stepgap.robots.scene import Scene, Shade
+from stepgap.robots.scene import GroundPieces, Scene, Shade
 from stepgap.step import Array
 
 Colour = tuple[int, int, int]
 
-DARK_RGB, BLUE_RGB, SKY_RGB, VERMILLION_RGB, LIGHT_RGB = (
+DARK_RGB, BLUE_RGB, SKY_RGB, VERMILLION_RGB, LIGHT_RGB, TREAD_RGB, CHANGED_RGB = (
     (60, 62, 70),
     (0, 114, 178),
     (86, 180, 233),
     (213, 94, 0),
     (225, 227, 230),
+    (190, 194, 200),
+    (233, 190, 100),
 )
 
 SHADES: dict[Shade, Colour] = {"body": DARK_RGB, "near": BLUE_RGB, "far": SKY_RGB}
@@ -25,6 +27,9 @@ TRACK_WIDTH, MARK_EVERY = 0.16, 0.1
 
 AMBIENT_LIGHT = 2.0
 """Intensity of the light that comes from all sides, beside viser's lamps."""
+
+LONGEST_FLAT, DEPTH = 0.05, 0.02
+"""Longest part of a piece of an uneven ground that is drawn flat, and how far the floor is below the lowest one [m]."""
 
 TRACK_MARKS = 400
 """Number of marks on a straight track on either side of the start."""
@@ -82,7 +87,7 @@ def light(api: SceneApi) -> None:
 
 
 class Ground:
-    """The floor, with marks on the track of the robot.
+    """The floor, with marks on the track of the robot, or with the pieces of an uneven ground upon it.
 
     Args:
         api: Scene of the server, in which the floor is drawn.
@@ -91,7 +96,10 @@ class Ground:
     """
 
     def __init__(self, api: SceneApi, name: str, scene: Scene):
+        self._api, self._name, self._scene = api, name, scene
         self._root = api.add_frame(name, show_axes=False)
+        self._pieces: GroundPieces | None = None
+        self._solids: list[MeshHandle] = []
         if scene.circle:
             radius = 1.6 * scene.circle
             api.add_cylinder(f"{name}/floor", radius, 0.02, LIGHT_RGB, position=(0, 0, -0.011), cast_shadow=False)
@@ -102,9 +110,71 @@ class Ground:
         raised = (lines + np.array([0, 0, 0.001])).astype(np.float32)
         api.add_line_segments(f"{name}/marks", raised, (150, 153, 160), thickness=0.004)
 
-    def show(self, height: float) -> None:
-        """Moves the floor to its height under the robot [m]."""
-        self._root.position = (0.0, 0.0, height)
+    def show(self, height: float, pieces: GroundPieces | None = None) -> None:
+        """Moves the floor to its height under the robot [m], or below the pieces of an uneven ground."""
+        if pieces is not self._pieces:
+            self._build(pieces)
+        self._root.position = (0.0, 0.0, height if pieces is None else _lowest(pieces))
+
+    def _build(self, pieces: GroundPieces | None) -> None:
+        """Puts the pieces of an uneven ground in the place of others."""
+        for solid in self._solids:
+            solid.remove()
+        self._pieces, self._solids = pieces, []
+        if pieces is None:
+            return
+        for changed, colour in ((False, TREAD_RGB), (True, CHANGED_RGB)):
+            rows = np.flatnonzero(pieces.changed == changed)
+            if len(rows):
+                vertices, faces = _solid(GroundPieces(*(each[rows] for each in pieces)), _lowest(pieces), self._scene)
+                name = f"{self._name}/{'changed' if changed else 'pieces'}"
+                self._solids.append(
+                    self._api.add_mesh_simple(name, vertices, faces, color=colour, flat_shading=True, side="double")
+                )
+
+
+def _lowest(pieces: GroundPieces) -> float:
+    """Height of the floor below the pieces of a ground [m]."""
+    return float(min(pieces.start_height.min(), pieces.end_height.min())) - DEPTH
+
+
+def _solid(pieces: GroundPieces, floor: float, scene: Scene) -> tuple[Array, Array]:
+    """Blocks from a floor up to the pieces of a ground.
+
+    Args:
+        pieces: The pieces, at least one.
+        floor: Height of the floor [m].
+        scene: Scene of the robot, which determines the track.
+
+    Returns:
+        Corners relative to the floor, shape (k, 3) [m], and triangles between them, shape (t, 3).
+    """
+    corners, faces, first = [], [], 0
+    for start, end, low, high, _ in zip(*pieces, strict=True):
+        count = 1 + max(1, int(np.ceil((end - start) / LONGEST_FLAT)))
+        rows = _cross_sections(np.linspace(start, end, count), np.linspace(low, high, count) - floor, scene)
+        edges = first + 4 * np.arange(count - 1)[:, None] + np.array([[0, 1], [1, 2], [3, 0]])[:, None]
+        near, far = edges, edges + 4
+        faces += [
+            np.concatenate([near, far[..., :1]], axis=-1),
+            np.concatenate([far[..., ::-1], near[..., 1:]], axis=-1),
+        ]
+        ends = first + np.array([0, 4 * (count - 1)])[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])
+        faces.append(ends)
+        corners.append(rows.reshape(-1, 3))
+        first += 4 * count
+    return np.concatenate(corners), np.concatenate([each.reshape(-1, 3) for each in faces])
+
+
+def _cross_sections(place: Array, height: Array, scene: Scene) -> Array:
+    """Upper corners, left and right, and lower ones, right and left, of a block along the track; shape (k, 4, 3)."""
+    across = TRACK_WIDTH / 2 * np.array([1.0, -1.0, -1.0, 1.0])
+    along, left = np.broadcast_arrays(place[:, None], across)
+    up = height[:, None] * np.array([1.0, 1.0, 0.0, 0.0])
+    if not scene.circle:
+        return np.stack([along, left, up], axis=-1)
+    radius, yaw = scene.circle - left, along / scene.circle
+    return np.stack([radius * np.sin(yaw), -radius * np.cos(yaw), up], axis=-1)
 
 
 def _half_widths(count: int) -> Array:

@@ -12,7 +12,7 @@ from threading import Event, Thread
 import numpy as np
 
 from stepgap.base.errors import InputError, message_of
-from stepgap.experiment.replay import kinematics_of, logged_ticks, replayed_steps
+from stepgap.experiment.replay import ground_of, kinematics_of, logged_ticks, replayed_steps
 from stepgap.experiment.run import Run
 from stepgap.learning.observations import next_history
 from stepgap.learning.residual import Residual
@@ -21,7 +21,7 @@ from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
 from stepgap.records.model_files import model_path
-from stepgap.robots.scene import Kinematics, Motion
+from stepgap.robots.scene import GroundPieces, Kinematics, Motion
 from stepgap.step import Array
 
 VIEW_INTERVAL = 0.008
@@ -64,6 +64,7 @@ class Source:
         self._closed = Event()
         self._ticks: dict[tuple[int, int], list[np.ndarray]] = defaultdict(list)
         self._models: dict[int, Residual | None] = {}
+        self._grounds: dict[tuple[int, int], GroundPieces | None] = {}
         self.poll()
         if not self._steps and ring is None:
             raise InputError(f"{folder / 'steps.csv'}: no step yet; try again when there are some")
@@ -124,6 +125,13 @@ class Source:
         self._closed.set()
         for loader in self._loaders.values():
             loader.join()
+
+    def ground(self, iteration: int) -> GroundPieces | None:
+        """The uneven ground of a deployment, as far as it is known; None if it is level."""
+        known = iteration, 0 if self.settings.simulated else len(self.steps(iteration))
+        if known not in self._grounds and self.kinematics:
+            self._grounds[known] = ground_of(self._run, iteration, self.kinematics.scene)
+        return self._grounds.get(known)
 
     def residual(self, iteration: int, number: int) -> Residual | None:
         """Residual with which a deployment began, conditioned on the history of a step; None without a model."""

@@ -52,12 +52,16 @@ LAST_LOOK: Final[dict[str, Any]] = {"color": BLUE, "linestyle": "-", "linewidth"
 
 
 def tracking_figure(run: Run) -> "Figure":
-    """State coordinates against the step number, in the first and last deployment, with the reference (Fig. 4)."""
+    """State coordinates against the step number, in the first and last deployment, with the reference (Fig. 4).
+
+    Below them is the ground above which some are measured.
+    """
     first, last = run.shown_iterations[0], run.shown_iterations[-1]
-    figure, panels = step_panels(len(run.space.state))
+    grounds = list(dict.fromkeys(each.above for each in run.space.state if each.above))
+    figure, panels = step_panels(len(run.space.state) + len(grounds))
     longest = max((run.steps.of_iteration(number).tracking() for number in run.steps.iterations), key=len)
     show_steps(panels, run.steps)
-    for index, (panel, quantity) in enumerate(zip(panels, run.space.state, strict=True)):
+    for index, (panel, quantity) in enumerate(zip(panels, run.space.state, strict=False)):
         reference = {"color": LIGHT, "linewidth": 3.5, "drawstyle": "steps-mid", "label": "reference"}
         panel.plot(step_numbers(longest), longest.target[:, index], **reference, **as_pixels(longest))
         steps = run.steps.of_iteration(first)
@@ -66,6 +70,8 @@ def tracking_figure(run: Run) -> "Figure":
             steps = run.steps.of_iteration(last)
             draw_tracking(panel, steps, index, _name(run, last), {**LAST_LOOK, **as_pixels(steps)})
         panel.set_ylabel(axis_label(quantity))
+    for panel, name in zip(panels[len(run.space.state) :], grounds, strict=True):
+        _draw_ground(panel, run, name)
     finish(figure, panels, "Step")
     return figure
 
@@ -218,6 +224,15 @@ def draw_tracking(panel: "Axes", steps: Steps, index: int, name: str, style: dic
         panel.plot(numbers[failed], steps.state[failed, index], label="no next state after this one", **mark)
 
 
+def _draw_ground(panel: "Axes", run: Run, name: str) -> None:
+    """Draws a measured ground of each step, in the first and the last deployment."""
+    index = run.space.context_names.index(name)
+    for number, look in {run.shown_iterations[0]: FIRST_LOOK, run.shown_iterations[-1]: LAST_LOOK}.items():
+        steps, style = run.steps.of_iteration(number), {**look, "marker": "", "drawstyle": "steps-mid"}
+        panel.plot(step_numbers(steps), steps.context[:, index], **style, **as_pixels(steps))
+    panel.set_ylabel(axis_label(run.space.context[index]))
+
+
 def _draw_prediction(panel: "Axes", steps: Steps, index: int) -> None:
     numbers, std = step_numbers(steps), steps.std[:, index]
     mean, reached = steps.predicted[:, index], _reached(steps, index)
@@ -285,7 +300,8 @@ def _first_and_last(run: Run) -> tuple[str, str]:
 
 def _tracking_caption(analysis: Analysis) -> str:
     which, how = _first_and_last(analysis.run)
-    return f"Tracking {how}: the state at the end of each step {which}, and the reference."
+    below = " Below: the ground above which it was measured." * analysis.run.space.is_above_context
+    return f"Tracking {how}: the state at the end of each step {which}, and the reference.{below}"
 
 
 def _command_caption(analysis: Analysis) -> str:

@@ -106,7 +106,9 @@ class HopperKinematics(Kinematics):
     @property
     def scene(self) -> Scene:
         """Boom and leg on their circle."""
-        return Scene(JOINTS, LINKS, "hip", ("foot",), "height", self._robot.boom_length, LEG_SIGNALS)
+        return Scene(
+            JOINTS, LINKS, "hip", ("foot",), "height", self._robot.boom_length, LEG_SIGNALS, foothold="foothold"
+        )
 
     @property
     def units(self) -> Mapping[str, str]:

@@ -19,6 +19,7 @@ from stepgap.robots.ground import FLAT_GROUND, UnevenGround
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.treads import LOWEST_RISER
+from stepgap.robots.scene import GroundPieces
 
 FOOT_RADIUS = 1e-5
 """Radius of the colliding foot point [m]; the ground is lower by this radius, so contact starts at the foot's end."""
@@ -80,6 +81,21 @@ class GroundProfile:
         ends = np.append(self.treads.start[1:], 2 * pi * self._boom_length)
         ending = self.treads.height + self.treads.slope * (ends - self.treads.start)
         return bool((np.abs(np.roll(self.treads.height, -1) - ending) > LOWEST_RISER).any())
+
+    def pieces(self, floor_yaw: float) -> GroundPieces | None:
+        """The treads along the circle of a robot that starts at a yaw of the floor [rad], without the waves."""
+        if self.treads is None:
+            return None
+        begin, height, slope, stiffness, friction = self.treads
+        end = np.append(begin[1:], 2 * pi * self._boom_length)
+        start = self._boom_length * floor_yaw
+        return GroundPieces(
+            start=begin - start,
+            end=end - start,
+            start_height=height,
+            end_height=height + slope * (end - begin),
+            changed=(stiffness != 1) | (friction != 1),
+        )
 
     def tread_at(self, yaw: float) -> int:
         """Number of the tread at a boom angle ψ [rad] of the foot; 0 without treads."""

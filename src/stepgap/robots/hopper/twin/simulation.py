@@ -22,6 +22,7 @@ from stepgap.robots.hopper.twin.observed_plant import observed_plant
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.robots.robot import Simulation
+from stepgap.robots.scene import GroundPieces
 from stepgap.step import Array
 
 
@@ -79,6 +80,11 @@ class HopperSimulation(Simulation):
     def observed_plant(self, rng: np.random.Generator, on_ticks: OnTicks, every: int) -> RigPlant:
         """Plant whose ticks also contain the true state of the twin."""
         return observed_plant(*self.direct_rig(rng), self.make_control(), on_ticks, every)
+
+    def ground(self, rng: np.random.Generator) -> GroundPieces | None:
+        """The treads, turned as under this deployment."""
+        _, twin = self.direct_rig(rng)
+        return twin.ground_pieces()
 
     @abstractmethod
     def direct_rig(self, rng: np.random.Generator) -> tuple[Rig, Twin]:

@@ -38,6 +38,7 @@ from stepgap.robots.hopper.twin.true_apex import TrueApex, update_apex
 from stepgap.robots.hopper.twin.true_state import TrueState, true_state
 from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
 from stepgap.robots.mujoco_callbacks import set_mujoco_callbacks
+from stepgap.robots.scene import GroundPieces
 from stepgap.step import Array
 
 LONGEST_STEP = 2.5e-4
@@ -167,6 +168,10 @@ class Twin(CompiledRig):
             slip=model.pair_solreffriction[pair],
             friction=model.pair_friction[pair],
         )
+
+    def ground_pieces(self) -> GroundPieces | None:
+        """The treads around the robot, as they are drawn; None without treads."""
+        return self._ground.pieces(self._floor_yaw)
 
     @property
     def _held_height(self) -> float:
