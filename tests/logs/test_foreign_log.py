@@ -265,3 +265,13 @@ def test_the_yaw_after_a_step_is_that_at_the_start_of_the_next_one() -> None:
     assert np.isnan(log.target).all(), "the log has no targets"
     without = step_log_of(read(text, replace(columns, yaw="")))
     assert without.context.shape == (6, 0)
+
+
+def test_numbered_steps_follow_each_other_above_a_ground_that_changes() -> None:
+    """Each step starts at another height above its ground than that in which the step before ended."""
+    rows = [(7, 0.1, 0.56, 0.2, 0.58, 1.0), (8, 0.2, 0.53, 0.3, 0.57, 2.0), (10, 0.3, 0.57, 0.1, 0.59, 3.0)]
+    text = written(["step", "v", "y", "v2", "y2", "f"], rows)
+    assert read(text, replace(WHOLE, step="step")).steps.follows.tolist() == [False, True, False]
+    assert read(text, WHOLE).steps.follows.tolist() == [False, False, True]
+    log = step_log_of(read(text, replace(WHOLE, step="step")))
+    assert list(zip(log.iteration.tolist(), log.number.tolist(), strict=True)) == [(0, 1), (0, 2), (1, 1)]

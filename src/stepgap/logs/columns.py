@@ -42,8 +42,8 @@ class Columns:
         predicted: Next state as predicted by the nominal map.
         deployment: Column with the name or number of the deployment; rows are chained only within a deployment. Empty
             for a single deployment.
-        step: Column with the number of the step; rows are chained only where it increases by one. Empty if there is
-            none.
+        step: Column with the number of the step; a step follows the one before it, and rows are chained, only where it
+            increases by one. Empty if there is none; a step then follows if it starts where the one before it ended.
         yaw: Column with the yaw of the robot [rad], measured together with the state. Empty if there is none.
         units: Units of columns, after multiplication by their factors.
         factors: Factors by which columns are multiplied.

@@ -57,7 +57,11 @@ def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> FoundSteps:
     if not len(command):
         raise RecordError(f"{paths[0]}: no row holds a complete step; rows left out: {describe_left_out(left_out)}")
     state, next_state, deployment = table["state"], table["next"], np.concatenate(deployments)
-    starts = (state[1:] == next_state[:-1]).all(axis=1) & (deployment[1:] == deployment[:-1])
+    if columns.step:  # where heights are measured above a ground that changes, the states of two steps differ
+        starts = np.diff(table["step"][:, 0]) == 1
+    else:
+        starts = (state[1:] == next_state[:-1]).all(axis=1)
+    starts &= deployment[1:] == deployment[:-1]
     steps = Steps.of_columns(
         columns.space(state, command),
         iteration=deployment,
@@ -99,9 +103,10 @@ def imported_steps(path: Path, columns: Path | None, names: Mapping[str, str]) -
 def step_log_of(found: FoundSteps) -> Steps:
     """The steps of other logs as those of a run, such as for a `steps.csv`.
 
-    A new deployment begins where a step does not start from the state in which the one before it ended. Predictions,
-    and targets that the log does not have, are not known. The yaw after a step is the one at which the next step of its
-    deployment starts, so it is not known for the last one.
+    A new deployment begins where a step does not follow the one before it: by its number or, without numbers, because
+    it does not start from the state in which that one ended. Predictions, and targets that the log does not have, are
+    not known. The yaw after a step is the one at which the next step of its deployment starts, so it is not known for
+    the last one.
     """
     steps, follows = found.steps, found.steps.follows
     iteration = np.cumsum(~follows) - 1
@@ -118,7 +123,7 @@ def step_log_of(found: FoundSteps) -> Steps:
 def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Labels, dict[str, int]]:
     """Arrays of the complete steps by role, their deployments, and the numbers of rows that are left out.
 
-    A yaw, and the index of the row, belong to the start of a step; a yaw may be missing.
+    A yaw, the step's number, and the index of the row belong to the start of a step; a yaw may be missing.
     """
     table = {
         role: np.stack([rows.numbers[column_of(entry)] for entry in getattr(columns, role)], axis=-1)
@@ -127,7 +132,8 @@ def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Labels
     }
     deployment, ends = rows.deployment, 0
     begin: dict[str, Any] = {"row": np.arange(len(deployment))[:, None]}
-    begin |= {"yaw": rows.numbers[columns.yaw][:, None]} if columns.yaw else {}
+    named = {"yaw": columns.yaw, "step": columns.step}
+    begin |= {role: rows.numbers[column][:, None] for role, column in named.items() if column}
     if not (columns.state and columns.next):
         follows = deployment[1:] == deployment[:-1]
         if columns.step:
