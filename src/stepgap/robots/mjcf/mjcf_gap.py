@@ -72,14 +72,14 @@ class MjcfGap(Gap):
         changed.dof_damping[dofs] *= self.damping_scale
         changed.dof_frictionloss[dofs] += self.joint_friction
         changed.actuator_gear *= self.gear_scale
-        _soften(changed.geom_solref, self.ground_softness)
+        soften(changed.geom_solref, self.ground_softness)
         gravity = float(np.linalg.norm(changed.opt.gravity))
         changed.opt.gravity[:] = (-gravity * sin(self.slope), 0.0, -gravity * cos(self.slope))
         mujoco.mj_setConst(changed, mujoco.MjData(changed))
         return changed
 
 
-def _soften(solref: np.ndarray, factor: float) -> None:
+def soften(solref: np.ndarray, factor: float) -> None:
     """Multiplies the static sinkage of contacts; (time constant, damping ratio) or −(stiffness, damping), shape (k, 2).
 
     The stiffness is proportional to the inverse square of the time constant.

@@ -11,15 +11,17 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy, deepcopy
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import mujoco
 import numpy as np
 
-from stepgap.plants.plant import RepeatablePlant
+from stepgap.plants.plant import AtTouchdown, RepeatablePlant, StepCommands, Touchdown
 from stepgap.plants.ticks.stream import OnTicks
 from stepgap.rigs.rig import SensorModel
+from stepgap.robots.ground import FLAT_GROUND, Treads
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
+from stepgap.robots.mjcf.mjcf_ground import GROUND_LENGTH, BoxGround, Footholds
 from stepgap.robots.mjcf.mjcf_kinematics import MjcfKinematics, tick_row
 from stepgap.robots.mjcf.section import Section
 from stepgap.robots.mujoco_callbacks import set_mujoco_callbacks
@@ -39,16 +41,24 @@ class MjcfRobot(Robot):
         gap: Differences of the plant from the model.
         tick: Time between two calls of the controller [s]; a class attribute.
         longest_step: Time after which a step has failed [s]; a class attribute.
+        ground: Its ground, where it is uneven; flat, unless a robot has a table `ground`.
+        feet: Names of the geoms that stand on that ground; a class attribute.
     """
 
     gap: MjcfGap = field(default_factory=MjcfGap)
 
     tick = 0.002
     longest_step = 3.0
+    ground = FLAT_GROUND
+    feet: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def mjcf_model(self) -> Any:
         """The model, such as `mujoco.MjModel.from_xml_path("robot.xml")`; made again for every deployment."""
+
+    def mjcf_spec(self) -> Any:
+        """The model as a `mujoco.MjSpec`, whose geom `floor` is replaced; only for a robot with a table `ground`."""
+        raise NotImplementedError
 
     @abstractmethod
     def controller(self) -> ControlLaw:
@@ -81,7 +91,7 @@ class MjcfRobot(Robot):
 
     def simulations(self) -> Mapping[str, Callable[[np.random.Generator], Simulation]]:
         """The model with its gap."""
-        return {"mujoco": lambda world: MjcfSimulation(self)}
+        return {"mujoco": lambda world: MjcfSimulation(self, world)}
 
     def placed(self, state: Array) -> Array:
         """The state that `state` reads after `place`."""
@@ -104,13 +114,16 @@ class MjcfStepper:
     Args:
         robot: The robot.
         gap: Differences of the model that is stepped.
-        rng: Draws the noise of the control signals.
+        rng: Draws the noise of the control signals, and where on uneven ground the robot is put.
+        treads: Uneven ground; None where it is flat.
     """
 
-    def __init__(self, robot: MjcfRobot, gap: MjcfGap, rng: np.random.Generator):
+    def __init__(self, robot: MjcfRobot, gap: MjcfGap, rng: np.random.Generator, treads: Treads | None = None):
         self._robot, self._gap, self._rng = robot, gap, rng
         set_mujoco_callbacks()
-        self._model = gap.of(robot.mjcf_model())
+        self._ground, self._begin = BoxGround(robot.mjcf_spec(), robot.feet, treads) if treads else None, 0.0
+        self._model = gap.of(self._ground.model if self._ground else robot.mjcf_model())
+        self._footholds = Footholds(self._model, robot.feet) if robot.ground.is_measured else None
         self._data = mujoco.MjData(self._model)
         self._section, self._substeps = robot.section(), max(1, round(robot.tick / self._model.opt.timestep))
         self._guard_functions = (self._section.guard, *self._section.others)
@@ -121,6 +134,9 @@ class MjcfStepper:
         """Puts the robot into a state at the section, with a controller without memory."""
         mujoco.mj_resetData(self._model, self._data)
         self._robot.place(self._model, self._data, state)
+        if self._ground:
+            self._begin = self._rng.uniform(0, GROUND_LENGTH)
+            self._ground.put(self._data, self._begin)
         mujoco.mj_forward(self._model, self._data)
         self._control = self._robot.controller()
         self._late = deque([self._data.ctrl.copy()] * round(self._gap.delay / self._robot.tick))
@@ -141,16 +157,32 @@ class MjcfStepper:
         """Row of the last tick; the columns are those of `tick_units`."""
         return tick_row(self._data)
 
-    def step(self, command: Array, on_tick: Callable[[], None] = lambda: None) -> StepStatus:
+    @property
+    def context(self) -> tuple[float, ...]:
+        """What the feet have found in the last step, in the order of `above_ground`; empty where it is not measured."""
+        return self._footholds.context if self._footholds else ()
+
+    def step(
+        self,
+        command: Array,
+        on_tick: Callable[[], None] = lambda: None,
+        at_touchdown: Callable[[Array], Array] = lambda command: command,
+    ) -> StepStatus:
         """Moves to the next section; returns how the step ended.
 
         Args:
             command: Command of the step; shape (m,).
             on_tick: Called at the end of every tick.
+            at_touchdown: Called with the command when the feet have found the ground, if it is measured; returns that
+                of the rest of the step.
         """
+        if self._footholds:
+            self._footholds.begin_step()
         for _ in range(self._most_ticks):
             self._tick(command)
             on_tick()
+            if self._footholds and self._footholds.have_landed(self._data):
+                command = at_touchdown(command)
             if not np.isfinite(self._data.qacc).all() or self._robot.failed(self._model, self._data):
                 return StepStatus.FELL
             if self._crosses():
@@ -175,6 +207,8 @@ class MjcfStepper:
             self._lagged += (data.ctrl - self._lagged) * self._robot.tick / (self._gap.motor_lag + self._robot.tick)
             data.ctrl[:] = self._lagged
         mujoco.mj_step(self._model, data, self._substeps)
+        if self._ground:
+            self._ground.put(data, self._begin)
 
     def _crosses(self) -> bool:
         """Whether a guard of the section, of several another one than the last, has just fallen through zero."""
@@ -216,11 +250,18 @@ class MjcfPlant(RepeatablePlant):
         robot: The robot.
         rng: Draws the noise.
         on_ticks: Called with the ticks of every step at its end, and with the first posture as step 0.
+        treads: Uneven ground; None where it is flat.
     """
 
-    def __init__(self, robot: MjcfRobot, rng: np.random.Generator, on_ticks: OnTicks | None = None):
+    def __init__(
+        self,
+        robot: MjcfRobot,
+        rng: np.random.Generator,
+        on_ticks: OnTicks | None = None,
+        treads: Treads | None = None,
+    ):
         self._robot, self._rng, self._on_ticks, self._number = robot, rng, on_ticks, 0
-        self._stepper = MjcfStepper(robot, robot.gap, rng)
+        self._stepper = MjcfStepper(robot, robot.gap, rng, treads)
         self._state = np.full(len(robot.space.state), np.nan)
 
     @property
@@ -238,13 +279,11 @@ class MjcfPlant(RepeatablePlant):
 
     def take_step(self, command: Array) -> StepRecord:
         """Steps to the next section."""
-        command = np.asarray(command, float)
-        applied = np.clip(command, self.space.command_lower, self.space.command_upper)
-        before, unknown = self._state, np.full(len(self._state), np.nan)
-        status = self._step(applied) if np.isfinite(applied).all() else StepStatus.INVALID
-        true_state = self._stepper.state if status == StepStatus.OK else unknown
-        self._state = self._measured(self._rng) if status == StepStatus.OK else unknown
-        return StepRecord(before, command, applied, self._state, status, requested=applied, true_next_state=true_state)
+        return self._taken(StepCommands(self.space, command), None)
+
+    def take_replanned_step(self, command: Array, at_touchdown: AtTouchdown) -> StepRecord:
+        """Steps to the next section, with another command from the touchdown of the last foot on."""
+        return self._taken(StepCommands(self.space, command), at_touchdown)
 
     def repeated(self, command: Array, rng: np.random.Generator, turned: float = 0.0) -> Array:  # noqa: ARG002
         """Next state of a copy with new noise; there is nothing to turn."""
@@ -255,12 +294,28 @@ class MjcfPlant(RepeatablePlant):
     def stop(self) -> None:
         """Does nothing: a simulation stands still."""
 
-    def _step(self, command: Array) -> StepStatus:
+    def _taken(self, commands: StepCommands, at_touchdown: AtTouchdown | None) -> StepRecord:
+        space, before, unknown = self.space, self._state, np.full(len(self._state), np.nan)
+
+        def chosen(command: Array) -> Array:
+            context = self._stepper.context
+            found = Touchdown(space.above(before, context), space.named_context(context))
+            return commands.replace(at_touchdown, found) if at_touchdown else command
+
+        status = self._step(commands.within, chosen) if np.isfinite(commands.first).all() else StepStatus.INVALID
+        true_state = self._stepper.state if status == StepStatus.OK else unknown
+        self._state = self._measured(self._rng) if status == StepStatus.OK else unknown
+        context, applied = self._stepper.context if status != StepStatus.INVALID else (), commands.within
+        state, next_state, true_state = (space.above(each, context) for each in (before, self._state, true_state))
+        named = space.named_context(context)
+        return StepRecord(state, commands.acted(applied), applied, next_state, status, named, applied, true_state)
+
+    def _step(self, command: Array, chosen: Callable[[Array], Array]) -> StepStatus:
         self._number += 1
         if self._on_ticks is None:
-            return self._stepper.step(command)
+            return self._stepper.step(command, at_touchdown=chosen)
         rows = list[Sequence[float]]()
-        status = self._stepper.step(command, lambda: rows.append(self._stepper.tick_row))
+        status = self._stepper.step(command, lambda: rows.append(self._stepper.tick_row), chosen)
         self._on_ticks(rows, self._number)
         return status
 
@@ -274,14 +329,16 @@ class MjcfSimulation(Simulation):
 
     Args:
         robot: The robot.
+        world: Draws its ground, if that is uneven.
     """
 
-    def __init__(self, robot: MjcfRobot):
+    def __init__(self, robot: MjcfRobot, world: np.random.Generator):
         self._robot = robot
+        self._treads = None if robot.ground.is_flat else robot.ground.treads(GROUND_LENGTH, world)
 
     def plant(self, rng: np.random.Generator, on_ticks: OnTicks | None = None) -> MjcfPlant:
         """Plant of one deployment."""
-        return MjcfPlant(self._robot, rng, on_ticks)
+        return MjcfPlant(self._robot, rng, on_ticks, self._treads)
 
     def repeatable_plant(self, rng: np.random.Generator) -> MjcfPlant:
         """The same."""

@@ -11,12 +11,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from stepgap.robots.ground import UnevenGround
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
+from stepgap.robots.mjcf.mjcf_ground import above_ground
 from stepgap.robots.mjcf.mjcf_robot import ControlLaw, MjcfRobot
 from stepgap.robots.mjcf.section import Section, apex
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.quadruped.landing import landing_velocity
-from stepgap.robots.quadruped.model import LEGS, LINK, quadruped_xml
+from stepgap.robots.quadruped.model import LEGS, LINK, TOE_RADIUS, quadruped_xml
 from stepgap.robots.quadruped.pronk import FLIGHT, PronkGains, foot_placement, pronk
 from stepgap.robots.quadruped.spring_mass import SpringMassMap
 from stepgap.step import Array, Quantity, StepMap, StepSpace
@@ -37,6 +39,7 @@ class Quadruped(MjcfRobot):
 
     Attributes:
         gains: Gains of the control law.
+        ground: Its ground, where it is uneven.
     """
 
     gap: MjcfGap = field(
@@ -54,21 +57,23 @@ class Quadruped(MjcfRobot):
         )
     )
     gains: PronkGains = field(default_factory=PronkGains)
+    ground: UnevenGround = field(default_factory=UnevenGround)
 
     name = "quadruped"
     longest_step = 1.5
+    feet = tuple(f"{leg.name}_foot" for leg in LEGS)
 
     @property
     def space(self) -> StepSpace:
-        """State [speed, height], command [fx, fz]."""
-        return SPACE
+        """State [speed, height], command [fx, fz]; on uneven ground, the height above what the feet find."""
+        return above_ground(SPACE, self.ground)
 
     def nominal_maps(self) -> Mapping[str, Callable[[], StepMap]]:
         """The spring-mass template, four numbers, and the simulated model without differences."""
         middle = (SPACE.state_centre, SPACE.command_centre, SPACE.state_centre)
         return {
-            "spring_mass": lambda: SpringMassMap(SPACE, self.gains, self._landing()),
-            "four_numbers": lambda: AffineMap(SPACE, *middle, FOUR_NUMBERS),
+            "spring_mass": lambda: SpringMassMap(self.space, self.gains, self._landing()),
+            "four_numbers": lambda: AffineMap(self.space, *middle, FOUR_NUMBERS),
             **super().nominal_maps(),
         }
 
@@ -77,11 +82,15 @@ class Quadruped(MjcfRobot):
         model = self.mjcf_model()
         data = mujoco.MjData(model)
         self.place(model, data, SPACE.state_centre)
-        return landing_velocity(model, data, [f"{leg.name}_foot" for leg in LEGS])
+        return landing_velocity(model, data, self.feet)
 
     def mjcf_model(self) -> Any:
         """The model in the sagittal plane."""
         return mujoco.MjModel.from_xml_string(quadruped_xml())
+
+    def mjcf_spec(self) -> Any:
+        """The same before it is compiled."""
+        return mujoco.MjSpec.from_string(quadruped_xml())
 
     def controller(self) -> ControlLaw:
         """The pronk, which starts in flight."""
@@ -112,5 +121,6 @@ class Quadruped(MjcfRobot):
         data.qpos[3:] = np.tile([thigh, -2 * bend], len(LEGS))
 
     def failed(self, model: Any, data: Any) -> bool:  # noqa: ARG002
-        """Whether the trunk is tilted by more than 0.6 rad, or lower than 0.15 m."""
-        return abs(data.qpos[2]) > 0.6 or data.qpos[1] < 0.15
+        """Whether the trunk is tilted by more than 0.6 rad, or less than 0.15 m above its lowest foot."""
+        lowest = min(float(data.geom(foot).xpos[2]) for foot in self.feet) - TOE_RADIUS
+        return abs(data.qpos[2]) > 0.6 or data.qpos[1] - lowest < 0.15

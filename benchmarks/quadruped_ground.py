@@ -1,0 +1,162 @@
+"""The quadruped on uneven ground: errors above the ground under its feet, and falls.
+
+It hops after random targets that change every 4 to 8 hops. `blind` and `touchdown` know 100 hops on flat ground; blind
+is the same controller without a new plan when all feet have landed, which knows the ground of the hop before alone.
+`online` also learns from hop to hop, `again` has hopped on this ground before, and learned from that. On the grounds
+`floors` the whole floor is at another height at each hop; on the others the ground is one by place. After a fall the
+robot starts at another place. On grounds with `late` its legs are lowered when it falls at 0.4 m/s. Errors are those of
+the true state above the ground that was measured; the last one is that of hops whose forces are within their bounds.
+
+    ./go python -m benchmarks.quadruped_ground [--grounds floors_30,stairs_31] [--seeds 1,2,3] [--hops 60]
+"""
+
+import argparse
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.disturbed_plant import finished
+from benchmarks.uneven_ground import Blind
+from stepgap.base.blas import one_blas_thread
+from stepgap.base.random_streams import random_stream
+from stepgap.control.reference import Reference
+from stepgap.experiment.deployment import deploy
+from stepgap.learning.learner import Learner
+from stepgap.learning.settings import LearningSettings
+from stepgap.learning.steps import Steps
+from stepgap.plants.plant import Plant
+from stepgap.robots.ground import UnevenGround
+from stepgap.robots.mjcf.mjcf_robot import MjcfPlant
+from stepgap.robots.quadruped.pronk import PronkGains
+from stepgap.robots.quadruped.robot import Quadruped
+from stepgap.step import Array
+
+FLAT = UnevenGround(measured_heights=True)
+
+FLOORS: Mapping[str, float] = {f"floors_{mm}": mm / 1e3 for mm in (15, 30)}
+"""Largest height of a floor that is another one at each hop [m]."""
+
+GROUNDS: Mapping[str, UnevenGround] = {
+    "flat": FLAT,
+    **dict.fromkeys(FLOORS, FLAT),
+    **{f"stairs_{mm}{late}": UnevenGround(stair_height=mm / 1e3) for mm in (31, 62) for late in ("", "_late")},
+    "ramps_5": UnevenGround(slope=0.05),
+    "ramps_10": UnevenGround(slope=0.1),
+    "rough_5": UnevenGround(roughness=0.005),
+    "soft": UnevenGround(patch_stiffness=0.1),
+    "slippery": UnevenGround(patch_friction=0.5),
+}
+"""Grounds by name."""
+
+WAYS = ("nominal", "blind", "touchdown", "online", "again")
+
+LEARNED = 100
+"""Hops from which is learned."""
+
+
+class Case(NamedTuple):
+    """One run."""
+
+    ground: str
+    way: str
+    seed: int
+    hops: int
+
+
+class Found(NamedTuple):
+    """Its hops.
+
+    Attributes:
+        errors: Errors of the true speed [m/s] and height [m]; shape (N, 2).
+        free: Whether its forces were within their bounds; shape (N,).
+        falls: Number of hops that failed.
+    """
+
+    errors: Array
+    free: Array
+    falls: int
+
+
+def random_reference(rng: np.random.Generator, hops: int) -> Reference:
+    """Speeds and heights within the range of use, each for 4 to 8 hops."""
+    rows = list[Array]()
+    while len(rows) < hops:
+        rows += [rng.uniform([0.35, 0.4], [0.65, 0.43])] * int(rng.integers(4, 9))
+    return Reference(("speed", "height"), np.array(rows[:hops]))
+
+
+def hops_of(learner: Learner, plant: Plant, reference: Reference, between: Callable[[], None]) -> Steps:
+    """The hops of a deployment; something is done before each of them."""
+    log = Steps(plant.space)
+    with closing(deploy(learner, plant, reference, learner.iteration)) as steps:
+        for logged in steps:
+            log += [logged]
+            between()
+    return log
+
+
+def deployments(case: Case, ground: str, way: str, learner: Learner, hops: int) -> list[Steps]:
+    """So many hops on a ground; after a fall, of another deployment."""
+    gains, logs = PronkGains(extension_speed=0.4 if case.ground.endswith("late") else 0.0), list[Steps]()
+    robot = Quadruped(ground=GROUNDS[ground], gains=gains)
+    simulation, rng = robot.simulations()["mujoco"](random_stream(case.seed, 9)), random_stream(case.seed, 7)
+    while (left := hops - sum(map(len, logs))) > 0:
+        plant = simulation.plant(random_stream(case.seed, learner.iteration, len(logs)))
+        assert isinstance(plant, MjcfPlant)
+
+        def between(plant: MjcfPlant = plant) -> None:
+            if ground in FLOORS:
+                model = plant._stepper._model
+                model.geom_sameframe[model.geom("floor").id] = 0  # else its place is that of the world
+                model.geom("floor").pos[2] = rng.uniform(-FLOORS[ground], FLOORS[ground])
+
+        chosen = Blind(plant) if way == "blind" else plant
+        logs.append(hops_of(learner, chosen, random_reference(rng, left), between))
+    return logs
+
+
+def measured(case: Case) -> Found:
+    """One run."""
+    nominal, none = (
+        Quadruped(ground=GROUNDS[case.ground]).nominal_maps()["spring_mass"](),
+        LearningSettings(residual="none"),
+    )
+    known = Steps(nominal.space)
+    with one_blas_thread():
+        if case.way != "nominal":
+            before = case.ground if case.way == "again" else "flat"
+            for log in deployments(case, before, "touchdown", Learner.start(nominal, known, none, 0), LEARNED):
+                known += log
+        settings = {"nominal": none, "online": LearningSettings(online=True)}.get(case.way, LearningSettings())
+        logs = deployments(case, case.ground, case.way, Learner.start(nominal, known, settings, 1), case.hops)
+    hops = [each for log in logs for each in log.planned().completed()]
+    errors = np.array([each.record.true_next_state - each.target for each in hops]).reshape(-1, 2)
+    points = nominal.space.point_of(np.array([each.record.requested for each in hops]).reshape(-1, 2))
+    return Found(errors, np.abs(points).max(axis=1) < 1, sum(log.failed_steps for log in logs))
+
+
+def main() -> None:
+    """Prints a row for each ground and way."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--grounds", default=",".join(GROUNDS))
+    parser.add_argument("--ways", default=",".join(WAYS))
+    parser.add_argument("--seeds", default="1,2,3")
+    parser.add_argument("--hops", type=int, default=60)
+    options = parser.parse_args()
+    grounds, ways, seeds = options.grounds.split(","), options.ways.split(","), map(int, options.seeds.split(","))
+    found = dict(finished(measured, [Case(g, w, s, options.hops) for s in seeds for g in grounds for w in ways]))
+    print("RMSE [mm/s, mm], falls of hops; RMSE of height [mm] and number of hops within the bounds")
+    for ground in grounds:
+        for way in ways:
+            runs = [each for case, each in found.items() if (case.ground, case.way) == (ground, way)]
+            errors, falls = np.concatenate([each.errors for each in runs]), sum(each.falls for each in runs)
+            speed, height = 1e3 * np.sqrt(np.mean(errors**2, axis=0))
+            free = errors[np.concatenate([each.free for each in runs]), 1]
+            within = f"{1e3 * np.sqrt(np.mean(free**2)):.1f} of {len(free)}"
+            print(f"{ground:14} {way:10} {speed:6.1f} {height:6.1f}   {falls} of {len(errors) + falls}   {within}")
+
+
+if __name__ == "__main__":
+    main()
