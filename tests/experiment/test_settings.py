@@ -339,3 +339,17 @@ def test_a_reference_that_is_missing_is_refused(tmp_path: Path) -> None:
 def test_the_papers_reference_is_not_copied(tmp_path: Path) -> None:
     write_experiment(tmp_path, Experiment(), paper_reference())
     assert [path.name for path in tmp_path.iterdir()] == ["experiment.toml"]
+
+
+def test_a_file_of_a_robot_is_found_beside_the_settings_and_goes_with_a_run(tmp_path):
+    """The profile of a ground is relative to the file that names it, and is copied into the folder of a run."""
+    (tmp_path / "floor.csv").write_text("place,height\n0,0\n1,0.01\n")
+    (tmp_path / "own.toml").write_text('[ground]\nprofile = "floor.csv"\n')
+    settings = read_experiment(tmp_path / "own.toml")
+    assert settings.robot.ground.profile == str(tmp_path / "floor.csv")
+    write_experiment(tmp_path / "run", settings, load_reference(settings, settings.space))
+    (tmp_path / "floor.csv").unlink()
+    again = read_experiment(tmp_path / "run" / "experiment.toml")
+    assert again.robot.ground.largest_change == 0.01
+    with pytest.raises(InputError, match=r"ground.profile: .*floor.csv"):
+        write_experiment(tmp_path / "run", settings, load_reference(settings, settings.space))

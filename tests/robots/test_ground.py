@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stepgap.robots.ground import FLAT_GROUND, LARGEST_SLOPE, UnevenGround
+from stepgap.base.errors import InputError
+from stepgap.robots.ground import FLAT_GROUND, GAP_DEPTH, LARGEST_SLOPE, RUN_UP, UnevenGround
 
 LENGTH = 11.65
 
@@ -86,8 +87,82 @@ def test_flat_ground_draws_nothing():
         ("stair_length", 0.0, "be at least 0.02 m"),
         ("patch_stiffness", 0.0, "be positive"),
         ("roughness", float("nan"), "be finite"),
+        ("stone_length", 0.0, "be at least 0.02 m"),
     ],
 )
 def test_a_wrong_number_is_named(name, value, rule):
     with pytest.raises(ValueError, match=f"{name} = .*, but it must {rule}"):
         UnevenGround(**{name: value})
+
+
+def height_at(treads, place):
+    """Height of a ground at a place."""
+    piece = np.searchsorted(treads.start, place, "right") - 1
+    return treads.height[piece] + treads.slope[piece] * (place - treads.start[piece])
+
+
+PROFILES = st.lists(st.tuples(st.integers(0, 1100), st.integers(-50, 50)), min_size=1, max_size=12).map(sorted)
+
+
+@given(rows=PROFILES)
+def test_a_profile_is_read_as_it_is_written(rows, tmp_path_factory):
+    """The ground has the height of each row at its place, whatever the file; steep ones are refused."""
+    path = tmp_path_factory.mktemp("profile") / "profile.csv"
+    place, height = np.array(rows).T / [[100], [1000]]
+    path.write_text("height,place\n" + "".join(f"{y!r},{x!r}\n" for x, y in np.column_stack([place, height]).tolist()))
+    ground = UnevenGround(profile=str(path))
+    gaps, rises = np.diff(np.append(place, place[0] + LENGTH)), np.diff(np.append(height, height[0]))
+    if (np.abs(rises[gaps > 0]) > LARGEST_SLOPE * gaps[gaps > 0]).any():
+        with pytest.raises(InputError, match=r"profile.csv, row \d+: the ground rises"):
+            ground.treads(LENGTH, np.random.default_rng(0))
+        return
+    treads = ground.treads(LENGTH, np.random.default_rng(0))
+    last = np.append(np.diff(place) > 0, True)  # after a riser, its upper end
+    wanted = np.where((place == place[0]) & (place == 0), height[last][0], height)
+    assert height_at(treads, place)[last] == pytest.approx(wanted[last], abs=1e-12)
+    assert not ground.is_flat
+    assert ground.largest_change == pytest.approx(np.ptp(height))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "line 1: the header is ''; it must be 'place,height'"),
+        ("place,height\n0.1,x\n", "line 2, column 'height': 'x'; it must be a finite number in m"),
+        ("place,height\n0.1,inf\n", "line 2, column 'height'"),
+        ("place,height\n0.3,0\n0.2,0\n", "row 2: place 0.2 m follows 0.3 m; places must not fall"),
+        ("place,height\n0.3,2\n", r"row 1: height 2 m; it must be within ±1 m"),
+        ("place,height\n12,0\n", r"place 12 m is not on the ground; it must be from 0 to below 11.65 m"),
+        ("place,height\n-1,0\n2,0\n", r"place -1 m is not on the ground"),
+        ("place,height\n0,0\n0.1,0.1\n", "row 1: the ground rises by 0.1 m within 0.1 m; it may by 0.5 of that"),
+    ],
+)
+def test_a_wrong_profile_is_named(text, message, tmp_path):
+    path = tmp_path / "profile.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=f"profile.csv.*{message}"):
+        UnevenGround(profile=str(path)).treads(LENGTH, np.random.default_rng(0))
+
+
+def test_a_profile_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"none.csv: No such file.*; ground.profile must be a CSV file"):
+        _ = UnevenGround(profile=str(tmp_path / "none.csv")).largest_change
+    (tmp_path / "bytes.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match=r"bytes.csv: this is not text"):
+        _ = UnevenGround(profile=str(tmp_path / "bytes.csv")).largest_change
+
+
+@given(st.floats(0.1, 0.5), st.floats(0.0, 0.9), st.floats(0.02, 0.3), st.integers(0, 99))
+def test_stones_carry_and_gaps_do_not(spacing, share, length, seed):
+    spread = share * (spacing - 0.02)
+    ground = UnevenGround(stone_spacing=spacing, stone_spread=spread, stone_length=length, stone_seed=seed)
+    treads, stones = ground.treads(LENGTH, np.random.default_rng(0)), ground.stones(LENGTH)
+    gaps = np.diff(np.append(stones, LENGTH))
+    assert stones[0] == 0
+    assert gaps.max() / gaps.min() <= (spacing + spread) / (spacing - spread) + 1e-9
+    for side in (-0.499, 0, 0.499):
+        assert not height_at(treads, (stones + side * length) % LENGTH).any()
+    places = np.linspace(0, LENGTH, 3000, endpoint=False)
+    near = np.abs((places[:, None] - stones + LENGTH / 2) % LENGTH - LENGTH / 2).min(axis=1) <= length / 2
+    solid = near | (places <= stones[1]) | (places >= LENGTH - RUN_UP)
+    assert height_at(treads, places) == pytest.approx(np.where(solid, 0.0, -GAP_DEPTH))

@@ -8,7 +8,7 @@ import numpy as np
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.files import read_bounded_text, write_whole
 from stepgap.control.reference import Reference, read_reference, reference_text
-from stepgap.experiment.settings import LARGEST_NOMINAL_FILE, Experiment
+from stepgap.experiment.settings import LARGEST_NOMINAL_FILE, Experiment, with_files
 from stepgap.experiment.settings_text import experiment_toml
 from stepgap.learning.steps import Steps, joined
 from stepgap.records.steps_csv import RecordError, read_step_log, text_of
@@ -79,8 +79,8 @@ def experiment_files(
 ) -> dict[str, str]:
     """Texts by file name of a folder with which an experiment can be repeated: all settings are in `experiment.toml`.
 
-    A reference, a nominal map and earlier steps from files are among the files, so that the folder is complete. The
-    file of a rig is not: it belongs to the machine on which it was checked.
+    A reference, a nominal map, earlier steps and the robot's own files are among the files, so that the folder is
+    complete. The file of a rig is not: it belongs to the machine on which it was checked.
 
     Args:
         experiment: The experiment.
@@ -89,9 +89,9 @@ def experiment_files(
         surrogate: Text of the file of its nominal map, if that was fitted for it.
 
     Raises:
-        InputError: The file of the nominal map cannot be read.
+        InputError: A file cannot be read.
     """
-    files = {}
+    files = dict[str, str]()
     if experiment.rig:
         experiment = replace(experiment, rig=str(Path(experiment.rig).resolve()))
     if experiment.reference not in experiment.robot.references():
@@ -100,8 +100,15 @@ def experiment_files(
     if experiment.nominal.file or surrogate:
         path = Path(experiment.nominal.file or SURROGATE)
         name = f"nominal_map{path.suffix}"
-        files[name] = surrogate or _text_of(path)
+        files[name] = surrogate or _text_of(path, "nominal.file")
         experiment = replace(experiment, nominal=replace(experiment.nominal, file=name))
+
+    def copied(name: str, value: str) -> str:
+        file = f"{name.replace('.', '_')}{Path(value).suffix}"
+        files[file] = _text_of(Path(value), name)
+        return file
+
+    experiment = replace(experiment, robot=with_files(experiment.robot, copied))
     if known:
         files[WARM_START] = text_of(known)
         experiment = replace(experiment, warm_start=WARM_START)
@@ -116,8 +123,8 @@ def write_experiment(
         write_whole(folder / name, text)
 
 
-def _text_of(path: Path) -> str:
+def _text_of(path: Path, setting: str) -> str:
     try:
         return read_bounded_text(path, LARGEST_NOMINAL_FILE)
     except (OSError, ValueError) as error:
-        raise InputError(f"nominal.file: {message_of(error)}") from None
+        raise InputError(f"{setting}: {message_of(error)}") from None

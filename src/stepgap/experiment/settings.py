@@ -1,6 +1,6 @@
 """Settings of an experiment: read with strict checks from TOML and the command line, written with all values."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
@@ -39,8 +39,8 @@ ROBOT = "robot"
 DEFAULT_ROBOT = "hopper"
 """Name of the robot if no other is given."""
 
-PATHS = ("reference", "rig", "warm_start", "nominal.file")
-"""Settings that name a file or a folder."""
+_PATHS = ("reference", "rig", "warm_start", "nominal.file")
+"""Settings of every experiment that name a file or a folder."""
 
 PROCESS = "process"
 """The plant that is another program; all others but the simulated ones are names of rigs."""
@@ -196,14 +196,30 @@ def read_settings_file(path: Path) -> SettingsFile | Missing:
 
 def with_absolute_paths(experiment: Experiment, folder: Path) -> Experiment:
     """The experiment from a file in this folder, to which its paths are relative."""
-    given = {name: attrgetter(name)(experiment) for name in PATHS}
+    given = {name: attrgetter(name)(experiment) for name in _PATHS}
     found = {name: in_folder(folder, experiment.robot, name, value) for name, value in given.items()}
     nominal = replace(experiment.nominal, file=found.pop("nominal.file"))
-    return replace(experiment, **found, nominal=nominal)
+    robot = with_files(experiment.robot, lambda name, value: in_folder(folder, experiment.robot, name, value))
+    return replace(experiment, **found, nominal=nominal, robot=robot)
+
+
+def with_files(robot: Robot, change: Callable[[str, str], str]) -> Robot:
+    """The robot with other names of its files: `change` is called with each key and value that is given."""
+    for name in robot.files:
+        table, key = name.split(".")
+        part = getattr(robot, table)
+        if value := getattr(part, key):
+            robot = replace(cast("Any", robot), **{table: replace(part, **{key: change(name, value)})})
+    return robot
+
+
+def names_file(robot: Robot, name: str) -> bool:
+    """Whether a setting of an experiment with this robot names a file or a folder."""
+    return name in _PATHS or name in robot.files
 
 
 def in_folder(folder: Path, robot: Robot, name: str, value: str) -> str:
-    """The value of a setting in `PATHS` that is given in a file of this folder, relative to which paths are."""
+    """The value of a setting that names a file and is given in a file of this folder, to which paths are relative."""
     named = bool(value) and not (name == "reference" and value in robot.references())
     return str(folder / value) if named else value
 

@@ -1,18 +1,22 @@
 """Uneven ground by place: table `[ground]` of a robot, and the treads that a simulation makes of it.
 
 Its parts add up: stairs of random heights, ramps that rise and fall in turn, a smooth random field, a measured profile,
-and patches of another stiffness and friction. The ground repeats after a length, such as a turn of a boom. The same
-seed gives the same ground.
+stones with gaps between them, and patches of another stiffness and friction. The ground repeats after a length, such as
+a turn of a boom. The same seed gives the same ground.
 """
 
 from dataclasses import dataclass, fields
 from math import isfinite, pi, sqrt
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from stepgap.base.errors import InputError
+from stepgap.base.files import read_bounded_text
 from stepgap.base.ranges import require
-from stepgap.step import Array
+from stepgap.control.reference import parse_rows
+from stepgap.step import Array, Quantity
 
 LARGEST_SLOPE = 0.5
 """Steepest ramp, rise over length."""
@@ -22,6 +26,21 @@ FINEST = 0.01
 
 SHORTEST = 0.02
 """Shortest length of a tread, a ramp, a wave or a patch [m]."""
+
+GAP_DEPTH = 0.5
+"""Depth of the gaps between stones [m]: a leg that steps into one finds no ground, and the robot falls."""
+
+RUN_UP = 0.3
+"""Length of ground without gaps before the first stone [m], on which a robot is put."""
+
+LARGEST_PROFILE = 2**20
+"""Largest file of a profile that is read [bytes]."""
+
+HIGHEST = 1.0
+"""Largest height of a profile, up or down [m]."""
+
+_PROFILE = (Quantity("place", "m", 0.0, 10.0), Quantity("height", "m", -0.05, 0.05))
+"""Columns of the file of a profile."""
 
 _STRIDE = 0.3
 """Distance of two footholds that limits expect [m]."""
@@ -45,6 +64,19 @@ class Treads(NamedTuple):
     friction: Array
 
 
+class _Pieces(NamedTuple):
+    """Heights by place of one part of a ground, straight between the starts of its pieces; arrays of shape (k,)."""
+
+    start: Array
+    height: Array
+    slope: Array
+
+    def at(self, place: Array) -> tuple[Array, Array]:
+        """Heights [m] and slopes at places, of which a piece has its start; shapes as `place`."""
+        piece = np.searchsorted(self.start, place, "right") - 1
+        return self.height[piece] + self.slope[piece] * (place - self.start[piece]), self.slope[piece]
+
+
 @dataclass(frozen=True)
 class UnevenGround:
     """Uneven ground by place; flat by default.
@@ -56,6 +88,14 @@ class UnevenGround:
         ramp_length: Length of a ramp [m].
         roughness: Standard deviation of a smooth random height [m].
         wave_length: Its shortest wave [m]; all longer ones that fit have the same amplitude.
+        profile: A measured profile: a CSV file of place and height [m], relative to the experiment's file. It is
+            straight between its rows, two rows of one place are a riser, and its end leads to its beginning.
+        stone_spacing: Mean distance of the middles of stones, between which a foot finds no ground [m]; 0: no stones.
+            A deployment begins at the first one, at place 0.
+        stone_spread: By how much each of these distances may be shorter or longer [m]; they are drawn independently
+            and uniformly, and together fill the ground.
+        stone_length: Length of a stone [m].
+        stone_seed: Draws the stones, in place of the seed of the run, since the robot knows where they are.
         patch_stiffness: Stiffness of every other patch, as a part of that of the ground.
         patch_friction: Coefficient of friction of every other patch, as a part of that of the ground.
         patch_length: Length of a patch [m].
@@ -71,6 +111,11 @@ class UnevenGround:
     ramp_length: float = 1.5
     roughness: float = 0.0
     wave_length: float = 0.5
+    profile: str = ""
+    stone_spacing: float = 0.0
+    stone_spread: float = 0.0
+    stone_length: float = 0.08
+    stone_seed: int = 0
     patch_stiffness: float = 1.0
     patch_friction: float = 1.0
     patch_length: float = 1.0
@@ -80,20 +125,23 @@ class UnevenGround:
     def __post_init__(self) -> None:
         for each in fields(self):
             value = getattr(self, each.name)
-            require(isfinite(value), each.name, value, "be finite")
-        for name in ("stair_height", "roughness"):
+            require(isinstance(value, str) or isfinite(value), each.name, value, "be finite")
+        for name in ("stair_height", "roughness", "stone_spacing", "stone_spread", "stone_seed"):
             require(getattr(self, name) >= 0, name, getattr(self, name), "not be negative")
         require(0 <= self.slope <= LARGEST_SLOPE, "slope", self.slope, f"lie between 0 and {LARGEST_SLOPE:g}")
-        for name in ("stair_length", "ramp_length", "wave_length", "patch_length"):
+        for name in ("stair_length", "ramp_length", "wave_length", "stone_length", "patch_length"):
             require(getattr(self, name) >= SHORTEST, name, getattr(self, name), f"be at least {SHORTEST:g} m")
         for name in ("patch_stiffness", "patch_friction"):
             require(getattr(self, name) > 0, name, getattr(self, name), "be positive")
+        if self.stone_spacing:
+            rule = f"be less than stone_spacing = {self.stone_spacing:g} by {SHORTEST:g} m at least"
+            require(self.stone_spread <= self.stone_spacing - SHORTEST, "stone_spread", self.stone_spread, rule)
 
     @property
     def is_flat(self) -> bool:
         """Whether the ground is the same everywhere."""
         patches = self.patch_stiffness != 1 or self.patch_friction != 1
-        return not (self.stair_height or self.slope or self.roughness or patches)
+        return not (self.stair_height or self.slope or self.roughness or self.profile or self.stone_spacing or patches)
 
     @property
     def is_measured(self) -> bool:
@@ -102,8 +150,13 @@ class UnevenGround:
 
     @property
     def largest_change(self) -> float:
-        """Change of height from a foothold to the next [m] that limits should allow; three deviations at rough ones."""
-        return self.stair_height + _STRIDE * self.slope + 6 * self.roughness
+        """Change of height from a foothold to the next [m] that limits should allow; three deviations at rough ones.
+
+        Raises:
+            InputError: The profile cannot be read.
+        """
+        profile = float(np.ptp(_rows_of(self.profile)[:, 1])) if self.profile else 0.0
+        return self.stair_height + _STRIDE * self.slope + 6 * self.roughness + profile
 
     def treads(self, length: float, rng: np.random.Generator) -> Treads:
         """The pieces of a ground that repeats after a length [m].
@@ -111,44 +164,125 @@ class UnevenGround:
         Args:
             length: The length.
             rng: Draws the ground. Parts that are left out draw nothing.
+
+        Raises:
+            InputError: The profile cannot be read, or is longer than the ground.
         """
-        stairs = self._stairs(length, rng) if self.stair_height else (np.zeros(1), np.zeros(1))
-        rough = self._field(length, rng) if self.roughness else (np.zeros(1), np.zeros(1))
-        ramps = _evenly(length, self.ramp_length) if self.slope else np.zeros(1)
+        parts = [_Pieces(np.zeros(1), np.zeros(1), np.zeros(1))]
+        if self.stair_height:
+            parts.append(self._stairs(length, rng))
+        if self.roughness:
+            parts.append(self._field(length, rng))
+        if self.slope:
+            parts.append(self._ramps(length))
+        if self.profile:
+            parts.append(_profile(self.profile, length))
+        if self.stone_spacing:
+            parts.append(self._gaps(length))
         softer = self.patch_stiffness != 1 or self.patch_friction != 1
         patches = _evenly(length, self.patch_length) if softer else np.zeros(1)
-        start = np.unique(np.concatenate([stairs[0], rough[0], ramps, patches]))
-        end = np.append(start[1:], length)
-        tread, ramp, patch = (np.searchsorted(each, start, "right") - 1 for each in (stairs[0], ramps, patches))
-        waves = np.interp(np.stack([start, end]), *rough, period=length) if self.roughness else np.zeros((2, 1))
-        half = length / len(ramps)
-        climb = self.slope * (np.where(ramp % 2, half - (start - ramps[ramp]), start - ramps[ramp]) - half / 2)
-        odd = patch % 2 == 1
+        start = np.unique(np.concatenate([patches, *(part.start for part in parts)]))
+        heights, slopes = zip(*(part.at(start) for part in parts), strict=True)
+        odd = np.searchsorted(patches, start, "right") % 2 == 0
         return Treads(
             start=start,
-            height=stairs[1][tread] + waves[0] + climb,
-            slope=np.where(ramp % 2, -self.slope, self.slope) + (waves[1] - waves[0]) / (end - start),
+            height=np.sum(heights, axis=0),
+            slope=np.sum(slopes, axis=0),
             stiffness=np.where(odd, self.patch_stiffness, 1.0),
             friction=np.where(odd, self.patch_friction, 1.0),
         )
 
-    def _stairs(self, length: float, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Where treads begin, and their heights [m]."""
+    def stones(self, length: float) -> Array:
+        """Places of the middles of the stones on a ground that repeats after a length [m]; the first is 0."""
+        rng, count = np.random.default_rng(self.stone_seed), max(2, round(length / self.stone_spacing))
+        ends = np.cumsum(self.stone_spacing + self.stone_spread * rng.uniform(-1, 1, count))
+        return np.append(0.0, ends[:-1]) * (length / ends[-1])
+
+    def _gaps(self, length: float) -> _Pieces:
+        """Gaps between the stones; there are none from `RUN_UP` before the first stone to the second one."""
+        stones, half = self.stones(length), self.stone_length / 2
+        begin, end = stones[1:] + half, np.minimum(np.append(stones[2:] - half, length), length - RUN_UP)
+        real = begin < end
+        start = np.append(0.0, np.column_stack([begin[real], end[real]]))
+        height = np.append(0.0, np.tile([-GAP_DEPTH, 0.0], np.count_nonzero(real)))
+        return _Pieces(start, height, np.zeros(len(start)))
+
+    def _stairs(self, length: float, rng: np.random.Generator) -> _Pieces:
+        """Level treads."""
         count = max(2, round(length / self.stair_length))
         lengths = rng.uniform(0.5, 1.5, count)
         start = np.append(0.0, np.cumsum(lengths)[:-1]) * (length / lengths.sum())
         risers = rng.uniform(-self.stair_height, self.stair_height, count)
         risers -= risers.mean()  # after its length, the ground is as high as where it began
         heights = np.cumsum(risers * min(1.0, self.stair_height / np.abs(risers).max()))
-        return start, heights - heights.mean()
+        return _Pieces(start, heights - heights.mean(), np.zeros(count))
 
-    def _field(self, length: float, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Places and heights of the corners of a smooth random profile [m]."""
+    def _field(self, length: float, rng: np.random.Generator) -> _Pieces:
+        """A smooth random profile."""
         waves = np.arange(1, max(2, int(length / self.wave_length) + 1))
         place = np.linspace(0, length, max(16, round(length / min(FINEST, self.wave_length / 10))), endpoint=False)
         phases = rng.uniform(0, 2 * pi, len(waves))
         angles = 2 * pi * np.outer(place / length, waves) + phases
-        return place, self.roughness * sqrt(2 / len(waves)) * np.sin(angles).sum(axis=1)
+        return _closed(place, self.roughness * sqrt(2 / len(waves)) * np.sin(angles).sum(axis=1), length)
+
+    def _ramps(self, length: float) -> _Pieces:
+        """Ramps that rise and fall in turn."""
+        start = _evenly(length, self.ramp_length)
+        return _closed(start, self.slope * length / len(start) * np.where(np.arange(len(start)) % 2, 0.5, -0.5), length)
+
+
+def _closed(place: Array, height: Array, length: float) -> _Pieces:
+    """Straight pieces from each corner to the next; the last one leads to the first, a length [m] on."""
+    return _Pieces(place, height, (np.roll(height, -1) - height) / np.diff(np.append(place, place[0] + length)))
+
+
+def _rows_of(path: str) -> Array:
+    """Places and heights of a profile [m], as its file has them; shape (k, 2).
+
+    Raises:
+        InputError: It cannot be read; the message names file, line and column.
+    """
+    try:
+        rows = parse_rows(read_bounded_text(Path(path), LARGEST_PROFILE), _PROFILE, path, "row")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; ground.profile must be a CSV file of place and height") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: this is not text; a profile is a CSV file in UTF-8") from None
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    for row in np.flatnonzero(np.diff(rows[:, 0]) < 0):
+        before, place = rows[row : row + 2, 0]
+        raise InputError(f"{path}, row {row + 2}: place {place:g} m follows {before:g} m; places must not fall")
+    for row in np.flatnonzero(np.abs(rows[:, 1]) > HIGHEST):
+        raise InputError(f"{path}, row {row + 1}: height {rows[row, 1]:g} m; it must be within ±{HIGHEST:g} m")
+    return rows
+
+
+def _profile(path: str, length: float) -> _Pieces:
+    """A measured profile of a ground with a length [m].
+
+    Raises:
+        InputError: It cannot be read, goes beyond the ground, or is steeper than a ramp.
+    """
+    place, height = _rows_of(path).T
+    if place[0] < 0 or place[-1] >= length:
+        wrong = place[0] if place[0] < 0 else place[-1]
+        raise InputError(f"{path}: place {wrong:g} m is not on the ground; it must be from 0 to below {length:.4g} m")
+    place, height = np.append(place, place[0] + length), np.append(height, height[0])
+    long, rise = np.diff(place), np.diff(height)
+    steep = np.flatnonzero((np.abs(rise) > LARGEST_SLOPE * long) & (long > 0))
+    if len(steep):
+        row = int(steep[0])
+        raise InputError(
+            f"{path}, row {row + 1}: the ground rises by {rise[row]:g} m within {long[row]:g} m; it may by "
+            f"{LARGEST_SLOPE:g} of that, and a riser is two rows of one place"
+        )
+    there = long > 0
+    start, height, slope = place[:-1][there], height[:-1][there], rise[there] / long[there]
+    if start[0] == 0:
+        return _Pieces(start, height, slope)
+    at_zero = height[-1] + slope[-1] * (length - start[-1])
+    return _Pieces(np.append(0.0, start), np.append(at_zero, height), np.append(slope[-1], slope))
 
 
 def _evenly(length: float, wanted: float) -> Array:

@@ -17,7 +17,7 @@ import tomli_w
 from stepgap.base.errors import InputError
 from stepgap.base.random_streams import random_stream
 from stepgap.experiment.inputs import experiment_files, load_known, load_reference
-from stepgap.experiment.settings import PATHS, Experiment, changed_experiment, merged_experiment, nested
+from stepgap.experiment.settings import Experiment, changed_experiment, merged_experiment, names_file, nested
 from stepgap.step import StepSpace
 
 SWEEP_FILE = "sweep.toml"
@@ -115,7 +115,7 @@ def points_digest(base: Experiment, axes: Sequence[Axis]) -> str:
     """
     content = repr([(axis.names, axis.points) for axis in axes])
     for axis in axes:
-        for point in axis.points if {*axis.names} & {*PATHS} else ():
+        for point in axis.points if any(names_file(base.robot, name) for name in axis.names) else ():
             content += repr(_input_files(merged_experiment(base, nested(zip(axis.names, point, strict=True)), str)))
     return sha256(content.encode()).hexdigest()
 

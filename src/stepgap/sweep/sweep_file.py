@@ -14,12 +14,12 @@ from stepgap.base.ranges import format_value
 from stepgap.base.settings_file import check_keys, inner_table, read_toml
 from stepgap.experiment.inputs import load_reference
 from stepgap.experiment.settings import (
-    PATHS,
     ROBOT,
     Experiment,
     experiment_table,
     in_folder,
     merged_experiment,
+    names_file,
     read_experiment,
 )
 from stepgap.robots.entry_points import simulations_of
@@ -79,7 +79,7 @@ def read_sweep(path: Path) -> Sweep:
 
 def _absolute(base: Experiment, name: str, value: Any, folder: Path) -> Any:
     """The values of an axis, with absolute paths."""
-    if name not in PATHS or not isinstance(value, list):
+    if not names_file(base.robot, name) or not isinstance(value, list):
         return value
     home, robot = folder.resolve(), base.robot
     return [in_folder(home, robot, name, each) if isinstance(each, str) else each for each in value]

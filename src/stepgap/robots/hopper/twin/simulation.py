@@ -70,7 +70,7 @@ class HopperSimulation(Simulation):
     ):
         self.parameters, self.make_control = parameters, make_control
         profile = GroundProfile(gap, parameters.boom_length, world, ground)
-        self.make_twin = partial(_twin, parameters, gap, profile)
+        self.make_twin = partial(_twin, parameters, gap, profile, ground.stone_spacing > 0)
         self.make_twin(np.random.default_rng(0))  # reports errors before the first deployment
 
     def repeatable_plant(self, rng: np.random.Generator) -> TwinPlant:
@@ -107,9 +107,12 @@ class TwinSimulation(HopperSimulation):
         return twin, twin
 
 
-def _twin(parameters: RobotParameters, gap: RealityGap, ground: GroundProfile, rng: np.random.Generator) -> Twin:
-    """Twin of one deployment, on the floor turned by a random angle."""
+def _twin(
+    parameters: RobotParameters, gap: RealityGap, ground: GroundProfile, stones: bool, rng: np.random.Generator
+) -> Twin:
+    """Twin of one deployment, on the floor turned by a random angle, or on the first of its stones."""
     floor_yaw = rng.uniform(0, tau)  # otherwise every deployment would reach a target at the same yaw
+    floor_yaw = 0.0 if stones else floor_yaw
     try:
         return Twin(parameters, gap, rng, ground=ground, floor_yaw=floor_yaw)
     except ValueError as error:
