@@ -103,6 +103,9 @@ class Quantity:
             is predicted, but not tracked, so it has no target.
         above: Quantity of the context above which it is measured, such as the height of the ground at the touchdown of
             the step; empty if it is measured from a fixed zero.
+        adds_up: Whether it is a distance from there, such as that from a foothold to the next one. Then targets add up:
+            what a step falls short of is added to the target of the next one. It begins anew with each step, so it is
+            0 at its start, and a map does not depend on it.
 
     Raises:
         ValueError: The name is no identifier, the unit has a character that no unit has, the range is empty, or the
@@ -115,6 +118,7 @@ class Quantity:
     upper: float
     weight: float = 1.0
     above: str = ""
+    adds_up: bool = False
 
     def __post_init__(self) -> None:
         _check_words(self.name, self.unit)
@@ -122,6 +126,7 @@ class Quantity:
         rule = f"be finite and exceed lower = {self.lower:g} ({self.name})"
         require(self.lower < self.upper < inf, "upper", self.upper, rule)
         require(0 <= self.weight < inf, "weight", self.weight, f"be a finite number from 0 on ({self.name})")
+        require(bool(self.above) or not self.adds_up, "adds_up", self.adds_up, f"be false without above ({self.name})")
 
 
 @dataclass(frozen=True)
@@ -225,6 +230,19 @@ class StepSpace:
     def is_above_context(self) -> bool:
         """Whether a state coordinate is measured above a quantity of the context."""
         return any(each.above for each in self.state)
+
+    @cached_property
+    def adds_up(self) -> NDArray[np.bool_]:
+        """Which state coordinates are distances whose targets add up; shape (n,)."""
+        return np.array([each.adds_up for each in self.state], bool)
+
+    def onward(self, state: Array) -> Array:
+        """Ends of steps as starts of the next ones: distances that add up begin anew; shape (…, n)."""
+        return np.where(self.adds_up, 0.0, state) if self.adds_up.any() else state
+
+    def start(self, measured: Array, context: Sequence[float]) -> Array:
+        """The start of a step, as measured from fixed zeros before it, above its context; shape (n,)."""
+        return self.onward(self.above(measured, context))
 
     def above(self, state: Array, context: Sequence[float]) -> Array:
         """A measured state with the coordinates of a step that are measured above its context; shape (n,).

@@ -204,12 +204,13 @@ def deploy(
             if number < 1:
                 plan = _explored(controller, reference, state)
             else:
-                plan = controller.plan(state, reference.targets[number - 1], reference.targets[number:])
+                target = reference.targets[number - 1]
+                plan = controller.plan(plant.space.onward(state), target, reference.targets[number:])
             on_time("planning", perf_counter() - begin)
             fit = partial(background.compute, controller.learner.pending)  # after the command: it causes no delay
-            replan = partial(_replanned, reference, number, plan, on_time)
+            replan = partial(_replanned, reference, number, plan, plant.space, on_time)
             record, plan = _taken(plant, controller, plan, replan, fit)
-            target = reference.targets[number - 1] if number > 0 else plan.predicted
+            target = asked(reference, number, plant.space, record.context) if number > 0 else plan.predicted
             logged = LoggedStep(iteration, number, target, plan.predicted, plan.std, record)
             yield logged
             if record.status != StepStatus.OK:
@@ -224,6 +225,7 @@ def _replanned(
     reference: Reference,
     number: int,
     plan: CautiousPlan,
+    space: StepSpace,
     on_time: Callable[[str, float], None],
     controller: DeploymentController,
     found: Touchdown,
@@ -232,9 +234,27 @@ def _replanned(
     if number < 1:
         return controller.predicted_plan(found.state, plan.command)
     begin = perf_counter()
-    plan = controller.plan(found.state, reference.targets[number - 1], reference.targets[number:])
+    target = asked(reference, number, space, found.context)
+    plan = controller.plan(found.state, target, reference.targets[number:])
     on_time("planning", perf_counter() - begin)
     return plan
+
+
+def asked(reference: Reference, number: int, space: StepSpace, context: Mapping[str, float]) -> Array:
+    """Target of a step; of a distance whose targets add up, from where the step stands, if that is known; shape (n,).
+
+    Args:
+        reference: Its targets are distances from where the step before should have ended.
+        number: Number of the step, from 1.
+        space: Names of the context, and which coordinates add up.
+        context: What the touchdown of the step has found.
+    """
+    target = reference.targets[number - 1]
+    if not space.adds_up.any():
+        return target
+    stands = np.array([context.get(each.above, np.nan) for each in space.state])
+    behind = np.where(space.adds_up, reference.targets[: number - 1].sum(axis=0) - stands, 0.0)
+    return target + np.nan_to_num(behind)
 
 
 def _taken(

@@ -1,6 +1,7 @@
 """The nominal map plus a learned residual, which is a `StepMap` again."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -44,14 +45,15 @@ class CorrectedMap(StepMap):
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
         """Next states and status codes; never raises for a step that fails."""
         next_state, status = self.nominal.evaluate(state, command)
-        points = join_points(state, command)
+        points = self._points(state, command)
         added = self.disturbance.mean(self._inputs(points)) if self.disturbance else 0.0
         return Outcome(next_state + self.residual.mean(points) + added, status)
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails."""
         added = self.disturbance.slopes / self._half_ranges if self.disturbance else 0.0
-        return self.nominal.jacobian(state, command) + self.residual.mean_gradient(join_points(state, command)) + added
+        of_residual = self.residual.mean_gradient(self._points(state, command))
+        return self.nominal.jacobian(state, command) + self._acting * (of_residual + added)
 
     @property
     def noise_std(self) -> Array:
@@ -60,22 +62,31 @@ class CorrectedMap(StepMap):
 
     def std(self, state: ArrayLike, command: ArrayLike) -> Array:
         """Standard deviation of the next state, residual and disturbance; shape (…, n) [units of the state]."""
-        points = join_points(state, command)
+        points = self._points(state, command)
         std = self.residual.std(points)
         return np.hypot(std, self.disturbance.std(self._inputs(points))) if self.disturbance else std
 
     def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂std/∂(state, command); shape (…, n, n + m)."""
-        points = join_points(state, command)
-        gradient = self.residual.std_gradient(points)
+        points = self._points(state, command)
+        gradient = self._acting * self.residual.std_gradient(points)
         if not self.disturbance:
             return gradient
         inputs, std = self._inputs(points), self.residual.std(points)
         added = self.disturbance.std(inputs)
         total = np.hypot(std, added)
         shares = [np.divide(part, total, out=np.ones_like(total), where=total > 0) for part in (std, added)]
-        of_added = self.disturbance.std_gradient(inputs) / self._half_ranges
+        of_added = self._acting * self.disturbance.std_gradient(inputs) / self._half_ranges
         return shares[0][..., None] * gradient + shares[1][..., None] * of_added
+
+    @cached_property
+    def _acting(self) -> Array:
+        """1 for each state and command coordinate that has an effect, 0 for distances that begin anew; (n + m,)."""
+        return np.append(~self.space.adds_up, np.ones(len(self.space.command)))
+
+    def _points(self, state: ArrayLike, command: ArrayLike) -> Array:
+        """Points at which the residual is learned: distances begin anew with each step; shape (…, n + m)."""
+        return join_points(self.space.onward(np.asarray(state, float)), command)
 
     @property
     def _half_ranges(self) -> Array:

@@ -81,7 +81,8 @@ class RigPlant(Plant):
         self._rig.connect()
         self._begin()
         released, nothing = self._rig.released, np.zeros(len(self._space.command))
-        self._measured = np.array(released) if released else np.full(len(self._space.state), np.nan)
+        self._measured = np.full(len(self._space.state), np.nan)
+        self._measured[: len(released)] = released
         first = self._taken(StepCommands(self._space, nothing), nothing, None)
         if self._status != StepStatus.OK:
             detail = f" ({self._fault})" if self._fault else ""
@@ -89,7 +90,7 @@ class RigPlant(Plant):
                 f"the first step failed: {self._status.label}{detail}: {self._space.advice_on(self._status)}; "
                 "on a simulated robot, check whether it can step with the differences in [gap]"
             )
-        self._first_step = first if released else None
+        self._first_step = first if np.isfinite(first.state).all() else None
         return first.next_state
 
     def take_step(self, command: Array) -> StepRecord:
@@ -118,17 +119,18 @@ class RigPlant(Plant):
         def chosen() -> tuple[float, ...]:
             context = self._control.touchdown()
             if at_touchdown and context:
-                found = Touchdown(space.above(before, context), space.named_context(context))
+                found = Touchdown(space.start(before, context), space.named_context(context))
                 return tuple(commands.replace(at_touchdown, found).tolist())
             return tuple(within.tolist())
 
         self._measured, acted, lost, context = self._step(tuple(within.tolist()), chosen)
         if self._status == StepStatus.OK and self._rig.truth:
-            true_state[:] = self._rig.truth
+            true_state[: len(self._rig.truth)] = self._rig.truth
         command = commands.acted(acted)
         if command is not commands.first:
             within = commands.within
-        state, next_state, true_state = (space.above(each, context) for each in (before, self._measured, true_state))
+        state = space.start(before, context)
+        next_state, true_state = (space.above(each, context) for each in (self._measured, true_state))
         named = space.named_context(context)
         return StepRecord(state, command, within - lost, next_state, self._status, named, within, true_state)
 

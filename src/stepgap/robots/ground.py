@@ -99,6 +99,7 @@ class UnevenGround:
         patch_stiffness: Stiffness of every other patch, as a part of that of the ground.
         patch_friction: Coefficient of friction of every other patch, as a part of that of the ground.
         patch_length: Length of a patch [m].
+        footholds: Whether the place of the next touchdown is tracked instead of the speed, as it always is on stones.
         measured_heights: Whether a robot without a simulation, too, measures heights above the ground that its foot
             finds at touchdown, and chooses the command anew there; on uneven ground it always does.
         inputs: Whether the slope and the yielding that a touchdown finds are inputs of the residual; `false` for a
@@ -119,6 +120,7 @@ class UnevenGround:
     patch_stiffness: float = 1.0
     patch_friction: float = 1.0
     patch_length: float = 1.0
+    footholds: bool = False
     measured_heights: bool = False
     inputs: bool = True
 
@@ -146,7 +148,12 @@ class UnevenGround:
     @property
     def is_measured(self) -> bool:
         """Whether heights are those above the ground that was measured at touchdown."""
-        return self.measured_heights or not self.is_flat
+        return self.measured_heights or self.has_footholds or not self.is_flat
+
+    @property
+    def has_footholds(self) -> bool:
+        """Whether the place of the next touchdown is tracked."""
+        return self.footholds or self.stone_spacing > 0
 
     @property
     def largest_change(self) -> float:

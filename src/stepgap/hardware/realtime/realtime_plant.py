@@ -104,7 +104,7 @@ class RealtimePlant(Plant):
         commands = StepCommands(space, command)
         if np.isnan(commands.within).any():
             self.stop()
-            state, nowhere = space.above(before, self._context), np.full(len(before), np.nan)
+            state, nowhere = space.start(before, self._context), np.full(len(before), np.nan)
             return StepRecord(state, commands.first, commands.within, nowhere, StepStatus.INVALID)
         self._step += 1
         session.board.post_command(self._step, commands.within.tolist())
@@ -115,11 +115,11 @@ class RealtimePlant(Plant):
             found = None if asked or at_touchdown is None else session.board.touchdown(self._step)
             if at_touchdown and found is not None:
                 asked, self._context = True, found
-                touchdown = Touchdown(space.above(before, found), space.named_context(found))
+                touchdown = Touchdown(space.start(before, found), space.named_context(found))
                 session.board.post_command(self._step, commands.replace(at_touchdown, touchdown).tolist())
 
         step, status = self._await_step(session, look)
-        state, next_state = space.above(before, self._context), space.above(step.state, self._context)
+        state, next_state = space.start(before, self._context), space.above(step.state, self._context)
         context, command = space.named_context(step.context), commands.acted(step.command)
         return StepRecord(state, command, step.applied, next_state, status, context, step.requested)
 

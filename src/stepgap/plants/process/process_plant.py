@@ -108,22 +108,22 @@ class ProcessPlant(Plant):
         commands, nowhere = StepCommands(self._space, command), np.full(len(before), np.nan)
         within = commands.within
         if not np.isfinite(within).all():
-            state = self._above(before)
+            state = self._space.onward(self._above(before))
             return StepRecord(state, commands.first, np.zeros_like(within), nowhere, StepStatus.INVALID)
 
         def chosen(found: dict[str, float]) -> Array:
             self._context = found
-            return commands.replace(at_touchdown, Touchdown(self._above(before), found))
+            return commands.replace(at_touchdown, Touchdown(self._space.onward(self._above(before)), found))
 
         try:
             answer = self._exchange(within, chosen)
         except ProcessFault as fault:
             self._fault = str(fault)
             self.stop()
-            state, within = self._above(before), commands.within
+            state, within = self._space.onward(self._above(before)), commands.within
             return StepRecord(state, commands.acted(within), within, nowhere, StepStatus.STOPPED, requested=within)
         self._measured, self._context = answer.next_state, answer.context or self._context
-        state, next_state = self._above(before), self._above(answer.next_state)
+        state, next_state = self._space.onward(self._above(before)), self._above(answer.next_state)
         command = commands.acted(answer.requested)
         return StepRecord(state, command, answer.applied, next_state, answer.status, answer.context, answer.requested)
 

@@ -140,7 +140,7 @@ class HopperKinematics(Kinematics):
 
     def at_section(self, state: Array) -> Array:
         """At the apex, at yaw 0, with the leg in the landing posture."""
-        speed, height = state
+        speed, height = state[:2]
         pitch = asin(np.clip((height - self._sensors.pivot_height) / self._robot.boom_length, -1, 1))
         alpha_1 = self._gains.speed_gain * (speed - self._gains.speed_setpoint)
         alpha_2 = knee_angle(leg_of(self._robot), self._gains.landing_length)

@@ -169,6 +169,9 @@ class CommandBounds:
     def space(self, ground: UnevenGround = FLAT_GROUND) -> StepSpace:
         """State [speed, height] and command [fx, fy] of the hopper (Eq. 10), and the yaw of its boom at the apex.
 
+        With footholds, the state also has the stride from the foothold of the hop to the next one, as it follows from
+        the apex between them; it counts more than the height, since a miss is a fall, and the speed hardly: it follows.
+
         Args:
             ground: If it is measured, the height is that above the ground which the foot finds at touchdown, not that
                 above the zero of the boom, and the context has its height and slope, where the foot stood, and how it
@@ -181,8 +184,10 @@ class CommandBounds:
             ContextQuantity("slope", "", input_scale=slope),
             ContextQuantity("yielding", "m/N", input_scale=yielding),
         )
+        speed = Quantity("speed", "m/s", 0.0, 0.4, weight=0.01 if ground.has_footholds else 1.0)
+        stride = Quantity("stride", "m", 0.0, 0.5, weight=100.0, above="foothold", adds_up=True)
         return StepSpace(
-            state=(Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.52, 0.64, above=above)),
+            state=(speed, Quantity("height", "m", 0.52, 0.64, above=above), *((stride,) * ground.has_footholds)),
             command=(
                 Quantity("fx", "N", self.fx_lower, self.fx_upper),
                 Quantity("fy", "N", self.fy_lower, self.fy_upper),

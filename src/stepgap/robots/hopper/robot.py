@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from math import tau
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
@@ -10,6 +11,7 @@ from stepgap.base.errors import InputError
 from stepgap.control.reference import Reference
 from stepgap.rigs.rig import SensorModel
 from stepgap.robots.ground import UnevenGround
+from stepgap.robots.hopper.footholds import random_strides, stones_reference
 from stepgap.robots.hopper.paper import paper_reference, paper_result
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.paper_family import PAPER_FAMILY
@@ -20,8 +22,6 @@ from stepgap.step import StepMap, StepSpace
 
 if TYPE_CHECKING:  # they load Numba and MuJoCo, which the settings do not need
     from stepgap.robots.hopper.kinematics import HopperKinematics
-    from stepgap.robots.hopper.model.apex_map import ApexMap
-    from stepgap.robots.hopper.model.sampled_map import SampledApexMap
     from stepgap.robots.hopper.tick.hop_control import HopperControl
     from stepgap.robots.hopper.twin.simulation import HopperSimulation
 
@@ -59,21 +59,35 @@ class Hopper(Robot):
         """State [speed, height], command [fx, fy]; on uneven ground, the height above what the foot finds."""
         return self.command.space(self.ground)
 
-    def apex_map(self) -> "ApexMap":
+    def apex_map(self) -> StepMap:
         """Map of the physics model."""
         from stepgap.robots.hopper.model.apex_map import ApexMap
 
-        return ApexMap(self.parameters, self.gains, self.command, ground=self.ground)
+        return self._with_footholds(ApexMap(self.parameters, self.gains, self.command, ground=self._of_apexes))
 
     def nominal_maps(self) -> Mapping[str, Callable[[], StepMap]]:
         """The equations of motion."""
         return {"equations": self.apex_map}
 
-    def sampled_map(self, tick: float) -> "SampledApexMap":
+    def sampled_map(self, tick: float) -> StepMap:
         """The equations of motion with torques that are held for a tick [s]."""
         from stepgap.robots.hopper.model.sampled_map import SampledApexMap
 
-        return SampledApexMap(self.parameters, self.gains, self.command, tick, ground=self.ground)
+        apexes = SampledApexMap(self.parameters, self.gains, self.command, tick, ground=self._of_apexes)
+        return self._with_footholds(apexes)
+
+    @property
+    def _of_apexes(self) -> UnevenGround:
+        """Ground for a map of speed and height alone."""
+        return UnevenGround() if self.ground.has_footholds else self.ground
+
+    def _with_footholds(self, apexes: StepMap) -> StepMap:
+        """A map of speed and height, and of the stride where footholds are tracked."""
+        if not self.ground.has_footholds:
+            return apexes
+        from stepgap.robots.hopper.model.foothold_map import FootholdMap
+
+        return FootholdMap(apexes, self.parameters, self.gains, self.command, self.ground)
 
     @property
     def as_modelled(self) -> Self:
@@ -81,12 +95,20 @@ class Hopper(Robot):
         return replace(self, gap=RealityGap())
 
     def references(self) -> Mapping[str, Callable[[], Reference]]:
-        """The reference of the paper."""
-        return {"paper": paper_reference}
+        """The reference of the paper; with footholds, random strides, or those to the stones of the ground."""
+        if not self.ground.has_footholds:
+            return {"paper": paper_reference}
+        stones = {"stones": self._stones} if self.ground.stone_spacing else {}
+        return {**stones, "strides": random_strides}
 
-    def published(self) -> PublishedResult:
-        """The result of the paper."""
-        return paper_result()
+    def _stones(self) -> Reference:
+        return stones_reference(
+            self.ground.stones(tau * self.parameters.boom_length), tau * self.parameters.boom_length
+        )
+
+    def published(self) -> PublishedResult | None:
+        """The result of the paper, whose robot did not track footholds."""
+        return None if self.ground.has_footholds else paper_result()
 
     def check(self) -> None:
         """Raises ValueError where a gain does not fit the leg."""

@@ -61,7 +61,8 @@ class HopControl(TickControl):
         robot: Robot that the rig is assumed to be.
         gains: Gains of the joint controller.
         limits: Limits of the safety function.
-        uneven: Whether heights are those above the ground that the foot finds at touchdown.
+        ground: Whether heights are those above the ground that the foot finds at touchdown, and whether the state has
+            the place of the next foothold.
     """
 
     def __init__(
@@ -70,9 +71,10 @@ class HopControl(TickControl):
         robot: RobotParameters,
         gains: Gains,
         limits: SafetyLimits,
-        uneven: bool = False,
+        ground: UnevenGround = FLAT_GROUND,
     ):
-        law, self._uneven = joint_law(robot, gains), uneven
+        law, uneven = joint_law(robot, gains), ground.is_measured
+        self._uneven, self._footholds = uneven, ground.has_footholds
         self._settings = as_record(TickSettings(sensor_model, masses_of(robot), law, limits=limits, uneven=int(uneven)))
         self._memory, self._row = as_record(HopState()), np.zeros(len(TICK_UNITS))
         _prepare(self._settings, self._memory, self._row)
@@ -131,7 +133,8 @@ class HopControl(TickControl):
     def finished_step(self) -> FinishedStep:
         """The hop that ended with the last tick."""
         apex = Apex(*self._memory["apex"][0].item())
-        state, lost = np.array([apex.speed, apex.height]), np.array([apex.lost_x, apex.lost_y])
+        state, lost = [apex.speed, apex.height], np.array([apex.lost_x, apex.lost_y])
+        state = np.array([*state, apex.next_foothold] if self._footholds else state)
         return FinishedStep(state, np.array([apex.force_x, apex.force_y]), lost, self._context(apex.yaw))
 
     def touchdown(self) -> tuple[float, ...]:
@@ -149,7 +152,7 @@ class HopControl(TickControl):
         """The hop that was interrupted after the last tick."""
         force_x, force_y, *lost = interrupted_hop(self._settings, self._memory, *(applied or (np.nan, np.nan)))
         context = self._context(nan) if self._uneven else ()
-        return FinishedStep(np.full(2, np.nan), np.array([force_x, force_y]), np.array(lost), context)
+        return FinishedStep(np.full(2 + self._footholds, np.nan), np.array([force_x, force_y]), np.array(lost), context)
 
     @property
     def status(self) -> StepStatus:
@@ -256,7 +259,7 @@ class HopperControl(RobotControl):
 
     def _new_control(self, rig: Rig) -> HopControl:
         sensors, limits = hopper_sensors(rig.sensor_model), self.limits_of(rig)
-        return HopControl(sensors, self.robot, self.gains, limits, self.ground.is_measured)
+        return HopControl(sensors, self.robot, self.gains, limits, self.ground)
 
     def limits_of(self, rig: Rig) -> SafetyLimits:
         """Limits that were given, or the rig's, or those of a simulation."""

@@ -122,6 +122,7 @@ class Landing(NamedTuple):
         yielding: By what ground and boom yielded in the stance before, per force [m/N].
         deepest: By what the foot has sunk in this stance [m].
         strongest: Largest contact force in this stance [N].
+        farther: By how much footholds lie beyond where apexes let expect them, lately [m].
     """
 
     ground: float = 0.0
@@ -130,6 +131,7 @@ class Landing(NamedTuple):
     yielding: float = 0.0
     deepest: float = 0.0
     strongest: float = 0.0
+    farther: float = 0.0
 
 
 class Apex(NamedTuple):
@@ -143,6 +145,7 @@ class Apex(NamedTuple):
         lost_y: Mean upward command force lost to limits [N].
         force_x: Forward command force that acted [N]; NaN where none was given in time.
         force_y: Upward command force that acted [N].
+        next_foothold: Where the foot will stand next on level ground, as a distance travelled [m].
     """
 
     speed: float = np.nan
@@ -152,6 +155,7 @@ class Apex(NamedTuple):
     lost_y: float = 0.0
     force_x: float = np.nan
     force_y: float = np.nan
+    next_foothold: float = np.nan
 
 
 class HopState(NamedTuple):

@@ -14,8 +14,10 @@ import numpy as np
 from stepgap.base.compiled import as_written
 from stepgap.base.compiled_record import assign, loaded
 from stepgap.plants.tick_control import Mode, TickFlag
+from stepgap.robots.hopper.model.joint_control import landing_posture
+from stepgap.robots.hopper.model.leg import foot, four_bar
 from stepgap.robots.hopper.model.reduced import uprightness
-from stepgap.robots.hopper.tick.estimator import fitted_apex
+from stepgap.robots.hopper.tick.estimator import after_vertex, fitted_apex
 from stepgap.robots.hopper.tick.hop_state import (
     STEP_TIMEOUT,
     Apex,
@@ -46,6 +48,9 @@ LARGEST_DROP = 0.2
 
 SHORT_HOP = 0.03
 """Distance of two footholds from which a slope follows [m]; their heights are right to a millimetre."""
+
+LATELY = 0.15
+"""Weight of the latest foothold in the mean by which footholds lie beyond where they were expected."""
 
 STEEPEST = 0.3
 """Largest slope that two footholds show; what rises more is a riser."""
@@ -86,7 +91,7 @@ def hop_tick(settings, state, inputs):
     hop = _update_status(settings.law.leg, hop, over_ground, drop, checked.limited)
     flags, apex = 0, state.apex
     if inputs.mode == Mode.STEP and checked.limited & STOPS == 0:
-        flags, hop, flight, apex = _end_hop(settings.sensor_model, hop, flight, apex, phase, body, inputs.time)
+        flags, hop, flight, apex = _end_hop(settings, hop, flight, landing, apex, phase, body, inputs.time)
     flags |= _flags(settings.limits, hop, phase, checked)
     if inputs.mode == Mode.STEP and phase == Phase.COMPRESSION and state.phase != Phase.COMPRESSION:
         flags |= _TOUCHDOWN
@@ -108,13 +113,17 @@ def _landing(state, phase, motion, body, contact_force):
         return Landing(
             ground=last.ground, foothold=last.foothold, slope=last.slope, yielding=last.yielding,
             deepest=max(last.deepest, last.ground - height), strongest=max(last.strongest, contact_force),
+            farther=last.farther,
         )  # fmt: skip
-    foothold, slope = body.x + body.foot_x, last.slope
+    foothold, slope, farther = body.x + body.foot_x, last.slope, last.farther
+    if np.isfinite(state.apex.next_foothold):
+        farther += LATELY * (foothold - state.apex.next_foothold)
     if state.hops > 0 and abs(foothold - last.foothold) > SHORT_HOP:
         slope = (height - last.ground) / (foothold - last.foothold)
     return Landing(
         ground=height, foothold=foothold, slope=min(max(slope, -STEEPEST), STEEPEST),
         yielding=last.deepest / last.strongest if last.strongest > 0.0 else 0.0, deepest=0.0, strongest=0.0,
+        farther=farther,
     )  # fmt: skip
 
 
@@ -206,7 +215,7 @@ def _with_status(hop, status):
 
 
 @as_written
-def _end_hop(model, hop, flight, apex, phase, body, time):
+def _end_hop(settings, hop, flight, landing, apex, phase, body, time):
     """Ends the hop if the robot has just passed the apex; fails it if its time is over.
 
     After a flight that is too short for an estimate of speed and height, the hop does not end: the robot has bounced.
@@ -215,19 +224,31 @@ def _end_hop(model, hop, flight, apex, phase, body, time):
         Flags, `HopProgress`, `FlightState` and `Apex`.
     """
     if hop.status == StepStatus.OK and hop.left_ground and phase == Phase.DESCENT:
+        model = settings.sensor_model
         speed, top = fitted_apex(flight.fit, model.boom_length * yaw_of(model, 1.0))
         height = top - body.shift_y
         if np.isfinite(speed + height):
             lost_x, lost_y = _mean_loss(hop)
+            at_apex = body.x - speed * after_vertex(flight.fit)
+            ahead = _descent(settings, speed, height - landing.ground)
             flight = FlightState(flight.start, flight.x, flight.fit, speed)
             ended = Apex(
                 speed=speed, height=height, yaw=body.yaw, lost_x=lost_x, lost_y=lost_y, force_x=hop.force_x,
-                force_y=hop.force_y,
+                force_y=hop.force_y, next_foothold=at_apex + ahead + landing.farther,
             )  # fmt: skip
             return _STEP_ENDED, _new_hop(time + STEP_TIMEOUT, hop.status), flight, ended
     if time > hop.deadline:
         hop = _with_status(hop, StepStatus.NO_APEX.value if hop.left_ground else StepStatus.NO_TAKE_OFF.value)
     return 0, hop, flight, apex
+
+
+@as_written
+def _descent(settings, speed, height):
+    """Distance from an apex to the next foothold [m], with the height above the ground [m], which may change."""
+    alpha_1, alpha_2 = landing_posture(settings.law, speed)
+    toe = foot(settings.law.leg, four_bar(settings.law.leg, alpha_2), alpha_1)
+    fall = max(height + toe.y, 0.0)
+    return speed * np.sqrt(2.0 * fall * settings.masses.y / settings.masses.weight) + toe.x
 
 
 @as_written
