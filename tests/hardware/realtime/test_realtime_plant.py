@@ -10,6 +10,7 @@ from functools import partial
 from math import inf
 from multiprocessing import get_context
 from pathlib import Path
+from time import sleep
 
 import numpy as np
 import pytest
@@ -249,3 +250,28 @@ def test_a_command_of_the_touchdown_acts_in_its_step(tmp_path):
         np.testing.assert_array_equal(touchdown.state, record.state)
         assert abs(touchdown.context["ground"]) < 0.01
         assert touchdown.context["ground"] == record.context["ground"]
+
+
+def test_a_plan_that_comes_after_mid_stance_leaves_the_first_command(tmp_path):
+    """The time of the ring goes on while the robot is planned for: 80 ms from the touchdown, and more."""
+    uneven, took = HopperControl(ROBOT, GAINS, BOUNDS, ground=UnevenGround(measured_heights=True)), []
+
+    with (
+        live_ring(make_machine=RecordedTwin) as ring,
+        RealtimePlant(replace(SETUP, robot_control=uneven), tmp_path, unattended) as plant,
+    ):
+
+        def plan(touchdown):
+            before = ring.look().cycles
+            while ring.look().cycles < before + 150:
+                sleep(1e-3)
+            took.append(ring.look().cycles - before)
+            return COMMAND * 1.5
+
+        plant.start()
+        records = [plant.take_replanned_step(COMMAND, plan) for _ in range(2)]
+    assert len(took) == 2
+    for record in records:
+        assert record.status == StepStatus.OK
+        np.testing.assert_array_equal(record.command, COMMAND)
+        np.testing.assert_array_equal(record.requested, COMMAND)
