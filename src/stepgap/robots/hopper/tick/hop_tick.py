@@ -311,6 +311,8 @@ def tick(
     row[TICK_COLUMN.rate_1], row[TICK_COLUMN.rate_2] = motion.rate_1, motion.rate_2
     row[TICK_COLUMN.joint_speed] = abs(motion.rate_1) + abs(motion.rate_2)
     row[TICK_COLUMN.leg_length], row[TICK_COLUMN.measured_height] = motion.leg_length, motion.hip_height
+    ground = state.landing.ground if settings[0].uneven else 0.0
+    row[TICK_COLUMN.height_above_ground] = motion.hip_height - ground
     return torques, flags
 
 

@@ -134,7 +134,7 @@ class SafetyLimits(RigLimits):
             "alpha_2": (-inf, self.fold_angle),
             "joint_speed": (-inf, self.joint_speed),
             "leg_length": (self.shortest_leg, self.longest_leg),
-            "measured_height": (self.lowest_hip, self.highest_hip),
+            "height_above_ground": (self.lowest_hip, self.highest_hip),
         }
 
     def limp(self) -> Self:

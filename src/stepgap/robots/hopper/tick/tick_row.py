@@ -31,11 +31,14 @@ TICK_UNITS: Mapping[str, str] = MappingProxyType(
         "joint_speed": "rad/s",
         "leg_length": "m",
         "measured_height": "m",
+        "height_above_ground": "m",
     }
 )
 """Fields of a tick in the order of a log row, with their units; `phase` and `limited` are the numbers of the enums.
 
-Angles, `joint_speed` = |α̇₁| + |α̇₂|, `leg_length` and the hip's `measured_height` are what the safety function judges.
+Angles, `joint_speed` = |α̇₁| + |α̇₂|, `leg_length` and the hip's `height_above_ground` are what the safety function
+judges. That is its `measured_height` above the zero of the boom less, where the ground is measured, the height at which
+the foot found it in the last touchdown.
 """
 
 TickRow = namedtuple("TickRow", TICK_UNITS)
@@ -69,7 +72,8 @@ class Tick(NamedTuple):
         rate_2: α̇₂ [rad/s].
         joint_speed: |α̇₁| + |α̇₂| [rad/s].
         leg_length: ℓ [m].
-        measured_height: y of the hip, as measured [m].
+        measured_height: y of the hip above the zero of the boom, as measured [m].
+        height_above_ground: The same above the ground of the last touchdown, where that is measured [m].
     """
 
     time: float
@@ -85,6 +89,7 @@ class Tick(NamedTuple):
     joint_speed: float
     leg_length: float
     measured_height: float
+    height_above_ground: float
 
     @classmethod
     def of(cls, row: Sequence[float]) -> Self:
@@ -104,4 +109,5 @@ class Tick(NamedTuple):
             joint_speed=fields.joint_speed,
             leg_length=fields.leg_length,
             measured_height=fields.measured_height,
+            height_above_ground=fields.height_above_ground,
         )
