@@ -153,7 +153,7 @@ def main() -> None:
             runs = [each for case, each in found.items() if (case.ground, case.way) == (ground, way)]
             errors, falls = np.concatenate([each.errors for each in runs]), sum(each.falls for each in runs)
             speed, height = 1e3 * np.sqrt(np.mean(errors**2, axis=0))
-            free = errors[np.concatenate([each.free for each in runs]), 1]
+            free = errors[np.concatenate([each.free for each in runs]) > 0, 1]
             within = f"{1e3 * np.sqrt(np.mean(free**2)):.1f} of {len(free)}"
             print(f"{ground:14} {way:10} {speed:6.1f} {height:6.1f}   {falls} of {len(errors) + falls}   {within}")
 

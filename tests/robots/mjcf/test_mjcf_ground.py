@@ -12,13 +12,13 @@ import pytest
 from stepgap.plants.plant import Touchdown
 from stepgap.robots.ground import FLAT_GROUND, UnevenGround
 from stepgap.robots.mjcf.mjcf_ground import GROUND_LENGTH, BoxGround, Footholds, above_ground
-from stepgap.robots.mjcf.mjcf_robot import MjcfPlant
+from stepgap.robots.mjcf.mjcf_robot import MjcfPlant, MjcfSimulation
 from stepgap.robots.quadruped.robot import SPACE, Quadruped
 from stepgap.step import Array, StepRecord
 
 BALL = """
 <mujoco><option timestep="0.001"/><worldbody>
-  <geom name="floor" type="plane" size="9 9 1" friction="0.6"/>
+  <geom name="floor" type="plane" size="0.1 0.1 1" friction="0.6"/>
   <body name="ball" pos="0 0 1"><joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
     <geom name="foot" type="sphere" size="0.1" mass="2" friction="0.8"/></body>
 </worldbody></mujoco>
@@ -34,11 +34,11 @@ def boxes(ground: UnevenGround) -> tuple[BoxGround, Any]:
 
 def height_by_ray(model: Any, data: Any, x: float) -> float:
     down, hit = np.array([0.0, 0.0, -1.0]), np.zeros(1, np.int32)
-    return 5 - mujoco.mj_ray(model, data, np.array([x, 0.0, 5.0]), down, None, 1, 1, hit)
+    return 5 - mujoco.mj_ray(model, data, np.array([x, 1.0, 5.0]), down, None, 1, 1, hit)
 
 
 def plant_on(ground: UnevenGround, seed: int = 3) -> MjcfPlant:
-    return Quadruped(ground=ground).simulations()["mujoco"](np.random.default_rng(7)).plant(np.random.default_rng(seed))
+    return MjcfSimulation(Quadruped(ground=ground), np.random.default_rng(7)).plant(np.random.default_rng(seed))
 
 
 def hops(plant: MjcfPlant, count: int, choose: Callable[[Touchdown], Array]) -> list[StepRecord]:
