@@ -71,8 +71,9 @@ class RunProgress:
     def observer(self) -> Observer:
         """Observer whose callbacks update the display."""
         return Observer(
-            self._on_step, self._on_deployment, self._on_fault, self._show, self._on_learned, self._on_alarm
-        )
+            self._on_step, self._on_deployment, self._on_fault, self._show, self._on_learned, self._on_alarm,
+            on_warning=self._on_warning,
+        )  # fmt: skip
 
     def __enter__(self) -> Self:
         self._bars.start()
@@ -141,6 +142,10 @@ class RunProgress:
     def _on_alarm(self, alarm: Alarm) -> None:
         if not self._quiet:
             self._console.print(alarm_sentence(alarm), soft_wrap=True)
+
+    def _on_warning(self, sentence: str) -> None:
+        if not self._quiet:
+            warn(sentence)
 
     def _on_fault(self, message: str) -> None:
         if not self._quiet:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.control.bounded_search import solve
+from stepgap.control.box_points import composite_design
 from stepgap.control.gauss_newton import REACHED, Function, Jacobian
 from stepgap.control.reference import Indices
 from stepgap.control.solve_many import solve_many
@@ -25,6 +26,22 @@ def within_noise(step_map: StepMap, target: Array, next_state: Array) -> NDArray
     """Whether next states are targets, up to the noise of one step in each coordinate; (…, n) and (…, n) to (…)."""
     limit = np.maximum(step_map.noise_std, REACHED * step_map.space.state_scale)
     return np.all((np.abs(next_state - target) <= limit) | ~step_map.space.has_target(target), axis=-1)
+
+
+def reach_from(step_map: StepMap, state: Array) -> tuple[Array, Array]:
+    """Least and largest value of each coordinate of the next state with commands at ends and corners of the bounds.
+
+    Args:
+        step_map: The map.
+        state: State at the start; shape (n,).
+
+    Returns:
+        Two arrays of shape (n,); infinite, the least above the largest, where no command makes a step.
+    """
+    space = step_map.space
+    next_states = step_map.evaluate(state, space.command_at(composite_design(len(space.command)))).next_state
+    unknown = np.isnan(next_states)
+    return np.where(unknown, np.inf, next_states).min(axis=0), np.where(unknown, -np.inf, next_states).max(axis=0)
 
 
 def whole_states(step_map: StepMap, targets: Array) -> Array:

@@ -1,6 +1,6 @@
 """One deployment: tracking a reference step by step with the map as known so far."""
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
@@ -13,6 +13,7 @@ from stepgap.base.errors import StepGapError
 from stepgap.base.ranges import format_value
 from stepgap.control.cautious_controller import CautiousController, CautiousPlan
 from stepgap.control.command_table import CommandTable, build_table
+from stepgap.control.reach import reach_from
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.experiment.exploration import exploration_plan, goals_of
@@ -28,6 +29,10 @@ from stepgap.step import Array, StepFailed, StepMap, StepRecord, StepSpace, Step
 
 ExecutedSteps = Generator[LoggedStep, None, None]
 """Generator of steps as they are executed; closing it stops the plant."""
+
+
+MISSED = 0.1
+"""Part of half a range of use by which a plan misses a distance that may be out of reach."""
 
 
 class AdaptiveMap(Protocol):
@@ -174,6 +179,7 @@ def deploy(
     control: ControlSettings = ALL_RULES,
     on_time: Callable[[str, float], None] = lambda part, seconds: None,
     on_learner: Callable[[AdaptiveMap], None] = lambda learner: None,
+    on_warning: Callable[[str], None] = lambda sentence: None,
 ) -> ExecutedSteps:
     """Tracks the reference until its end or a failed step, at each step with the map as known then.
 
@@ -187,6 +193,7 @@ def deploy(
         control: Settings of step control.
         on_time: Called with "planning" or "learning", and how long that took for one step [s].
         on_learner: Called with the state of knowledge after each step.
+        on_warning: Called before a step whose target is a distance that no command reaches.
 
     Raises:
         StepGapError: The first state of the plant is not finite, or has another shape.
@@ -208,7 +215,7 @@ def deploy(
                 plan = controller.plan(plant.space.onward(state), target, reference.targets[number:])
             on_time("planning", perf_counter() - begin)
             fit = partial(background.compute, controller.learner.pending)  # after the command: it causes no delay
-            replan = partial(_replanned, reference, number, plan, plant.space, on_time)
+            replan = partial(_replanned, reference, number, plan, on_time, on_warning)
             record, plan = _taken(plant, controller, plan, replan, fit)
             target = asked(reference, number, plant.space, record.context) if number > 0 else plan.predicted
             logged = LoggedStep(iteration, number, target, plan.predicted, plan.std, record)
@@ -225,8 +232,8 @@ def _replanned(
     reference: Reference,
     number: int,
     plan: CautiousPlan,
-    space: StepSpace,
     on_time: Callable[[str, float], None],
+    on_warning: Callable[[str], None],
     controller: DeploymentController,
     found: Touchdown,
 ) -> CautiousPlan:
@@ -234,9 +241,12 @@ def _replanned(
     if number < 1:
         return controller.predicted_plan(found.state, plan.command)
     begin = perf_counter()
-    target = asked(reference, number, space, found.context)
+    step_map = controller.learner.step_map()
+    target = asked(reference, number, step_map.space, found.context)
     plan = controller.plan(found.state, target, reference.targets[number:])
     on_time("planning", perf_counter() - begin)
+    for sentence in beyond_reach(step_map, found, target, plan):
+        on_warning(f"step {number}: {sentence}")
     return plan
 
 
@@ -255,6 +265,29 @@ def asked(reference: Reference, number: int, space: StepSpace, context: Mapping[
     stands = np.array([context.get(each.above, np.nan) for each in space.state])
     behind = np.where(space.adds_up, reference.targets[: number - 1].sum(axis=0) - stands, 0.0)
     return target + np.nan_to_num(behind)
+
+
+def beyond_reach(step_map: StepMap, found: Touchdown, target: Array, plan: CautiousPlan) -> Iterator[str]:
+    """Sentences on distances that no command reaches, such as that to the next foothold.
+
+    Args:
+        step_map: The map.
+        found: Where the step starts.
+        target: Its target; shape (n,).
+        plan: Its plan, beside which only a target is looked at that it misses.
+    """
+    space = step_map.space
+    missed = space.adds_up & space.has_target(target)
+    missed &= np.abs(np.nan_to_num(target) - plan.predicted) > MISSED * space.state_scale
+    if not missed.any():
+        return
+    least, most = reach_from(step_map, found.state)
+    for number in np.flatnonzero(missed & ~((least <= target) & (target <= most))):
+        each, wanted = space.state[number], target[number]
+        yield (
+            f"the next {each.above}, at {found.context[each.above] + wanted:.3f} {each.unit}, is {wanted:.3f} "
+            f"{each.unit} away, but commands reach {least[number]:.3f} to {most[number]:.3f} {each.unit}"
+        )
 
 
 def _taken(

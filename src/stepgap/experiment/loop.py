@@ -62,6 +62,7 @@ class Observer:
             record; then the record is locked, and agrees with the settings up to this deployment.
         on_time: Called with the number of a deployment, what was computed for it, and how long that took [s]: the `fit`
             before it, the `planning` of each command, and `learning` from each step.
+        on_warning: Called before a step whose target is a distance that no command reaches, with a sentence.
     """
 
     on_step: Callable[[LoggedStep], None] = lambda logged: None
@@ -72,6 +73,7 @@ class Observer:
     on_alarm: Callable[[Alarm], None] = lambda alarm: None
     on_execution: Callable[[], None] = lambda: None
     on_time: OnTime = lambda iteration, part, seconds: None
+    on_warning: Callable[[str], None] = lambda sentence: None
 
 
 class Plants(NamedTuple):
@@ -190,8 +192,10 @@ def _execute(
     observer.on_execution()
     plant = setup.plants.make(deployment_generator(setup.seed, iteration))
     exploration = 0 if iteration else setup.learning.exploration
-    on_time = partial(observer.on_time, iteration)
-    yield from deploy(learner, plant, setup.reference, iteration, exploration, setup.control, on_time, on_learner)
+    on_time, on_warning = partial(observer.on_time, iteration), observer.on_warning
+    yield from deploy(
+        learner, plant, setup.reference, iteration, exploration, setup.control, on_time, on_learner, on_warning
+    )
     if plant.fault:
         observer.on_fault(plant.fault)
 

@@ -263,6 +263,11 @@ def changed_experiment(experiment: Experiment, table: Mapping[str, Any], locate:
         experiment.robot.check()
     except ValueError as error:
         raise located(error, locate, "") from None
+    if experiment.learning.exploration and experiment.space.adds_up.any():
+        raise InputError(
+            f"{locate('learning.exploration')} = {experiment.learning.exploration}, but distances add up from step 1 "
+            "on, and exploratory steps before it have none; set it to 0"
+        )
     if experiment.control.table and (experiment.learning.drift or experiment.learning.online):
         raise InputError(
             f"{locate('control.table')} = {experiment.control.table}, but a table does not change during a deployment; "
@@ -291,7 +296,10 @@ def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: 
             rest[name] = {key: value for key, value in part.items() if key != "preset"}
     more = (ROBOT, "method", *(f"{name}.preset" for name in robot.presets))
     experiment, robot = merge_all((experiment, robot), rest, locate, more=more)
-    experiment = replace(experiment, robot=robot)
+    built_in, reference = robot.references(), experiment.reference
+    if "reference" not in table and reference in experiment.robot.references() and reference not in built_in:
+        reference = next(iter(built_in))
+    experiment = replace(experiment, robot=robot, reference=reference)
     try:
         _ = experiment.weights and experiment.space
     except ValueError as error:

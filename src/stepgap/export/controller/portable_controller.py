@@ -163,6 +163,8 @@ def portable_controller(run: Run, deployment: int | None, rng: np.random.Generat
         InputError: There is no such deployment, or its controller has no portable form.
     """
     learner, settings = run.learner(deployment), run.needed(run.settings)
+    if learner.nominal.space.adds_up.any():
+        raise InputError(f"{run.folder}: its targets are distances that add up, which no exported controller follows")
     residual, learning = learner.residual, settings.learning
     _check_inputs(residual)
     noise = residual.noise_std / learner.nominal.space.state_scale
