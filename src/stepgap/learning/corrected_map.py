@@ -53,7 +53,7 @@ class CorrectedMap(StepMap):
         """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails."""
         added = self.disturbance.slopes / self._half_ranges if self.disturbance else 0.0
         of_residual = self.residual.mean_gradient(self._points(state, command))
-        return self.nominal.jacobian(state, command) + self._acting * (of_residual + added)
+        return self.nominal.jacobian(state, command) + self._acting * of_residual + self._acting * added
 
     @property
     def noise_std(self) -> Array:
