@@ -3,14 +3,17 @@
 The twin hops after random targets that change every 4 to 8 hops, each run 60 hops on another ground and place. `blind`
 and `touchdown` know 227 hops on flat ground; blind is the same controller without a new plan at touchdown, which knows
 the ground of the hop before alone. `online` also learns from hop to hop, `again` has hopped 227 hops on that ground
-before, and learned from them. Errors are those of the true state above the ground that was measured.
+before, and learned from them. `explored`, which is not in the table, knows the hops on flat ground and 20 exploratory
+ones there. Errors are those of the true state above the ground that was measured.
 
-    ./go python -m benchmarks.uneven_ground [--grounds stairs_56,ramps_10] [--seeds 1,2,3,4,5] [--hops 60]
+    ./go python -m benchmarks.uneven_ground [--grounds stairs_56,ramps_10] [--ways touchdown] [--seeds 1,2,3,4,5]
+        [--hops 60]
 """
 
 import argparse
 from collections.abc import Iterator, Mapping
 from contextlib import closing
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +45,10 @@ GROUNDS: Mapping[str, UnevenGround] = {
 """Grounds by name."""
 
 WAYS = ("nominal", "blind", "touchdown", "online", "again")
+
+EXPLORED = "explored"
+EXPLORATION = 20
+"""Number of exploratory hops."""
 
 
 class Case(NamedTuple):
@@ -116,6 +123,17 @@ def hops_of(learner: Learner, plant: Plant, reference: Reference, iteration: int
     return log, latest[-1]
 
 
+def exploratory_hops(known: Steps, seed: int) -> Steps:
+    """Exploratory hops on flat ground, each chosen with what was known before it."""
+    flat = Hopper(ground=GROUNDS["flat"])
+    learner = Learner.start(flat.apex_map(), known, LearningSettings(online=True), 1)
+    plant = flat.simulations()["twin"](random_stream(seed, 9)).plant(random_stream(seed, 2))
+    log = Steps(known.space)
+    with closing(deploy(learner, plant, paper_reference().of(plant.space), 1, EXPLORATION)) as steps:
+        log += takewhile(lambda logged: logged.step < 1, steps)
+    return log
+
+
 def measured(case: Case) -> Found:
     """One run."""
     uneven, flat = Hopper(ground=GROUNDS[case.ground]), Hopper(ground=GROUNDS["flat"])
@@ -126,11 +144,14 @@ def measured(case: Case) -> Found:
             before = uneven if case.way == "again" else flat
             plant = before.simulations()["twin"](random_stream(case.seed, 9)).plant(random_stream(case.seed, 0))
             known, _ = hops_of(Learner.start(nominal, known, none, 0), plant, paper_reference(), 0)
+        if case.way == EXPLORED:
+            known += exploratory_hops(known, case.seed)
         settings = {"nominal": none, "online": LearningSettings(online=True)}.get(case.way, LearningSettings())
         plant = uneven.simulations()["twin"](random_stream(case.seed, 9)).plant(random_stream(case.seed, 1, 8))
         plant = Blind(plant) if case.way == "blind" else plant
-        learner = Learner.start(nominal, known, settings, 1)
-        log, learner = hops_of(learner, plant, random_reference(case.seed, case.hops), 1)
+        deployment = 2 if case.way == EXPLORED else 1
+        learner = Learner.start(nominal, known, settings, deployment)
+        log, learner = hops_of(learner, plant, random_reference(case.seed, case.hops), deployment)
     hops = log.planned().completed()
     true = np.array([each.record.true_next_state - each.target for each in hops]).reshape(-1, 2)
     ground = np.array([each.record.context["ground"] for each in hops])
