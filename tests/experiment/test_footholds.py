@@ -17,7 +17,7 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.plants.plant import Touchdown
 from stepgap.robots.ground import UnevenGround
-from stepgap.robots.hopper.footholds import STEPS, stones_reference
+from stepgap.robots.hopper.footholds import STRIDES_GIVEN, stones_reference
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.step import Quantity, difference_jacobian
 
@@ -94,8 +94,8 @@ def test_stones_are_a_reference():
     stones = hopper.ground.stones(length)
     reference = hopper.references()["stones"]()
     places = np.cumsum(reference.targets[:, 1])
-    assert len(reference) == STEPS
-    lap, number = np.divmod(np.arange(1, STEPS + 1), len(stones))
+    assert len(reference) == STRIDES_GIVEN
+    lap, number = np.divmod(np.arange(1, STRIDES_GIVEN + 1), len(stones))
     np.testing.assert_allclose(places, stones[number] + lap * length)
     assert stones_reference(stones, length).names == ("height", "stride")
 

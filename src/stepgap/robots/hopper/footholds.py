@@ -7,7 +7,7 @@ from stepgap.step import Array
 
 NAMES = ("height", "stride")
 
-STEPS = 227
+STRIDES_GIVEN = 227
 """Number of targets, as many as the paper's reference has."""
 
 STRIDES = (0.05, 0.42)
@@ -23,7 +23,7 @@ OVER_STONES = 0.58
 def random_strides() -> Reference:
     """Random strides and heights, always the same, from which a map of footholds is learned."""
     low, high = np.transpose([HEIGHTS, STRIDES])
-    return Reference(NAMES, np.random.default_rng(0).uniform(low, high, (STEPS, 2)))
+    return Reference(NAMES, np.random.default_rng(0).uniform(low, high, (STRIDES_GIVEN, 2)))
 
 
 def stones_reference(stones: Array, length: float) -> Reference:
@@ -33,5 +33,5 @@ def stones_reference(stones: Array, length: float) -> Reference:
         stones: Places of their middles, ascending from 0 [m]; shape (k,).
         length: Length of the ground [m].
     """
-    strides = np.resize(np.diff(np.append(stones, length)), STEPS)
-    return Reference(NAMES, np.column_stack([np.full(STEPS, OVER_STONES), strides]))
+    strides = np.resize(np.diff(np.append(stones, length)), STRIDES_GIVEN)
+    return Reference(NAMES, np.column_stack([np.full(STRIDES_GIVEN, OVER_STONES), strides]))
