@@ -71,7 +71,10 @@ class MjcfGap(Gap):
         dofs = changed.jnt_dofadr[driven[driven >= 0]]
         changed.dof_damping[dofs] *= self.damping_scale
         changed.dof_frictionloss[dofs] += self.joint_friction
-        changed.actuator_gear *= self.gear_scale
+        servos = changed.actuator_biastype != int(mujoco.mjtBias.mjBIAS_NONE)
+        changed.actuator_gear[~servos] *= self.gear_scale
+        for forces in (changed.actuator_gainprm, changed.actuator_biasprm, changed.actuator_forcerange):
+            forces[servos] *= self.gear_scale  # a gear would also change the position that a servo holds
         soften(changed.geom_solref, self.ground_softness)
         gravity = float(np.linalg.norm(changed.opt.gravity))
         changed.opt.gravity[:] = (-gravity * sin(self.slope), 0.0, -gravity * cos(self.slope))

@@ -66,7 +66,7 @@ class MjcfRobot(Robot):
 
     @abstractmethod
     def section(self) -> Section:
-        """When a step ends: `apex`, `touchdown`, `next_foot`, or a `Section` with a function of your own."""
+        """When a step ends: `apex`, `touchdown`, `next_foot`, `every`, or a `Section` with a function of your own."""
 
     @abstractmethod
     def state(self, model: Any, data: Any) -> Array:
@@ -79,6 +79,11 @@ class MjcfRobot(Robot):
     def failed(self, model: Any, data: Any) -> bool:  # noqa: ARG002  (others use them)
         """Whether the robot has fallen."""
         return False
+
+    @property
+    def start_state(self) -> Array:
+        """State in which a deployment starts: the middle of the range of use; shape (n,)."""
+        return self.space.state_centre
 
     @property
     def as_modelled(self) -> Self:
@@ -128,7 +133,7 @@ class MjcfStepper:
         self._section, self._substeps = robot.section(), max(1, round(robot.tick / self._model.opt.timestep))
         self._guard_functions = (self._section.guard, *self._section.others)
         self._most_ticks = round(robot.longest_step / robot.tick)
-        self.place(robot.space.state_centre)
+        self.place(robot.start_state)
 
     def place(self, state: Array) -> None:
         """Puts the robot into a state at the section, with a controller without memory."""
@@ -270,8 +275,8 @@ class MjcfPlant(RepeatablePlant):
         return self._robot.space
 
     def start(self) -> Array:
-        """Puts the robot into the middle of its range of use, and measures."""
-        self._stepper.place(self.space.state_centre)
+        """Puts the robot into its first state, and measures."""
+        self._stepper.place(self._robot.start_state)
         self._state, self._number = self._measured(self._rng), 0
         if self._on_ticks:
             self._on_ticks([self._stepper.tick_row], 0)

@@ -42,6 +42,19 @@ def apex(joint: str, threshold: float = 0.05) -> Section:
     return Section(lambda model, data: float(data.qvel[model.joint(joint).dofadr[0]]), threshold)
 
 
+def every(seconds: float) -> Section:
+    """Times at equal intervals, from where the robot is placed on, as for walking with a commanded velocity.
+
+    Args:
+        seconds: Duration of a step, a multiple of the robot's tick [s].
+    """
+
+    def phase(model: Any, data: Any) -> float:
+        return (data.time + 0.5 * model.opt.timestep) / seconds % 1.0 - 0.5  # the time is a sum, and not exact
+
+    return Section(phase)
+
+
 def touchdown(*feet: str | int, threshold: float = 0.005) -> Section:
     """The first contact of one of the feet with the ground after a flight, in which none of them touched it.
 
