@@ -27,7 +27,30 @@ from stepgap.step import Array, Quantity, StepMap, StepSpace
 
 _NAMES = (("vx", "m/s"), ("vy", "m/s"), ("wz", "rad/s"))
 _USERDATA = 4
-"""Numbers of `data.userdata` that a walking robot uses: sums of its velocity in the ticks of a step, and their number."""
+"""Numbers of `data.userdata` that a walking robot uses: sums of its velocity in a step, and the number of its ticks."""
+
+_WALKS = np.array(
+    [
+        (0.3, 0.0, 0.0),
+        (0.6, 0.0, 0.0),
+        (0.6, 0.0, 0.5),
+        (0.15, 0.0, 0.5),
+        (0.0, 0.0, 0.0),
+        (0.15, 0.0, 0.0),
+        (0.15, 0.5, 0.0),
+        (0.4, 0.5, -0.5),
+        (0.8, 0.0, -0.2),
+        (0.4, -0.5, 0.2),
+        (0.1, -0.2, -0.2),
+        (-0.5, 0.0, 0.0),
+        (0.0, 0.0, 0.7),
+        (0.0, 0.4, 0.0),
+        (0.3, -0.3, -0.5),
+        (0.6, 0.2, 0.3),
+        (0.2, 0.0, 0.0),
+    ]
+)
+"""Targets of `walks`, as shares of the upper end of each range of use, or of the lower one."""
 
 
 @dataclass(frozen=True)
@@ -99,33 +122,9 @@ def walks(space: StepSpace, steps: int = 6) -> Reference:
         steps: Number of steps at each target.
     """
     upper, lower = np.array([[each.upper, -each.lower] for each in space.state]).T
-    targets = np.where(WALKS >= 0, WALKS * upper, WALKS * lower)
+    targets = np.where(_WALKS >= 0, _WALKS * upper, _WALKS * lower)
     segments = [(1 + steps * number, target.tolist()) for number, target in enumerate(targets)]
     return Reference.from_segments(space.state_names, segments, steps=steps * len(targets))
-
-
-WALKS = np.array(
-    [
-        (0.3, 0.0, 0.0),
-        (0.6, 0.0, 0.0),
-        (0.6, 0.0, 0.5),
-        (0.15, 0.0, 0.5),
-        (0.0, 0.0, 0.0),
-        (0.15, 0.0, 0.0),
-        (0.15, 0.5, 0.0),
-        (0.4, 0.5, -0.5),
-        (0.8, 0.0, -0.2),
-        (0.4, -0.5, 0.2),
-        (0.1, -0.2, -0.2),
-        (-0.5, 0.0, 0.0),
-        (0.0, 0.0, 0.7),
-        (0.0, 0.4, 0.0),
-        (0.3, -0.3, -0.5),
-        (0.6, 0.2, 0.3),
-        (0.2, 0.0, 0.0),
-    ]
-)
-"""Targets of `walks`, as shares of the upper end of each range of use, or of the lower one."""
 
 
 @dataclass(frozen=True)
