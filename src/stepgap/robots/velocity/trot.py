@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.base.ranges import require
 from stepgap.robots.quadruped.model import LEGS, LINK
@@ -105,7 +106,7 @@ class Trot(WalkingControl):
         lift = gains.lift * np.where(swings, np.sin(np.pi * share) ** 2, 0.0)
         return joint_angles(self._feet(along[:, None] * stride + self._placed, lift, ~swings, data))
 
-    def _feet(self, moved: Array, lift: Array, stands: Array, data: Any) -> Array:
+    def _feet(self, moved: Array, lift: Array, stands: NDArray[np.bool_], data: Any) -> Array:
         """Places of the feet relative to their hips: moved (4, 2) and lifted (4,); shape (4, 3)."""
         gains, (roll, pitch) = self._gains, _tilt(data)
         level = gains.levelling * (pitch * _FEET[:, 0] - roll * _FEET[:, 1])
