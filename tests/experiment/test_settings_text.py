@@ -12,7 +12,7 @@ from stepgap.step import ContextQuantity
 from tests.cli.command_line import Command
 
 PAGE = Path(__file__).parents[2] / "docs" / "settings.md"
-ROBOTS = ("hopper", "quadruped", "monopod")
+ROBOTS = ("hopper", "quadruped", "monopod", "velocity")
 
 
 @pytest.fixture(params=ROBOTS)

@@ -26,7 +26,7 @@ from tests.cli.command_line import Command, refused
 from tests.quick_runs import compute_in_a_thread, leave_out_repeats, leave_out_report, leave_out_sweep_report
 from tests.robots.plug_in import CUSTOM_TOML, TEMPLATE_TOML
 
-ROBOTS = ("hopper", "quadruped", "monopod", "ball", "pitching")
+ROBOTS = ("hopper", "quadruped", "monopod", "velocity", "ball", "pitching")
 SHORT = ("--learning.iterations", "1", "--learning.early_stop", "false", "--quiet")
 
 

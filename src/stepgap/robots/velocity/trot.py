@@ -34,7 +34,7 @@ class TrotGains:
     """The gait.
 
     Attributes:
-        period: Time in which each foot makes a step [s].
+        period: Time in which each foot is lifted once [s].
         stance: Part of the period in which a foot is on the ground.
         height: Height of the hips above the feet [m].
         lift: Height by which a foot is lifted [m].
