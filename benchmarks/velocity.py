@@ -17,8 +17,8 @@ errors in half ranges of use, and its ratio to the robot as it is.
     ./go python -m benchmarks.velocity --out velocity.jsonl [--robots velocity,FILE.toml] [--gaps 5] [--seeds 3]
         [--first-gap 1000] [--methods default,online]
 
-A robot is a name, or a file of settings, such as that of a policy: docs/velocity.md. `--out` receives a line of JSON for each cell as soon as it is done; cells
-in it are not computed again.
+A robot is a name, or a file of settings. `--out` receives a line of JSON for each cell as soon as it is done; cells in
+it are not computed again.
 """
 
 import argparse
@@ -211,18 +211,14 @@ def print_table(rows: Sequence[Mapping[str, Any]]) -> None:
         here = [row["walks"] for row in rows if row["robot"] == robot]
         space = robot_of(Cell(robot, 1, 0)).space
         units = " | ".join(f"{each.name} [{each.unit}]" for each in space.state)
-        print(
-            f"\n{robot}, {len(here)} cells; gain of the integrator {next(r['gain'] for r in rows if r['robot'] == robot)}"
-        )
+        gain = next(row["gain"] for row in rows if row["robot"] == robot)
+        print(f"\n{robot}, {len(here)} cells; gain of the integrator {gain}")
         print(f"| | {units} | all [half ranges] | of that as it is | falls |\n|---|{'---|' * (len(space.state) + 3)}")
         for name in here[0]:
-            rmse = np.median([walks[name]["rmse"] for walks in here], axis=0)
-            every = [walks[name]["all"] for walks in here]
+            rmse = " | ".join(f"{each:.3f}" for each in np.median([walks[name]["rmse"] for walks in here], axis=0))
+            every = np.median([walks[name]["all"] for walks in here])
             ratio = np.median([walks[name]["all"] / walks["command = target"]["all"] for walks in here])
-            falls = sum(walks[name]["fell"] for walks in here)
-            print(
-                f"| {name} | {' | '.join(f'{each:.3f}' for each in rmse)} | {np.median(every):.3f} | {ratio:.2f} | {falls} |"
-            )
+            print(f"| {name} | {rmse} | {every:.3f} | {ratio:.2f} | {sum(walks[name]['fell'] for walks in here)} |")
 
 
 def main() -> None:
