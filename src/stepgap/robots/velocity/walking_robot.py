@@ -183,6 +183,7 @@ class WalkingRobot(MjcfRobot):
         """The model of `model_spec`."""
         spec = self.model_spec()
         spec.nuserdata = _USERDATA
+        spec.worldbody.first_body().simple = 0  # a load may move its centre of mass
         return spec.compile()
 
     def controller(self) -> "_Walking":
