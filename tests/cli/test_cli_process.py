@@ -130,3 +130,14 @@ def test_wrong_use_is_one_line(stepgap: Command) -> None:
     assert "127.0.0.1:1: " in closed.err
     Path("e.toml").write_text('plant = "process"\nprogram = "./robot"\n')
     refused(stepgap("run", "e.toml"), "e.toml: program: unknown key")
+
+
+@pytest.mark.usefixtures("no_report")
+def test_a_program_that_walks_needs_nothing_but_settings(stepgap: Command) -> None:
+    walks = [f"{vx},{vy},{wz}" for vx, vy, wz in [(0.4, 0, 0), (0.4, 0, 0.3), (0.2, 0.1, 0), (0.6, -0.1, -0.2)]] * 3
+    Path("targets.csv").write_text("\n".join(["vx,vy,wz", *(walk for walk in walks for _ in range(3))]) + "\n")
+    options = ["--robot", "velocity", "--reference", "targets.csv", "--iterations", 1, "--out", "out"]
+    result = stepgap("run", "--plant", "process", *options, "--", sys.executable, EXAMPLES / "walker.py")
+    assert result.code == 0, result.err
+    errors = np.array(rmse())
+    assert errors[1, 0] < 0.6 * errors[0, 0]
