@@ -60,7 +60,7 @@ class Cell(NamedTuple):
     seed: int
 
 
-class Walk(NamedTuple):
+class Trip(NamedTuple):
     """A run.
 
     Attributes:
@@ -99,7 +99,7 @@ def reference_of(robot: Robot) -> Reference:
     return next(iter(robot.references().values()))()
 
 
-def walked(cell: Cell, run: int, law: Law) -> Walk:
+def walked(cell: Cell, run: int, law: Law) -> Trip:
     """A run under a law, with the noise of its number."""
     robot = robot_of(cell)
     plant, space, targets = plant_of(robot, random_stream(cell.seed, run)), robot.space, reference_of(robot).targets
@@ -111,8 +111,8 @@ def walked(cell: Cell, run: int, law: Law) -> Walk:
             break
         rows.append((command, record.next_state, target))
         state, before = record.next_state, target
-    columns = [np.array(column).reshape(-1, len(space.state)) for column in zip(*rows, strict=True)]
-    return Walk(*columns, fell=len(rows) < len(targets))
+    commands, velocities, wanted = np.array(rows).reshape(-1, 3, len(space.state)).transpose(1, 0, 2)
+    return Trip(commands, velocities, wanted, fell=len(rows) < len(targets))
 
 
 class Integrator:
@@ -139,14 +139,14 @@ class Integrator:
         return self
 
 
-def integrated(cell: Cell, gain: float) -> Walk:
+def integrated(cell: Cell, gain: float) -> Trip:
     """The second run of an integrator."""
     law = Integrator(robot_of(cell).space, gain)
     walked(cell, 0, law)
     return walked(cell, 1, law.again())
 
 
-def error(walk: Walk, space: StepSpace) -> float:
+def error(walk: Trip, space: StepSpace) -> float:
     """Root of the mean square of the errors [half ranges]; a fall counts as one more error of a half range a step."""
     return float(np.sqrt(np.mean((walk.errors / space.state_scale) ** 2)) + walk.fell)
 
@@ -157,14 +157,14 @@ def best_gain(robot: str) -> float:
     return min(GAINS, key=lambda gain: sum(error(integrated(cell, gain), space) for cell in cells))
 
 
-def affine_inverse(walk: Walk) -> Law:
+def affine_inverse(walk: Trip) -> Law:
     """The command whose velocity is the target, by least squares over a run."""
     ones = np.ones((len(walk.commands), 1))
     found = np.linalg.lstsq(np.hstack([ones, walk.commands]), walk.velocities, rcond=None)[0]
     return lambda target, state, before: np.linalg.lstsq(found[1:].T, target - found[0], rcond=None)[0]
 
 
-def learned(cell: Cell, method: str) -> list[Walk]:
+def learned(cell: Cell, method: str) -> list[Trip]:
     """The deployments of a run of StepGap."""
     robot, log = robot_of(cell), list[LoggedStep]()
     settings = replace(METHODS[method], iterations=2 if method == "default" else 1, early_stop=False)
@@ -175,9 +175,9 @@ def learned(cell: Cell, method: str) -> list[Walk]:
     return [_walk(Steps(robot.space, log).of_iteration(k), setup.reference) for k in range(settings.iterations + 1)]
 
 
-def _walk(steps: Steps, reference: Reference) -> Walk:
+def _walk(steps: Steps, reference: Reference) -> Trip:
     done = np.isfinite(steps.next_state).all(axis=1)
-    return Walk(steps.command[done], steps.next_state[done], steps.target[done], int(done.sum()) < len(reference))
+    return Trip(steps.command[done], steps.next_state[done], steps.target[done], int(done.sum()) < len(reference))
 
 
 def measure(cell: Cell, gain: float, methods: Sequence[str]) -> dict[str, Any]:
@@ -235,11 +235,14 @@ def main() -> None:
     done = {(row["robot"], row["gap"], row["seed"]) for row in rows}
     with given.out.open("a", encoding="utf-8") as out:
         for robot in given.robots.split(","):
-            numbers = product(range(given.first_gap, given.first_gap + given.gaps), range(given.seeds))
-            waiting = [Cell(robot, *each) for each in numbers if (robot, *each) not in done]
+            numbers = product(range(given.seeds), range(given.first_gap, given.first_gap + given.gaps))
+            cells = [Cell(robot, gap, seed) for seed, gap in numbers]
+            waiting = [cell for cell in cells if cell not in done]
             if not waiting:
                 continue
-            task = partial(measure, gain=best_gain(robot), methods=given.methods.split(","))
+            known = [row["gain"] for row in rows if row["robot"] == robot]
+            gain = known[0] if known else best_gain(robot)
+            task = partial(measure, gain=gain, methods=given.methods.split(","))
             for _, row in finished(task, waiting):
                 rows.append(row)
                 print(json.dumps(row), file=out, flush=True)

@@ -2,7 +2,6 @@
 
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -10,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.ticks.stream import OnTicks
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.mjcf.mjcf_robot import MjcfPlant
@@ -20,7 +20,6 @@ from stepgap.step import Array, StepStatus
 
 EXACT = replace(TrottingRobot(), gap=WalkingGap.none())
 COMMAND = np.array([0.5, 0.1, 0.4])
-Rows = Sequence[Sequence[float]]
 
 
 def plant_of(robot: TrottingRobot, on_ticks: OnTicks | None = None) -> MjcfPlant:
@@ -74,7 +73,7 @@ def test_a_step_that_is_repeated_by_a_copy_changes_nothing() -> None:
         plant.take_step(COMMAND)
     found = copied.repeated(COMMAND, np.random.default_rng(0))
     after = [plant.take_step(COMMAND).next_state for plant in (alone, copied)]
-    np.testing.assert_array_equal(*after)
+    np.testing.assert_array_equal(after[0], after[1])
     np.testing.assert_array_equal(found, after[0])
 
 
