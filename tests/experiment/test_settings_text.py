@@ -31,7 +31,7 @@ def test_every_setting_has_a_meaning(experiment: Experiment) -> None:
             for key in name.split("."):
                 found = found[key]
             assert found == value, name
-    lines = {line for line in experiment_toml(experiment).splitlines() if " = " in line and line[0] != "#"}
+    lines = [line for line in experiment_toml(experiment).splitlines() if " = " in line and line[0] != "#"]
     assert len(lines) == sum(value is not None and value != {} for _, _, value in described)
 
 
