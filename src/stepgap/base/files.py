@@ -25,14 +25,11 @@ def naming(path: Path) -> Iterator[None]:
         raise
 
 
-def read_bounded_text(path: Path, largest: int) -> str:
-    """Reads a text file in UTF-8, with or without the byte-order mark that some editors and spreadsheets write.
-
-    No more than `largest` bytes are read, also of a device or a pipe, which have no size.
+def read_bounded(path: Path, largest: int) -> bytes:
+    """Reads a file; no more than `largest` bytes are read, also of a device or a pipe, which have no size.
 
     Raises:
         InputError: The file is larger than `largest` bytes.
-        UnicodeDecodeError: It is not text in UTF-8.
         OSError: It cannot be read.
     """
     content = bytearray()
@@ -41,7 +38,18 @@ def read_bounded_text(path: Path, largest: int) -> str:
             content += part
     if len(content) > largest:
         raise InputError(f"{path}: larger than {largest} bytes, so it is not read")
-    return content.decode("utf-8-sig")
+    return bytes(content)
+
+
+def read_bounded_text(path: Path, largest: int) -> str:
+    """Reads a text file in UTF-8, with or without the byte-order mark that some editors and spreadsheets write.
+
+    Raises:
+        InputError: The file is larger than `largest` bytes.
+        UnicodeDecodeError: It is not text in UTF-8.
+        OSError: It cannot be read.
+    """
+    return read_bounded(path, largest).decode("utf-8-sig")
 
 
 def write_whole(path: Path, content: str | bytes) -> None:

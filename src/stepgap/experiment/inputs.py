@@ -79,8 +79,9 @@ def experiment_files(
 ) -> dict[str, str]:
     """Texts by file name of a folder with which an experiment can be repeated: all settings are in `experiment.toml`.
 
-    A reference, a nominal map, earlier steps and the robot's own files are among the files, so that the folder is
-    complete. The file of a rig is not: it belongs to the machine on which it was checked.
+    A reference, a nominal map, earlier steps and what a robot wants copied are among the files, so that the folder is
+    complete. The file of a rig is not: it belongs to the machine on which it was checked. Nor is a policy; both are
+    named by absolute paths.
 
     Args:
         experiment: The experiment.
@@ -104,6 +105,8 @@ def experiment_files(
         experiment = replace(experiment, nominal=replace(experiment.nominal, file=name))
 
     def copied(name: str, value: str) -> str:
+        if not experiment.robot.files[name]:
+            return str(Path(value).resolve())
         file = f"{name.replace('.', '_')}{Path(value).suffix}"
         files[file] = _text_of(Path(value), name)
         return file

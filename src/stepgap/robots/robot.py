@@ -69,13 +69,13 @@ class Robot(ABC):
     Attributes:
         name: Name of the robot; that of its entry point.
         presets: Named values of its tables, by table; key `preset` of that table chooses one.
-        files: Keys of its tables that name a file, such as `ground.profile`; empty where there is none.
+        files: Keys of its tables that name a file, such as `ground.profile`, and whether a run keeps a copy of it.
         plant_titles: What a report calls its simulated plants, by their names; others are called by their names.
     """
 
     name: ClassVar[str]
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
-    files: ClassVar[tuple[str, ...]] = ()
+    files: ClassVar[Mapping[str, bool]] = {}
     plant_titles: ClassVar[Mapping[str, str]] = {}
 
     @property

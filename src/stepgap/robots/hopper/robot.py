@@ -45,7 +45,7 @@ class Hopper(Robot):
     presets: ClassVar[Mapping[str, Mapping[str, RealityGap]]] = {
         "gap": {"paper": RealityGap(), "none": RealityGap.none(), **PAPER_FAMILY}
     }
-    files: ClassVar[tuple[str, ...]] = ("ground.profile",)
+    files: ClassVar[Mapping[str, bool]] = {"ground.profile": True}
     plant_titles: ClassVar[Mapping[str, str]] = {TWIN: "simulated twin"}
 
     parameters: RobotParameters = field(default_factory=RobotParameters)
