@@ -93,6 +93,13 @@ def toml_string(text: str) -> str:
     return tomli_w.dumps({"x": text}).removeprefix("x = ").rstrip("\n")
 
 
+def toml_line(key: str, value: Any) -> str:
+    """A key with its value in one line of TOML, also a list."""
+    if isinstance(value, list | tuple):
+        return f"{key} = [{', '.join(toml_line('x', each).removeprefix('x = ') for each in value)}]"
+    return tomli_w.dumps({key: value}).rstrip("\n")
+
+
 def with_table(name: str) -> str:
     """Formats a dotted name as `[table] key`."""
     table, dot, key = name.rpartition(".")

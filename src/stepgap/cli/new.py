@@ -1,7 +1,6 @@
 """The verb `stepgap new`: a folder with a robot that runs at once, to be changed into one's own."""
 
 import json
-import re
 import sys
 from pathlib import Path
 from string import Template
@@ -13,7 +12,16 @@ from stepgap.base.errors import InputError, message_of
 from stepgap.base.files import create, new_folder
 from stepgap.base.output_files import EXISTING_IS_COMPLETE, writing
 from stepgap.base.plugins import load_plugin
-from stepgap.cli.new_package import EQUATIONS, MJCF, MUJOCO, check_package_name, starter_text, write_package
+from stepgap.cli.new_package import (
+    EQUATIONS,
+    MJCF,
+    MUJOCO,
+    check_package_name,
+    readme_name,
+    starter_text,
+    write_package,
+)
+from stepgap.cli.new_policy import POLICY_FILE, write_policy
 from stepgap.cli.options import NO_COLUMNS, ColumnNames, Flag
 from stepgap.cli.terminal import warn
 
@@ -38,6 +46,7 @@ def new(
     *,
     mujoco: Flag = False,
     mjcf: Path | None = None,
+    policy: Path | None = None,
     process: Flag = False,
     from_: Annotated[Path | None, Parameter(name="--from")] = None,
     columns: Path | None = None,
@@ -50,13 +59,16 @@ def new(
         mujoco: A MuJoCo model with a controller, from which the nominal map is computed.
         mjcf: The same with your model, MJCF or URDF, such as robot.xml. It is copied with all its files and loaded; the
             controller is to be written.
+        policy: A trained velocity policy (ONNX) that moves the robot of --mjcf; nothing is to be written in Python.
         process: A program in any language, and a nominal map of a few numbers; nothing is to be installed.
         from_: The same with a nominal map that is fitted to recorded steps: a run, its steps.csv, or a CSV file of any
             origin, if its columns are named.
         columns: TOML file that names the columns of such a file; its keys are the options from here to --step, and
             units and factors.
     """
-    forms = {"--mujoco": mujoco, "--mjcf": mjcf, "--process": process, "--from": from_}
+    if policy and not mjcf:
+        raise InputError(f"--policy {policy}: also give the MuJoCo model of its robot, by --mjcf")
+    forms = {"--mujoco": mujoco, "--policy" if policy else "--mjcf": mjcf, "--process": process, "--from": from_}
     given = [name for name, value in forms.items() if value]
     if len(given) > 1:
         raise InputError(f"{' and '.join(given)}: give only one of them")
@@ -70,7 +82,8 @@ def new(
         contents = _program(folder.name, _read_log(from_, columns, names) if from_ else None)
     else:
         contents = {}
-        check_package_name(folder.name)
+        if not policy:
+            check_package_name(folder.name)
     from stepgap.robots.entry_points import next_commands
 
     with writing(folder, "FOLDER"):
@@ -78,11 +91,14 @@ def new(
         with new_folder(folder) as partial:
             for name, text in contents.items():
                 create(partial / name, text)
-            if not contents:
+            missing = write_policy(partial, folder.name, policy, mjcf) if policy and mjcf else []
+            if not contents and not policy:
                 starter = MJCF if mjcf else MUJOCO if mujoco else EQUATIONS
                 write_package(partial, folder.name, starter, mjcf)
     print(folder / "README.md")
-    if mjcf:
+    if missing:
+        warn(f"fill in {', '.join(missing)} in {folder / POLICY_FILE} first: they are not in {policy}")
+    elif mjcf and not policy:
         warn(f"write the controller in {folder / folder.name}.py first, for the joints and actuators of the model")
     for command in next_commands(folder):
         print(f"next: {command}", file=sys.stderr)
@@ -95,7 +111,7 @@ def _program(name: str, log: "Steps | None") -> dict[str, str]:
 
     space = log.space if log else CommandBounds().space()
     kind, file = ("log", "steps.csv") if log else ("template", "template.toml")
-    values = {"name": re.sub(r"([^\w ])", r"\\\1", name), "kind": kind, "file": file, "quantities": _quantities(space)}
+    values = {"name": readme_name(name), "kind": kind, "file": file, "quantities": _quantities(space)}
     values["function"] = "take_step" if log else "hop"
     values["nominal"] = "the nominal map is fitted to `steps.csv`" if log else "`template.toml` is the nominal map"
     values["practice"] = f"\n{PRACTICE}" if log else ""

@@ -50,6 +50,11 @@ def starter_text(name: str) -> str:
     return files("stepgap.cli").joinpath("starters", name).read_text("utf-8")
 
 
+def readme_name(name: str) -> str:
+    """A name as Markdown."""
+    return re.sub(r"([^\w ])", r"\\\1", name)
+
+
 def check_package_name(name: str) -> None:
     """Raises InputError unless a new robot in Python may have this name."""
     from stepgap.robots.entry_points import robot_names
@@ -80,7 +85,7 @@ def write_package(folder: Path, name: str, starter: Starter, model: Path | None)
     text = starter_text(starter.file)
     class_name = _class_name(name, text)
     if model:
-        code = _code_of_model(text, name, class_name, _copied(model, folder))
+        code = _code_of_model(text, name, class_name, copied_model(model, folder))
     else:
         code = _NAMED.sub(rf'class {class_name}(\1):\n    name = "{name}"', text)
     copied = "".join(f', "{each}"' for each in (MODEL_FILE, ASSETS) if (folder / each).exists())
@@ -106,8 +111,12 @@ def _class_name(name: str, code: str) -> str:
     return found
 
 
-def _copied(model: Path, folder: Path) -> "Parts":
-    """Copies a model and its files, and loads the copy."""
+def copied_model(model: Path, folder: Path) -> "Parts":
+    """Copies a model and its files into a folder, and loads the copy in another process.
+
+    Raises:
+        InputError: The model cannot be copied, or its copy cannot be loaded.
+    """
     from stepgap.robots.mjcf.model_files import MODEL_FILE, model_files
     from stepgap.robots.mjcf.model_trial import parts_of_model
 

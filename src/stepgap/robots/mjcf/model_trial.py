@@ -28,6 +28,13 @@ class Parts(NamedTuple):
         touching: The geoms that can touch another one, without those of the world.
         coordinates: Addresses `height` in `qpos`, `rise` and `speed` in `qvel`, of the robot's place, as far as known.
         start: The first posture, `qpos0`.
+        addresses: Addresses in `qpos` of hinges and slides, by the name of the joint.
+        driven: Joint that each actuator moves, empty if it moves none; in the order of `ctrl`.
+        servos: Whether each actuator is a position servo or another one with a bias.
+        keyframes: Their `qpos`, by the name of the keyframe, or its number if it has none.
+        sites: Names of the sites.
+        ground: Whether a plane or a height field is fixed to the world.
+        timestep: Time step of the simulation [s].
         same: Equal for the same model.
     """
 
@@ -37,6 +44,13 @@ class Parts(NamedTuple):
     touching: list[str | int]
     coordinates: dict[str, int]
     start: list[float]
+    addresses: dict[str, int]
+    driven: list[str]
+    servos: list[bool]
+    keyframes: dict[str, list[float]]
+    sites: list[str]
+    ground: bool
+    timestep: float
     same: str
 
 
@@ -51,22 +65,40 @@ def parts_of_model(model: Path, seconds: int = _SECONDS, memory: int = _MEMORY) 
     Raises:
         ValueError: It cannot be loaded, or needs more; the message is the reason.
     """
+    return _parts(description(_TRIAL, model, "MuJoCo", seconds, memory))
+
+
+def description(
+    program: Path, file: Path, reader: str, seconds: int = _SECONDS, memory: int = _MEMORY
+) -> Mapping[str, Any]:
+    """What a program prints of a file, in another process with limits.
+
+    Args:
+        program: Program that calls `print_described` of `trial.py`.
+        file: The file.
+        reader: What reads it, for messages.
+        seconds: As `_SECONDS`.
+        memory: As `_MEMORY`.
+
+    Raises:
+        ValueError: It cannot be loaded, or needs more; the message is the reason.
+    """
     with TemporaryDirectory() as folder:  # MuJoCo writes a log into the current folder
-        command = [sys.executable, "-P", str(_TRIAL), str(model.resolve()), str(seconds), str(memory)]
+        command = [sys.executable, "-P", str(program), str(file.resolve()), str(seconds), str(memory)]
         try:
             done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=5 * seconds, check=False)
         except subprocess.TimeoutExpired:
-            raise ValueError(f"MuJoCo does not load it within {5 * seconds} s") from None
+            raise ValueError(f"{reader} does not load it within {5 * seconds} s") from None
     if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        raise ValueError(f"MuJoCo needs more than {seconds} s to load it")
+        raise ValueError(f"{reader} needs more than {seconds} s to load it")
     try:
         answer = json.loads(done.stdout)
     except ValueError:
         reason = " ".join(done.stderr.split())[-200:] or f"code {done.returncode}"
-        raise ValueError(f"MuJoCo ends while it loads it: {reason}") from None
+        raise ValueError(f"{reader} ends while it loads it: {reason}") from None
     if "error" in answer:
         raise ValueError(f"{answer['error']:.300}")
-    return _parts(answer)
+    return answer
 
 
 def _parts(answer: Mapping[str, Any]) -> Parts:
@@ -75,5 +107,5 @@ def _parts(answer: Mapping[str, Any]) -> Parts:
     for number, (name, body) in enumerate(answer["geoms"]):
         geoms.setdefault(bodies[body], []).append(name or number)
     touching = [answer["geoms"][k][0] or k for k in answer["touching"] if answer["geoms"][k][1] > 0]
-    others = (answer[key] for key in ("coordinates", "start", "same"))
-    return Parts(answer["joints"], answer["actuators"], geoms, touching, *others)
+    others = {key: answer[key] for key in Parts._fields if key not in ("geoms", "touching")}
+    return Parts(geoms=geoms, touching=touching, **others)

@@ -12,23 +12,26 @@ import hashlib
 import json
 import resource
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
 import mujoco
+import numpy as np
+
+_TURNING = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_GROUNDS = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)
 
 
-def _describe() -> None:
-    """Prints the description, or under `error` why there is none."""
+def print_described(describe: Callable[[str], dict[str, Any]]) -> None:
+    """Sets the limits, and prints the description of the file, or under `error` why there is none."""
     path, seconds, size = sys.argv[1:]
     for kind, limit in ((resource.RLIMIT_CPU, int(seconds)), (resource.RLIMIT_AS, int(size))):
         _, hard = resource.getrlimit(kind)
         with suppress(OSError, ValueError):  # macOS has no limit of the memory
             resource.setrlimit(kind, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
     try:
-        model = mujoco.MjModel.from_xml_path(path)
-        mujoco.MjData(model)
-        answer = _described(model)
+        answer = describe(path)
     except MemoryError:
         answer = {"error": f"it needs more than {int(size) / 2**30:.0f} GiB of memory"}
     except Exception as error:  # of any kind
@@ -36,8 +39,12 @@ def _describe() -> None:
     json.dump(answer, sys.stdout)
 
 
-def _described(model: Any) -> dict[str, Any]:
+def _described(path: str) -> dict[str, Any]:
+    model = mujoco.MjModel.from_xml_path(path)
+    mujoco.MjData(model)
     joints = [model.joint(number) for number in range(model.njnt)]
+    keys = [model.key(number) for number in range(model.nkey)]
+    fixed = model.geom_type[model.body_weldid[model.geom_bodyid] == 0]
     return {
         "joints": [joint.name for joint in joints],
         "actuators": [model.actuator(number).name for number in range(model.nu)],
@@ -48,8 +55,21 @@ def _described(model: Any) -> dict[str, Any]:
         ],
         "coordinates": _coordinates(model),
         "start": model.qpos0.tolist(),
+        "addresses": {joint.name: int(joint.qposadr[0]) for joint in joints if joint.type[0] in _TURNING},
+        "driven": [_driven(model, number) for number in range(model.nu)],
+        "servos": (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)).tolist(),
+        "keyframes": {key.name or str(key.id): key.qpos.tolist() for key in keys},
+        "sites": [model.site(number).name for number in range(model.nsite)],
+        "ground": bool(np.isin(fixed, _GROUNDS).any()),
+        "timestep": float(model.opt.timestep),
         "same": _digest(model),
     }
+
+
+def _driven(model: Any, actuator: int) -> str:
+    """Name of the joint that an actuator moves; empty if it moves none."""
+    moves = model.actuator_trntype[actuator] == int(mujoco.mjtTrn.mjTRN_JOINT)
+    return model.joint(model.actuator_trnid[actuator, 0]).name if moves else ""
 
 
 def _coordinates(model: Any) -> dict[str, int]:
@@ -78,4 +98,4 @@ def _digest(model: Any) -> str:
 
 
 if __name__ == "__main__":
-    _describe()
+    print_described(_described)

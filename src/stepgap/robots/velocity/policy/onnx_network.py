@@ -33,12 +33,7 @@ class OnnxNetwork:
 
     def __init__(self, path: Path):
         runtime = optional_package("onnxruntime", f"{path}: a policy", "policy")
-        try:
-            content = read_bounded(path, LARGEST_NETWORK)
-        except OSError as error:
-            raise InputError(f"{message_of(error)}; {_REMEDY}") from None
-        if _EXTERNAL in content:
-            raise InputError(f"{path}: some of its numbers are in another file; {_REMEDY} (external_data=False)")
+        content = read_network(path)
         options = runtime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 4
@@ -76,6 +71,21 @@ class OnnxNetwork:
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         return self  # it has no memory
+
+
+def read_network(path: Path) -> bytes:
+    """Content of the file of a network.
+
+    Raises:
+        InputError: It cannot be read, is larger than `LARGEST_NETWORK`, or needs another file.
+    """
+    try:
+        content = read_bounded(path, LARGEST_NETWORK)
+    except OSError as error:
+        raise InputError(f"{message_of(error)}; {_REMEDY}") from None
+    if _EXTERNAL in content:
+        raise InputError(f"{path}: some of its numbers are in another file; {_REMEDY} (external_data=False)")
+    return content
 
 
 def _vector(ends: list[Any], what: str, path: Path) -> tuple[str, int, int]:

@@ -3,6 +3,7 @@
 # pyright: reportAttributeAccessIssue=false
 # (MuJoCo ships no types for its compiled part.)
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,6 @@ import numpy as np
 
 from stepgap.base.errors import InputError
 from stepgap.robots.velocity.policy.policy_settings import PolicySettings
-from stepgap.step import Array
 
 _TURNING = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 _ROUND = (int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE))
@@ -80,9 +80,9 @@ def actuators_of_joints(model: Any) -> dict[str, int]:
     return {model.joint(model.actuator_trnid[number, 0]).name: int(number) for number in moving}
 
 
-def stand(settings: PolicySettings, model: Any, data: Any) -> None:
-    """Puts a model that was reset on the ground, its joints at the default positions, its servos holding them."""
-    for joint, position in zip(settings.joints, settings.default_joint_pos, strict=True):
+def stand(joints: Sequence[str], positions: Sequence[float], model: Any, data: Any) -> None:
+    """Puts a model that was reset on the ground, these joints at these positions, with servos that hold all joints."""
+    for joint, position in zip(joints, positions, strict=True):
         data.joint(joint).qpos = position
     mujoco.mj_kinematics(model, data)
     data.qpos[2] -= min((_lowest(model, data, geom) for geom in _touching(model)), default=0.0)
@@ -91,10 +91,18 @@ def stand(settings: PolicySettings, model: Any, data: Any) -> None:
             data.ctrl[actuator] = data.joint(joint).qpos[0]
 
 
-def _touching(model: Any) -> Array:
+def standing_height(joints: Sequence[str], positions: Sequence[float], path: Path) -> float:
+    """Height of the frame of the first body of a model that stands with these joints at these positions [m]."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    stand(joints, positions, model, data)
+    return float(data.qpos[2])
+
+
+def _touching(model: Any) -> Sequence[int]:
     """Numbers of the geoms of the robot that can touch the ground."""
     can = (model.geom_contype | model.geom_conaffinity) != 0
-    return np.flatnonzero(can & (model.geom_bodyid > 0))
+    return np.flatnonzero(can & (model.geom_bodyid > 0)).tolist()
 
 
 def _lowest(model: Any, data: Any, geom: int) -> float:

@@ -65,7 +65,7 @@ class PolicyRobot(WalkingRobot):
 
     def stand(self, model: Any, data: Any) -> None:
         """On the ground, in the default posture of the policy."""
-        stand(self._settings, model, data)
+        stand(self._settings.joints, self._settings.default_joint_pos, model, data)
 
     def walking_control(self) -> PolicyControl:
         """The policy without memory of the past."""
@@ -89,10 +89,8 @@ def check_network(settings: PolicySettings, inputs: int, outputs: int, file: Pat
     if total != inputs:
         terms = ", ".join(f"{term} {size}" for term, size in zip(settings.observation, sizes, strict=True))
         times = f", history {', '.join(map(str, settings.history))}" if settings.history != (1,) else ""
-        raise InputError(
-            f"{file}: observation: its terms have {total} numbers ({terms}{times}), but {settings.policy} wants {inputs}; "
-            "give the terms of the training"
-        )
+        found = f"its terms have {total} numbers ({terms}{times}), but {settings.policy} wants {inputs}"
+        raise InputError(f"{file}: observation: {found}; give the terms of the training")
     if len(settings.joints) != outputs:
         number = len(settings.joints)
         raise InputError(

@@ -60,12 +60,12 @@ class PolicySettings:
             any, the actuators of the model are position servos already, and keep their gains.
         damping: Gains of the same servos by the velocity [N·m·s/rad].
         observation: Terms of the observation in their order.
-        imu: Site of the model in whose frame the velocities and gravity are observed; empty: the frame of the first body.
+        imu: Site of the model in whose frame the velocities and gravity are observed; empty: that of the first body.
         gait_period: Period of the gait's phases [s], for the terms `phase_sin` and `phase_cos`.
         gait_offsets: The phases at the start, as shares of a period; each term has one number for each.
         history: Number of the latest observations that the network is given: one number for all terms, or one for each.
             At the start, all are the first one.
-        history_by_term: Whether the observations of one term follow each other, as in Isaac Lab; else those of one time.
+        history_by_term: Whether the observations of one term follow each other, as in Isaac Lab, or those of one time.
         newest_first: Whether the latest observation comes first, instead of last.
         scale: Factors on the terms.
     """
