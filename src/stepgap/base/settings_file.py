@@ -248,7 +248,7 @@ def _as_list(kind: type, value: Any, locate: Locate, name: str) -> tuple[Any, ..
     """Converts an array to strings, or an array of tables to dataclasses; messages count from 1."""
     here, of_tables = locate(name), is_dataclass(kind)
     if not isinstance(value, list):
-        wanted = f"tables, each headed [[{name}]]" if of_tables else "a list of strings"
+        wanted = f"tables, each headed [[{name}]]" if of_tables else "a list"
         raise InputError(f"{here} = {format_value(value)}, but it must be {wanted}")
     keys = [f"{name} {number}" for number in range(1, len(value) + 1)]
     if of_tables:
