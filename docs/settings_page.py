@@ -4,7 +4,7 @@ from pathlib import Path
 
 from stepgap.experiment.settings_text import settings_page
 
-ROBOTS = ("hopper", "quadruped", "monopod", "velocity")
+ROBOTS = ("hopper", "quadruped", "monopod", "velocity", "policy")
 
 if __name__ == "__main__":
     Path(__file__).with_name("settings.md").write_text(settings_page(ROBOTS), encoding="utf-8")

@@ -31,7 +31,9 @@ def rmse(folder: str) -> np.ndarray:
 
 
 @pytest.mark.usefixtures("no_repeats", "no_report")
-def test_a_policy_with_metadata_runs_at_once_and_is_corrected(stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_policy_with_metadata_runs_at_once_and_is_corrected(
+    stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write_network(Path("walk.onnx"), driving(), mjlab_metadata())
     Path("cart.xml").write_text(cart_xml())
     made = stepgap("new", "my cart", "--policy", "walk.onnx", "--mjcf", "cart.xml")

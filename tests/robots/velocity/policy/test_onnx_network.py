@@ -17,10 +17,14 @@ from tests.robots.velocity.policy.networks import write_network
 WEIGHTS = np.random.default_rng(0).normal(size=(2, 3))
 
 
-def graph(path: Path, operator: str = "Abs", shapes: tuple[tuple[int | str, ...], ...] = ((1, 3),), **node: str) -> Path:
+def graph(
+    path: Path, operator: str = "Abs", shapes: tuple[tuple[int | str, ...], ...] = ((1, 3),), **node: str
+) -> Path:
     """Writes a network of one operator with an input of each shape, and an output of the first one."""
     names = [f"x{number}" for number in range(len(shapes))]
-    inputs = [helper.make_tensor_value_info(*each) for each in zip(names, [TensorProto.FLOAT] * 9, shapes, strict=False)]
+    inputs = [
+        helper.make_tensor_value_info(*each) for each in zip(names, [TensorProto.FLOAT] * 9, shapes, strict=False)
+    ]
     output = helper.make_tensor_value_info("y", TensorProto.FLOAT, shapes[0])
     made = helper.make_graph([helper.make_node(operator, names, ["y"], **node)], "g", inputs, [output])
     onnx.save(helper.make_model(made, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), path)
@@ -37,9 +41,9 @@ def test_its_output_is_that_of_numpy(tmp_path: Path, rank: int) -> None:
 
 
 def test_any_batch_size_is_accepted(tmp_path: Path) -> None:
-    assert OnnxNetwork(graph(tmp_path / "p.onnx", shapes=(("batch", 3),)))(np.array([-1.0, 2.0, -3.0])) == pytest.approx(
-        [1, 2, 3]
-    )
+    assert OnnxNetwork(graph(tmp_path / "p.onnx", shapes=(("batch", 3),)))(
+        np.array([-1.0, 2.0, -3.0])
+    ) == pytest.approx([1, 2, 3])
 
 
 def test_the_trial_in_another_process_says_the_same(tmp_path: Path) -> None:
@@ -63,7 +67,10 @@ def external(path: Path) -> Path:
     [
         (external, "some of its numbers are in another file"),
         (lambda path: graph(path, "Add", ((1, 3), (1, 3))), "it has 2 inputs (x0, x1), but only one can be given"),
-        (lambda path: graph(path, shapes=((4, 3),)), "its input x0 is tensor(float) [4, 3], but it must be tensor(float)"),
+        (
+            lambda path: graph(path, shapes=((4, 3),)),
+            "its input x0 is tensor(float) [4, 3], but it must be tensor(float)",
+        ),
         (lambda path: graph(path, shapes=((1, "n"),)), "its input x0 is tensor(float) [1, 'n'], but it must be"),
         (lambda path: graph(path, shapes=((1, 2, 3),)), "its input x0 is tensor(float) [1, 2, 3], but"),
         (lambda path: graph(path, "Abs", domain="com.evil"), "onnxruntime cannot load it"),

@@ -2,6 +2,7 @@
 
 # pyright: reportAttributeAccessIssue=false
 
+import re
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -131,15 +132,15 @@ def test_it_starts_on_the_ground_in_its_default_posture_and_drives_as_commanded(
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"observation": [*TERMS[1:]]}, "observation: its terms have 21 numbers (base_ang_vel 3, projected_gravity 3, jo"),
+        ({"observation": [*TERMS[1:]]}, "observation: its terms have 21 numbers (base_ang_vel 3, projected_gravity 3, "),
         ({"history": [2]}, "command 3, history 2), but policy.onnx wants 24; give the terms of the training"),
         ({"observation": None}, "observation: missing; it must be given"),
         ({"observation": ["base_lin_vle"]}, "observation = 'base_lin_vle', but it must be made of base_lin_vel, base_"),
         ({"observation": []}, "observation = [], but it must have at least one term"),
         ({"observaton": []}, "observaton: unknown key; did you mean observation?"),
         ({"joints": "FR"}, "joints = 'FR', but it must be a list"),
-        ({"joints": ["front_left"] * 4}, "joints = ['front_left', 'front_left', 'front_left', 'front_left'], but it mu"),
-        ({"joints": [*WHEELS[:3], "wheel"]}, "joints has 'wheel', but the hinges and slides of the model are front_left,"),
+        ({"joints": ["front_left"] * 4}, "joints = ['front_left', 'front_left', 'front_left', 'front_left'], but"),
+        ({"joints": [*WHEELS[:3], "wheel"]}, "joints has 'wheel', but the hinges and slides of the model are front"),
         ({"default_joint_pos": [0.0] * 3}, "default_joint_pos = [0.0, 0.0, 0.0], but it must have 4 numbers, not 3"),
         ({"action_scale": [1.0, 2.0]}, "action_scale = [1.0, 2.0], but it must have 1 or 4 numbers, not 2"),
         ({"period": 0.003}, "period = 0.003, but it must be a multiple of timestep = 0.002"),
@@ -148,11 +149,11 @@ def test_it_starts_on_the_ground_in_its_default_posture_and_drives_as_commanded(
         ({"stiffness": [-2.0]}, "stiffness = [-2.0], but it must not be negative"),
         ({"scale": {"command": [1.0, 2.0]}}, "[scale] command = [1.0, 2.0], but it must have 1 or 3 numbers, not 2"),
         ({"history": [0]}, "history = [0], but it must lie from 1 to 1000"),
-        ({"history": [1, 2, 1, 1, 1, 1, 1], "history_by_term": False}, "history_by_term = false, but it must be true wh"),
+        ({"history": [1, 2, 1, 1, 1, 1, 1], "history_by_term": False}, "history_by_term = false, but it must be true"),
         ({"imu": "head"}, "imu = 'head', but the model has no such site"),
         ({"policy": "none.onnx"}, "none.onnx: No such file or directory; export the policy"),
         ({"model": "none.xml"}, "model = none.xml: "),
-        ({"model": cart_xml(actuators("motor")), "stiffness": [], "damping": []}, "the actuator of joint front_left is no"),
+        ({"model": cart_xml(actuators("motor")), "stiffness": [], "damping": []}, "the actuator of joint front_left is"),
         ({"model": cart_xml(actuators("motor")).replace("<freejoint/>", "")}, "its first body has no free joint"),
         ({"model": cart_xml()}, "joint front_left has 0 actuators in the model; it must have one"),
     ],
@@ -187,3 +188,11 @@ def test_other_joints_keep_their_control_signals(tmp_path: Path) -> None:
     control = PolicyControl(settings, OnnxNetwork(tmp_path / "policy.onnx"))
     control.start(model, data)
     assert control.control(model, data, np.array([0.1, 0.2, 0.3])) == pytest.approx([1.0, 0.6, 3.0, 4.0])
+
+
+def test_the_policy_of_the_documentation_is_valid(tmp_path: Path) -> None:
+    page = Path(__file__).parents[4] / "docs" / "policy.md"
+    block = re.findall(r"```toml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)[0]
+    (tmp_path / "policy.toml").write_text(block, "utf-8")
+    assert read_policy_settings(tmp_path / "policy.toml").sizes["joint_pos"] == 3
+    assert all(f"`{term}`" in page.read_text("utf-8") for term in TERMS)
