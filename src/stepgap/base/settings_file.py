@@ -23,6 +23,9 @@ FORMER_NAME = "former name"
 IS_KEY = "is a key"
 """Metadata key of a settings field: False if the field is not a key of the table, and has other ways into the file."""
 
+_ITEMS = {float: "numbers", int: "integers"}
+"""What a list contains, for messages; strings if it is not here."""
+
 BYTE_ORDER_MARK = "\ufeff"
 
 Locate = Callable[[str], str]
@@ -245,10 +248,10 @@ def _as_table(value: Any, here: str) -> Mapping[str, Any]:
 
 
 def _as_list(kind: type, value: Any, locate: Locate, name: str) -> tuple[Any, ...]:
-    """Converts an array to strings, or an array of tables to dataclasses; messages count from 1."""
+    """Converts an array to strings or numbers, or an array of tables to dataclasses; messages count from 1."""
     here, of_tables = locate(name), is_dataclass(kind)
     if not isinstance(value, list):
-        wanted = f"tables, each headed [[{name}]]" if of_tables else "a list"
+        wanted = f"tables, each headed [[{name}]]" if of_tables else f"a list of {_ITEMS.get(kind, 'strings')}"
         raise InputError(f"{here} = {format_value(value)}, but it must be {wanted}")
     keys = [f"{name} {number}" for number in range(1, len(value) + 1)]
     if of_tables:

@@ -36,7 +36,7 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> list[str]
     from stepgap.robots.velocity.policy.policy_model import standing_height
     from stepgap.robots.velocity.policy.policy_robot import PolicyFile, PolicyRobot
     from stepgap.robots.velocity.policy.policy_trial import parts_of_network
-    from stepgap.robots.velocity.policy.proposal import completed_model, propose
+    from stepgap.robots.velocity.policy.proposal import completed_model, propose_policy
 
     try:
         network = parts_of_network(policy)
@@ -45,7 +45,7 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> list[str]
         raise InputError(f"--policy {error}") from None
     parts = copied_model(mjcf, folder)
     model = folder / MODEL_FILE
-    found = propose(network, parts)
+    found = propose_policy(network, parts)
     known = {"policy": NETWORK_FILE, "model": MODEL_FILE, **found.values}
     joints, positions = known.get("joints", []), known.get("default_joint_pos", [])
     text, added = completed_model(model.read_text("utf-8"), parts, joints)

@@ -10,7 +10,7 @@ import pytest
 from stepgap.robots.mjcf.model_trial import Parts, parts_of_model
 from stepgap.robots.velocity.policy.policy_model import standing_height
 from stepgap.robots.velocity.policy.policy_trial import NetworkParts
-from stepgap.robots.velocity.policy.proposal import completed_model, propose
+from stepgap.robots.velocity.policy.proposal import completed_model, propose_policy
 from tests.robots.velocity.policy.networks import TERMS, WHEELS, cart_xml, mjlab_metadata
 
 
@@ -23,7 +23,7 @@ def parts(tmp_path_factory: pytest.TempPathFactory) -> Parts:
 
 
 def test_metadata_of_mjlab_say_all_but_the_times(parts: Parts) -> None:
-    found = propose(NetworkParts(24, 4, mjlab_metadata()), parts)
+    found = propose_policy(NetworkParts(24, 4, mjlab_metadata()), parts)
     assert found.values == {
         "timestep": 0.002,
         "period": 0.02,
@@ -46,7 +46,7 @@ def test_metadata_of_others_are_understood_too(parts: Parts) -> None:
         "action_joint_names": ",".join(reversed(WHEELS)),
     }
     prefixed = parts._replace(addresses={f"robot/{name}": address for name, address in parts.addresses.items()})
-    found = propose(NetworkParts(26, 4, said), prefixed).values
+    found = propose_policy(NetworkParts(26, 4, said), prefixed).values
     assert found["observation"] == ["base_ang_vel", "command", "actions"]
     assert found["history"] == [1, 5, 2]
     assert found["action_scale"] == [0.5, 0.5, 0.25, 0.25]
@@ -54,20 +54,20 @@ def test_metadata_of_others_are_understood_too(parts: Parts) -> None:
 
 
 def test_without_metadata_the_model_is_asked_and_the_rest_is_to_be_filled_in(parts: Parts) -> None:
-    found = propose(NetworkParts(24, 4, {}), parts)
+    found = propose_policy(NetworkParts(24, 4, {}), parts)
     assert found.values["joints"] == list(WHEELS)
     assert found.values["default_joint_pos"] == [0.1, 0.2, 0.3, 0.4]
     assert not {"action_scale", "observation", "stiffness"} & found.values.keys()
     lines = found.advice["observation"]
     assert lines[1:4:2] == ["mjlab, MuJoCo Playground:", "Isaac Lab:"]
     assert tomllib.loads(lines[2]) == {"observation": list(TERMS)}
-    several = propose(NetworkParts(48, 4, {}), parts).advice["observation"]
+    several = propose_policy(NetworkParts(48, 4, {}), parts).advice["observation"]
     assert "mjlab, MuJoCo Playground, history 2:" in several
 
 
 def test_terms_and_joints_that_are_unknown_are_said(parts: Parts) -> None:
     said = mjlab_metadata() | {"observation_names": "base_ang_vel,height_scan", "joint_names": "a,b"}
-    found = propose(NetworkParts(99, 2, said), parts)
+    found = propose_policy(NetworkParts(99, 2, said), parts)
     assert "there is no height_scan: base_ang_vel, height_scan" in found.advice["observation"][1]
     assert found.advice["joints"][0] == "Fill in the joints of the 2 actions; the model has these 4:"
     assert "joints" not in found.values
@@ -75,7 +75,7 @@ def test_terms_and_joints_that_are_unknown_are_said(parts: Parts) -> None:
 
 @pytest.mark.parametrize("text", ["nan", "1,2", "0.5;0.5", "", "'__import__'"])
 def test_numbers_that_are_none_are_not_used(parts: Parts, text: str) -> None:
-    found = propose(NetworkParts(24, 4, mjlab_metadata() | {"action_scale": text}), parts)
+    found = propose_policy(NetworkParts(24, 4, mjlab_metadata() | {"action_scale": text}), parts)
     assert "action_scale" not in found.values
 
 

@@ -97,11 +97,11 @@ class Observation:
         gravity = model.opt.gravity / np.linalg.norm(model.opt.gravity)
         turns = seconds / self._settings.gait_period + np.array(self._settings.gait_offsets)
         return Moment(
-            velocity.reshape(2, 3)[::-1],
-            gravity @ rotation,
-            data.qpos[self._positions] - self._default,
-            data.qvel[self._rates],
-            actions,
-            command,
-            2 * np.pi * (turns % 1.0),
+            velocity=velocity.reshape(2, 3)[::-1],
+            gravity=gravity @ rotation,
+            joint_pos=data.qpos[self._positions] - self._default,
+            joint_vel=data.qvel[self._rates],
+            actions=actions,
+            command=command,
+            phase=2 * np.pi * (turns % 1.0),
         )

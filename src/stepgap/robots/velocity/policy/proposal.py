@@ -47,7 +47,7 @@ class Proposal(NamedTuple):
     advice: Mapping[str, Sequence[str]]
 
 
-def propose(network: NetworkParts, model: Parts) -> Proposal:
+def propose_policy(network: NetworkParts, model: Parts) -> Proposal:
     """The settings as far as metadata of the network, as mjlab writes it, or the model has them.
 
     Args:
