@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.robots.mjcf.mjcf_kinematics import tick_row, tick_units
+from stepgap.robots.mjcf.mjcf_kinematics import MjcfKinematics, tick_row, tick_units
 from stepgap.robots.mjcf.mjcf_robot import ControlLaw, MjcfPlant, MjcfRobot
 from stepgap.robots.mjcf.section import Section, touchdown
 from stepgap.step import Array, Quantity, StepSpace
@@ -113,3 +113,11 @@ def test_the_motion_of_a_step_ends_when_the_foot_touches_the_ground() -> None:
     assert motion.touching[0, foot] == 0
     assert motion.touching[-1, foot] == 1
     assert np.diff(motion.time) == pytest.approx(robot.tick)
+
+
+def test_a_model_without_visible_geoms_is_drawn_by_all_that_it_has() -> None:
+    hidden = XML.replace('<geom name="', '<geom group="3" name="').replace(' group="3" mass="0"', ' mass="0"')
+    robot = Tumbler()
+    shown = MjcfKinematics(mujoco.MjModel.from_xml_string(hidden), robot.space, robot.place, robot.tick).scene
+    assert {"box_a", "shown_elsewhere", "rod_b", "foot"} < {*shown.points}
+    assert "shown_elsewhere" not in robot.kinematics().scene.points

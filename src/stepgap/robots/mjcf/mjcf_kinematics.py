@@ -58,7 +58,7 @@ class MjcfKinematics(Kinematics):
         self._model, self._space, self._place, self._tick = model, space, place, tick
         self._data = mujoco.MjData(self._model)
         mujoco.mj_kinematics(self._model, self._data)
-        drawn = [geom for geom in range(self._model.ngeom) if _is_drawn(self._model, geom)]
+        drawn = _drawn(self._model)
         self._ends = {name: end for geom in drawn for name, end in _ends(self._model, geom).items()}
         self._feet = tuple(name for name, end in self._ends.items() if _can_touch(self._model, end.geom))
         self._signals = _signals(self._model)
@@ -138,10 +138,10 @@ def tick_row(data: Any) -> Sequence[float]:
     return (data.time, *data.qpos, *data.ctrl)
 
 
-def _is_drawn(model: Any, geom: int) -> bool:
-    """Whether a geom belongs to the robot and is visible."""
-    hidden = model.geom_group[geom] >= _DRAWN_GROUPS or model.geom_type[geom] in (_PLANE, _HFIELD)
-    return not hidden and model.geom_bodyid[geom] > 0
+def _drawn(model: Any) -> list[int]:
+    """Numbers of the geoms of the robot that are visible, or of all if none is, as without its meshes."""
+    own = [k for k in range(model.ngeom) if model.geom_bodyid[k] > 0 and model.geom_type[k] not in (_PLANE, _HFIELD)]
+    return [geom for geom in own if model.geom_group[geom] < _DRAWN_GROUPS] or own
 
 
 def _can_touch(model: Any, geom: int) -> bool:

@@ -57,12 +57,14 @@ def write_network(path: Path, weights: Array, metadata: Mapping[str, str] | None
     matrix = numpy_helper.from_array(weights.T.astype(np.float32), "weights")
     batch = [1] * (rank - 1)
     ends = [
-        [helper.make_tensor_value_info(name, TensorProto.FLOAT, [*batch, size])]
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, [*batch, size])
         for name, size in (("obs", inputs), ("actions", outputs))
     ]
     node = helper.make_node("MatMul", ["obs", "weights"], ["actions"])
     model = helper.make_model(
-        helper.make_graph([node], "policy", *ends, [matrix]), opset_imports=[helper.make_opsetid("", 17)], ir_version=8
+        helper.make_graph([node], "policy", ends[:1], ends[1:], [matrix]),
+        opset_imports=[helper.make_opsetid("", 17)],
+        ir_version=8,
     )
     helper.set_model_props(model, dict(metadata or {}))
     onnx.save(model, path)

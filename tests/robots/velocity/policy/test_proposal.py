@@ -1,5 +1,7 @@
 """What metadata and model say becomes settings; what they do not say is left to be filled in."""
 
+# pyright: reportAttributeAccessIssue=false
+
 import tomllib
 from pathlib import Path
 from xml.etree import ElementTree as ET
