@@ -22,7 +22,8 @@ class SectionOptions:
     """Sections of a log and the meaning of its columns.
 
     Attributes:
-        state: Coordinates of the state, as speed=rate(COLUMN),height=COLUMN.
+        state: Coordinates of the state, as speed=rate(COLUMN),height=COLUMN, or vx=mean(COLUMN) for the mean over the
+            step before, also vx=mean(rate(COLUMN)).
         command: Coordinates of the command, columns of the plan or of the log.
         target: Coordinates of the target, likewise.
         predicted: Coordinates of the state that the nominal map predicts, likewise.
@@ -32,6 +33,9 @@ class SectionOptions:
         contact: Columns that are 1 where a foot is in contact.
         force: Columns of the force between ground and foot.
         crossing: Column that passes a level at the section.
+        every: Time from section to section [s], for commands that hold, such as of velocities: a step begins where the
+            command changes, and then at these intervals for as long as it holds.
+        hold: How long a command holds if no other one follows [s]. [default: five usual times between two of them]
         aerial: Phases in which the robot is in the air. [default: those with flight, aerial or swing in their names]
         at: Section of a flight: apex, begin (lift-off) or end (touch-down); of walking, next_foot, which is the
             touch-down of another foot than before. [default: apex]
@@ -43,6 +47,8 @@ class SectionOptions:
         boom: Length [m] of the boom around which the robot hops: adds columns height and forward [m] to the log.
         pitch: Column of the boom's angle above the horizon [rad].
         yaw: Column of the boom's angle about the vertical [rad].
+        pose: Columns x,y,yaw or x,y,qx,qy,qz,qw, or a message with a pose, such as pose.pose: adds columns forward,
+            left [m] and turn [rad], the motion as the robot sees it.
         plan_time: Column of the time in the plan. [default: as --time]
         plan_match: PLAN_COLUMN=COLUMN, for a plan without times: its row is of the time at which both are equal.
         of_several: The command that counts if a step has several. [default: such a step is left out]
@@ -59,6 +65,8 @@ class SectionOptions:
     contact: Names | None = None
     force: Names | None = None
     crossing: Name | None = None
+    every: Seconds | None = None
+    hold: Seconds | None = None
     aerial: Names | None = None
     at: Literal["apex", "begin", "end", "next_foot"] | None = None
     threshold: float | None = None
@@ -69,6 +77,7 @@ class SectionOptions:
     boom: float | None = None
     pitch: Name | None = None
     yaw: Name | None = None
+    pose: Names | None = None
     plan_time: Name | None = None
     plan_match: Name | None = None
     of_several: Literal["first", "last", "largest"] | None = None

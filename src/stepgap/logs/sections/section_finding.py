@@ -29,6 +29,7 @@ class FoundSection:
         time_std: Standard deviation of the time [s]: that of an event between two samples; 0 where it is exact, or is
             estimated from the height.
         doubts: Why it may be none.
+        since: Time at which the step that ends here began [s]; NaN if that is the section before.
     """
 
     time: float
@@ -36,6 +37,7 @@ class FoundSection:
     end: float = np.inf
     time_std: float = 0.0
     doubts: tuple[str, ...] = ()
+    since: float = np.nan
 
 
 WALKING = "; a robot that walks has no flight, in which all feet are in the air: use --at next_foot"

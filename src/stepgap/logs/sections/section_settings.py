@@ -13,13 +13,13 @@ from stepgap.logs.columns import LARGEST_VALUE
 from stepgap.logs.tables.text_format import AS_FOUND, TextFormat
 from stepgap.records.steps_csv import MOST_COORDINATES, RecordError
 
-RULES = ("phase", "contact", "force", "crossing")
+RULES = ("phase", "contact", "force", "crossing", "every")
 """Keys of which at most one is given: how sections are found. Without them they are the tops of `height`."""
 
 COORDINATES = ("state", "command", "target", "predicted")
-"""Keys that name coordinates, as COLUMN, NAME=COLUMN or NAME=rate(COLUMN)."""
+"""Keys that name coordinates; `SignalCoordinate.of` reads their entries."""
 
-LISTS = (*COORDINATES, "aerial", "contact", "force")
+LISTS = (*COORDINATES, "aerial", "contact", "force", "pose")
 """Keys whose value is a list of names; on the command line they are separated by commas."""
 
 NEXT_FOOT = "next_foot"
@@ -31,14 +31,17 @@ OF_SEVERAL = ("first", "last", "largest")
 BOOM_COLUMNS = ("height", "forward")
 """Columns that are computed from the angles of a boom."""
 
+POSE_COLUMNS = ("forward", "left", "turn")
+"""Columns that are computed from a pose."""
+
 
 @final
 @dataclass(frozen=True)
 class SectionSettings:
     """The sections of a log of ticks, and the meaning of its columns.
 
-    A coordinate is given by its column; as NAME=COLUMN to call it NAME; or as NAME=rate(COLUMN) for the rate of a
-    column.
+    A coordinate is given by its column; as NAME=COLUMN to call it NAME; as NAME=rate(COLUMN) for the rate of a column;
+    or as NAME=mean(COLUMN) or NAME=mean(rate(COLUMN)) for the mean over the step that ends at the section.
 
     Attributes:
         time: Column of the time [s]; by default time, log_time, t or timestamp.
@@ -52,6 +55,10 @@ class SectionSettings:
         crossing: Column that passes a level at the section, such as the position of the hip over the foot.
         level: This level.
         falling: Whether it passes the level downwards.
+        every: Time from section to section [s], for commands that hold until the next one, such as of velocities: steps
+            begin where the command changes, and then at these intervals until it changes again.
+        hold: How long a command holds if no other one follows [s], for `every`; by default, 0, five times as long as is
+            usual between two of them.
         at: Section of a flight: its apex; its begin, lift-off; or its end, touch-down. Of walking: `NEXT_FOOT`.
         rise: Smallest prominence of a top of the height [its unit]; by default, 0, it is found.
         window: Time before and after a section from which the state there is estimated [s]; by default, 0, it is found.
@@ -59,6 +66,9 @@ class SectionSettings:
             boom · sin(pitch) and forward = boom · yaw [m]. By default, 0, there is none.
         pitch: Column of the boom's angle above the horizon [rad].
         yaw: Column of the boom's angle about the vertical [rad].
+        pose: Columns of position and yaw, x, y [m] and yaw [rad]; or x, y and the quaternion as qx, qy, qz, qw; or the
+            name of such a message, such as pose.pose. The log then has the columns forward, left [m] and turn [rad]:
+            how far the robot has moved in these directions of its own.
         state: Coordinates of the state at a section.
         command: Coordinates of the command of a step, in the plan or in the log.
         target: Coordinates of the target of a step, likewise.
@@ -84,12 +94,15 @@ class SectionSettings:
     crossing: str = ""
     level: float = 0.0
     falling: bool = False
+    every: float = 0.0
+    hold: float = 0.0
     at: str = "apex"
     rise: float = 0.0
     window: float = 0.0
     boom: float = 0.0
     pitch: str = ""
     yaw: str = ""
+    pose: tuple[str, ...] = ()
     state: tuple[str, ...] = ()
     command: tuple[str, ...] = ()
     target: tuple[str, ...] = ()
@@ -115,12 +128,21 @@ class SectionSettings:
             )
         if self.of_several not in ("", *OF_SEVERAL):
             raise ValueError(f"of_several = {self.of_several!r:.40}, but it must be {', '.join(OF_SEVERAL)}")
-        for name in ("threshold", "rise", "window", "boom"):
+        for name in ("threshold", "rise", "window", "boom", "every", "hold"):
             if not 0 <= getattr(self, name) < LARGEST_VALUE:
                 raise ValueError(f"{name} = {getattr(self, name)!r}, but it must be a positive number, or 0")
         if self.boom and not (self.pitch and self.yaw):
             raise ValueError(f"boom = {self.boom!r}, but it must be given together with pitch and yaw")
-        if not self.crossing and self.at == "apex" and not self.height_column:
+        if len(self.pose) not in (0, 1, 3, 6) or (self.pose and self.boom):
+            raise ValueError(
+                f"pose = {_joined(self.pose)!r:.80}, but it must be x,y,yaw or x,y,qx,qy,qz,qw or the name of a "
+                "message with a pose, and not be given beside boom"
+            )
+        if self.every and self.at != "apex":
+            raise ValueError(f"at = {self.at!r}, but it must not be given beside every")
+        if self.hold and not self.every:
+            raise ValueError(f"hold = {self.hold!r}, but it must be given together with every")
+        if self.at_apex and not self.height_column:
             raise ValueError("height = '', but it must be the column of the height, or a boom's pitch, for an apex")
         if not self.state:
             raise ValueError("state = '', but it must name the state, such as speed=rate(x),height=y")
@@ -139,6 +161,11 @@ class SectionSettings:
             if role in ("target", "predicted") and len(found) not in (0, len(self.state)):
                 given = _joined(getattr(self, role))
                 raise ValueError(f"{role} = {given!r:.80}, but it must be {len(self.state)} coordinates, as the state")
+
+    @property
+    def at_apex(self) -> bool:
+        """Whether sections are tops of the height."""
+        return self.at == "apex" and self.rule not in ("crossing", "every")
 
     @property
     def height_column(self) -> str:
@@ -164,19 +191,23 @@ class SignalCoordinate:
         name: Its name, an identifier.
         column: The column that it is computed from.
         rate: Whether it is the rate of this column.
+        mean: Whether it is the mean over the step that ends at the section.
     """
 
     name: str
     column: str
     rate: bool
+    mean: bool = False
 
     @staticmethod
     def of(entry: str) -> "SignalCoordinate":
-        """Reads COLUMN, NAME=COLUMN or NAME=rate(COLUMN)."""
+        """Reads COLUMN or NAME=COLUMN, where rate(COLUMN), mean(COLUMN) or mean(rate(COLUMN)) may be the column."""
         name, _, given = entry.rpartition("=")
-        rate = re.fullmatch(r"rate\((.+)\)", given.strip())
-        column = rate[1] if rate else given.strip()
-        return SignalCoordinate(as_name(name.strip() or column), column, rate is not None)
+        mean = re.fullmatch(r"mean\((.+)\)", given.strip())
+        inner = mean[1].strip() if mean else given.strip()
+        rate = re.fullmatch(r"rate\((.+)\)", inner)
+        column = rate[1] if rate else inner
+        return SignalCoordinate(as_name(name.strip() or column), column, rate is not None, mean is not None)
 
 
 def read_section_settings(file: Path | None, options: Mapping[str, str | float | bool]) -> SectionSettings:
@@ -202,8 +233,8 @@ def read_section_settings(file: Path | None, options: Mapping[str, str | float |
     return replace(merge(start, complete, locate), **tables)
 
 
-def _joined(value: str | tuple[str, ...]) -> str:
-    return value if isinstance(value, str) else ",".join(value)
+def _joined(value: str | float | tuple[str, ...]) -> str:
+    return ",".join(value) if isinstance(value, tuple) else str(value)
 
 
 def _listed(value: Any) -> list[str]:

@@ -1,4 +1,4 @@
-"""The state at each section, by parabolas fitted to the signals about it, with standard errors."""
+"""The state at each section, by parabolas fitted to the signals about it or means over steps, with standard errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from stepgap.logs.sections.local_fit import LocalFit, fit_parabola, noise_std_of
 from stepgap.logs.sections.section_finding import FoundSection
 from stepgap.logs.sections.section_settings import SectionSettings, SignalCoordinate
 from stepgap.logs.sections.signals import Signal, SignalLog
+from stepgap.logs.sections.step_means import step_means
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
 
@@ -54,7 +55,7 @@ class SectionStates:
         state: States; shape (K, n), NaN where it is unknown.
         std: Their standard errors; shape (K, n).
         doubts: Why a section, or its state, is doubtful; empty texts if it is not.
-        window: Time before and after a section that was used [s].
+        window: Time before and after a section that was used [s]; NaN if all states are means over steps.
     """
 
     time: Array
@@ -76,8 +77,10 @@ def section_states(log: SignalLog, sections: Sequence[FoundSection], settings: S
     """
     coordinates = settings.coordinates("state")
     signals = [log.signal(each.column) for each in coordinates]
-    height = log.signal(settings.height_column) if settings.at == "apex" and settings.rule != "crossing" else None
+    height = log.signal(settings.height_column) if settings.at_apex else None
     estimator = _Estimator(sections, coordinates, signals, height, one_sided=settings.at != "apex")
+    if height is None and all(each.mean for each in coordinates):
+        return estimator(np.nan)
     longest = settings.window or _longest_window(sections)
     candidates = [estimator(longest * part) for part in (WINDOW_PARTS[:1] if settings.window else WINDOW_PARTS)]
     usable = [each for each in candidates if np.isfinite(each.state).all(axis=1).sum() > len(sections) / 2]
@@ -150,6 +153,9 @@ class _Estimator:
                     doubts[number].append("no maximum of the height within the window")
         state, std = np.full((2, len(times), len(self.coordinates)), np.nan)
         for column, (coordinate, signal) in enumerate(zip(self.coordinates, self.signals, strict=True)):
+            if coordinate.mean:
+                state[:, column], std[:, column] = self._means(coordinate, signal, times, doubts)
+                continue
             fits = [
                 self._fit(signal, section, float(time), window)
                 for section, time in zip(self.sections, times, strict=True)
@@ -164,6 +170,18 @@ class _Estimator:
             _note_uncertain(state[:, column], std[:, column], doubts, coordinate.name)
         texts = tuple("; ".join(dict.fromkeys(each)) for each in doubts)
         return SectionStates(times, time_std, state, std, texts, window)
+
+    def _means(
+        self, coordinate: SignalCoordinate, signal: Signal, times: Array, doubts: Sequence[list[str]]
+    ) -> tuple[Array, Array]:
+        """Means over the steps that end at the sections, and their standard errors; notes which are doubtful."""
+        since = np.array([section.since for section in self.sections])
+        begin = np.where(np.isnan(since), np.append(np.nan, times[:-1]), since)
+        values, std, reasons = step_means(signal, begin, times, rate=coordinate.rate)
+        for reason, found in zip(reasons, doubts, strict=True):
+            if reason:
+                found.append(f"{reason} of {coordinate.column}")
+        return values, std
 
     def _top(self, section: FoundSection, window: float) -> LocalFit | None:
         """The parabola about the top, whose centre is moved to the top twice."""

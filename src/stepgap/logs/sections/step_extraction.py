@@ -12,11 +12,14 @@ import numpy as np
 
 from stepgap.base.errors import StepGapWarning
 from stepgap.logs.columns import unknown_column
-from stepgap.logs.sections.plans import Plans, StepValues, joined_doubts, read_plans, step_values
-from stepgap.logs.sections.section_finding import SectionFunction, find_sections, with_boom
+from stepgap.logs.sections.body_motion import with_pose
+from stepgap.logs.sections.held_commands import HeldCommands, held_commands, held_in_steps, regular_sections
+from stepgap.logs.sections.plans import Plans, joined_doubts, read_plans, step_values
+from stepgap.logs.sections.section_finding import FoundSection, SectionFunction, find_sections, with_boom
 from stepgap.logs.sections.section_settings import COORDINATES, SectionSettings, SignalCoordinate
 from stepgap.logs.sections.section_states import SectionStates, section_states
 from stepgap.logs.sections.signals import Signal, SignalLog, read_deployments, read_signal_log
+from stepgap.logs.sections.step_means import LONGEST_GAP_IN_MEAN
 from stepgap.logs.sections.tops import hop_faults
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
@@ -121,24 +124,33 @@ def _extract(
     log: SignalLog, plan: Path | None, settings: SectionSettings, find: SectionFunction | None = None
 ) -> ExtractedSteps:
     """Extracts the steps of one deployment."""
-    log = with_boom(log, settings)
-    found = sorted(find(log) if find else find_sections(log, settings), key=lambda section: section.time)
+    log = with_pose(with_boom(log, settings), settings)
+    plans = read_plans(plan, log, settings) if plan else None
+    _check_factors(settings, log, plans)
+    held = _held(log, plans, settings) if settings.every and not find else None
+    found = find(log) if find else _regular(held, log, settings) if held else find_sections(log, settings)
+    found = sorted(found, key=lambda section: section.time)
     if len(found) < 2:
         raise RecordError(f"{log.source}: {len(found)} sections; at least two are needed")
     sections = section_states(log, found, settings)
-    plans = read_plans(plan, log, settings) if plan else None
-    _check_factors(settings, log, plans)
     parts = {
-        role: [
+        role: [held_in_steps(held, found, settings.every)]
+        if held and role == "command"
+        else [
             step_values(_source(entry, log, plans), sections.time, settings.of_several)
             for entry in getattr(settings, role)
         ]
         for role in COORDINATES[1:]
         if getattr(settings, role)
     }
-    values = {role: np.stack([each.values for each in found_values], -1) for role, found_values in parts.items()}
+    values = {
+        role: np.concatenate([each.values.reshape(len(found) - 1, -1) for each in found_values], -1)
+        for role, found_values in parts.items()
+    }
     signals = {column: log.signal(column) for column in _columns(settings)}
-    hops = log.signal(settings.height_column) if settings.at == "apex" and settings.rule != "crossing" else None
+    hops = log.signal(settings.height_column) if settings.at_apex else None
+    longest = LONGEST_GAP_IN_MEAN * settings.every or LONGEST_GAP * float(np.median(np.diff(sections.time)))
+    doubts = joined_doubts([each for part in parts.values() for each in part]) if parts else [""] * (len(found) - 1)
     return ExtractedSteps(
         source=log.source,
         deployment=log.deployment,
@@ -146,16 +158,37 @@ def _extract(
         sections=sections,
         values=values,
         yaw=_yaw(log, settings, sections.time[:-1]),
-        faults=_faults(sections, list(signals.values()), hops, [each for part in parts.values() for each in part]),
+        faults=_faults(sections, list(signals.values()), hops, longest, doubts),
         signals=signals,
     )
+
+
+def _held(log: SignalLog, plans: Plans | None, settings: SectionSettings) -> HeldCommands:
+    """The commands of a log; without any, a single one that holds all the time."""
+    if settings.command:
+        return held_commands([_source(entry, log, plans) for entry in settings.command], settings.hold)
+    first = log.signal(settings.coordinates("state")[0].column)
+    return HeldCommands(first.time[[0, -1]], np.zeros((2, 0)))
+
+
+def _regular(held: HeldCommands, log: SignalLog, settings: SectionSettings) -> list[FoundSection]:
+    """Sections at equal intervals, while all signals of the state have samples."""
+    signals = [log.signal(each.column) for each in settings.coordinates("state")]
+    first, last = max(signal.time[0] for signal in signals), min(signal.time[-1] for signal in signals)
+    found = regular_sections(held, settings.every, float(first), float(last))
+    if len(found) < 2:
+        raise RecordError(
+            f"{log.source}: no command holds for {settings.every:g} s from {first:.3f} to {last:.3f} s, when the state "
+            "is known"
+        )
+    return found
 
 
 def _source(entry: str, log: SignalLog, plans: Plans | None) -> Signal:
     """The signal of a coordinate of the command, in the plans or else in the log."""
     coordinate = SignalCoordinate.of(entry)
-    if coordinate.rate:
-        raise RecordError(f"{entry}: only coordinates of the state may be rates")
+    if coordinate.rate or coordinate.mean:
+        raise RecordError(f"{entry}: only coordinates of the state may be rates or means")
     if plans is None:
         return log.signal(coordinate.column)
     planned = plans.signal(coordinate.column)
@@ -179,13 +212,11 @@ def _columns(settings: SectionSettings) -> list[str]:
 
 
 def _faults(
-    sections: SectionStates, used: Sequence[Signal], height: Signal | None, parts: Sequence[StepValues]
+    sections: SectionStates, used: Sequence[Signal], height: Signal | None, longest: float, planned: Sequence[str]
 ) -> tuple[str, ...]:
-    """Why each step is left out."""
+    """Why each step is left out; `longest` is the longest time that a signal may be without a sample [s]."""
     times = sections.time
     hops = hop_faults(height, times) if height else [""] * (len(times) - 1)
-    planned = joined_doubts(parts) if parts else [""] * (len(times) - 1)
-    longest = LONGEST_GAP * float(np.median(np.diff(times)))
     faults: list[str] = []
     for number, (begin, end) in enumerate(pairwise(times.tolist())):
         doubtful = any(sections.doubts[number : number + 2])

@@ -105,12 +105,21 @@ def _labels(logs: Sequence[ExtractedSteps]) -> list[str]:
 
 def _units(columns: dict[str, list[str]], settings: SectionSettings) -> Iterator[tuple[str, str]]:
     """Units of the columns of states and commands."""
-    known = {"height": "m", "forward": "m"} | dict(settings.units) if settings.boom else dict(settings.units)
+    computed = {"height": "m", "forward": "m"} if settings.boom else {}
+    computed |= {"forward": "m", "left": "m", "turn": "rad"} if settings.pose else {}
+    known = computed | dict(settings.units)
     for role in ("state", "command"):
         for name, coordinate in zip(columns[role], settings.coordinates(role), strict=True):
-            unit = known.get(coordinate.column, "")
+            unit = known.get(coordinate.column) or _unit_of_message(coordinate.column)
             rate = f"{unit}/s" if unit and coordinate.rate else unit
             yield name, known.get(coordinate.name, rate) if coordinate.name != coordinate.column else rate
+
+
+def _unit_of_message(column: str) -> str:
+    """Unit of a field of the ROS message geometry_msgs/Twist, which REP 103 fixes; empty for other columns."""
+    vector, _, axis = column.rpartition(".")
+    known = axis in ("x", "y", "z")
+    return "m/s" if known and vector.endswith("linear") else "rad/s" if known and vector.endswith("angular") else ""
 
 
 def describe_steps(log: ExtractedSteps) -> str:
@@ -119,9 +128,10 @@ def describe_steps(log: ExtractedSteps) -> str:
     errors = ", ".join(
         f"{name} {np.nanmedian(std):.2g}" for name, std in zip(log.names["state"], sections.std.T, strict=True)
     )
+    how = f"estimated within ±{1e3 * sections.window:.3g} ms" if np.isfinite(sections.window) else "mean over a step"
     lines = [
-        f"{log.source}: {len(sections.time)} sections, {len(kept)} of {len(log.faults)} steps; state estimated within "
-        f"±{1e3 * sections.window:.3g} ms, median standard errors: {errors}"
+        f"{log.source}: {len(sections.time)} sections, {len(kept)} of {len(log.faults)} steps; state {how}, "
+        f"median standard errors: {errors}"
     ]
     for fault, count in Counter(fault for fault in log.faults if fault).most_common():
         lines.append(f"  left out: {count} × {fault}")

@@ -1,0 +1,106 @@
+"""Commands that hold until the next one, and the sections of steps of equal length while they hold."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepgap.logs.sections.plans import StepValues
+from stepgap.logs.sections.section_finding import FoundSection
+from stepgap.logs.sections.signals import Signal
+from stepgap.step import Array
+
+LASTING: Final = 5.0
+"""A command that is not followed by another one is known for this many times the usual time between two of them."""
+
+SLACK: Final = 0.1
+"""A step may be longer or shorter by this part, so that it ends where the command changes."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class HeldCommands:
+    """Commands as a function of time, which is constant between J times.
+
+    Attributes:
+        begin: Time from which each command holds, until the next of these times [s]; shape (J,).
+        values: The commands, NaN where one is not known; shape (J, m).
+    """
+
+    begin: Array
+    values: Array
+
+    def at(self, time: Array) -> NDArray[np.intp]:
+        """Index of the command that holds at each time; −1 before the first."""
+        return np.searchsorted(self.begin, time, "right") - 1
+
+
+def held_commands(signals: Sequence[Signal], hold: float = 0.0) -> HeldCommands:
+    """The commands in signals, one for each coordinate.
+
+    Args:
+        signals: Each has a sample for each command, whether it is a new one or not.
+        hold: How long a command holds if no other one follows [s]; 0 for `LASTING`.
+    """
+    lasting = [hold or LASTING * signal.interval for signal in signals]
+    expired = [signal.time + last for signal, last in zip(signals, lasting, strict=True)]
+    time = np.unique(np.concatenate([*(signal.time for signal in signals), *expired]))
+    columns: list[Array] = []
+    for signal, last in zip(signals, lasting, strict=True):
+        latest = np.searchsorted(signal.time, time, "right") - 1
+        known = (latest >= 0) & (time - signal.time[latest] < last - 1e-6)  # times since 1970 are rounded to 0.24 µs
+        columns.append(np.where(known, np.asarray(signal.values, float)[latest], np.nan))
+    values = np.stack(columns, axis=-1)
+    same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+    new = np.append(True, ~same.all(axis=1))
+    return HeldCommands(time[new], values[new])
+
+
+def regular_sections(commands: HeldCommands, every: float, first: float, last: float) -> list[FoundSection]:
+    """Sections where the command changes, and then at equal intervals for as long as it holds.
+
+    Args:
+        commands: The commands.
+        every: The interval [s].
+        first: Time before which there are no sections [s].
+        last: Time after which there are none [s].
+    """
+    found: list[FoundSection] = []
+    for (begin, end), values in zip(pairwise(commands.begin.tolist()), commands.values, strict=False):
+        if not np.isfinite(values).all():
+            continue
+        times = begin + every * np.arange(int((end - begin) / every + SLACK) + 1)
+        if len(times) == 1:
+            continue
+        if abs(end - times[-1]) <= SLACK * every:
+            times[-1] = end
+        if not (found and found[-1].time == begin):
+            found.append(FoundSection(begin, since=begin - every))
+        found += [FoundSection(time, since=before) for before, time in pairwise(times.tolist())]
+    return [each for each in found if first <= each.time <= last]
+
+
+def held_in_steps(commands: HeldCommands, sections: Sequence[FoundSection], every: float) -> StepValues:
+    """For each step between successive sections, the command that holds in it; values of shape (K − 1, m).
+
+    A step has none if the command changed before it had ended, and neither if another change was less than this time
+    before it: the mean over this time does not say then how the robot moved when the step began.
+    """
+    time, since = (np.array([getattr(each, name) for each in sections]) for name in ("time", "since"))
+    held, before = commands.at(time), commands.at(since + SLACK * every)
+    known = np.append(np.isfinite(commands.values).all(axis=1), False)  # the last is that of the index −1
+    previous = commands.at(np.nextafter(time, -np.inf))
+    doubts = [
+        f"the command changes within {every:g} s"
+        if since[number + 1] != time[number]
+        else "no command is known before it"
+        if not known[previous[number]]
+        else f"another change of the command less than {every:g} s before it"
+        if before[number] != previous[number]
+        else ""
+        for number in range(len(time) - 1)
+    ]
+    return StepValues(commands.values[held[:-1]], tuple(doubts))
