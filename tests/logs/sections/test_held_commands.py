@@ -132,7 +132,7 @@ def test_a_log_without_commands_is_divided_evenly(tmp_path: Path) -> None:
     write_walk(walking(10.0, np.random.default_rng(0)), tmp_path)
     found = extract_steps(str(tmp_path / "odom.csv"), None, replace(TWIST, command=()))
     np.testing.assert_allclose(np.diff(found.sections.time[:-1]), 0.5)
-    assert len(found.kept) == 18
+    assert len(found.kept) == 19
 
 
 def test_a_command_that_never_holds_is_refused(tmp_path: Path) -> None:

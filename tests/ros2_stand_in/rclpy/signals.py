@@ -1,0 +1,10 @@
+"""Options for handlers of signals."""
+
+from enum import Enum
+
+
+class SignalHandlerOptions(Enum):
+    """Which handlers there are."""
+
+    NO = 0
+    ALL = 3
