@@ -1,6 +1,6 @@
 """Messages of geometry_msgs."""
 
-from rclpy.messages import message_type
+from ros2_messages import message_type
 
 Twist = message_type("geometry_msgs/msg/Twist")
 PoseStamped = message_type("geometry_msgs/msg/PoseStamped")

@@ -12,8 +12,9 @@ import os
 from collections.abc import Callable
 from typing import Any
 
+from ros2_messages import as_bytes, from_bytes
+
 from rclpy import world
-from rclpy.messages import as_bytes, from_bytes
 from rclpy.signals import SignalHandlerOptions
 
 

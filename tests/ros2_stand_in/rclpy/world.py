@@ -5,7 +5,7 @@ import os
 from collections.abc import Iterator
 from typing import Any
 
-from rclpy.messages import message_type
+from ros2_messages import message_type
 
 TICK, LAG, GAIN = 0.01, 0.1, 0.8  # s, s
 
