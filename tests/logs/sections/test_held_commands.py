@@ -11,7 +11,7 @@ from stepgap.logs.sections.section_settings import SectionSettings
 from stepgap.logs.sections.signals import Signal
 from stepgap.logs.sections.step_extraction import ExtractedSteps, extract_steps
 from stepgap.records.steps_csv import RecordError
-from tests.logs.sections.walking_logs import walking, write_walk
+from tests.logs.sections.walking_logs import DELAY, LAG, walking, write_walk
 
 TWIST = SectionSettings(
     every=0.5, state=("mean(vx)", "mean(vy)", "mean(wz)"), command=("cx", "cy", "cw")
@@ -153,3 +153,25 @@ def test_means_over_a_gait_cycle(tmp_path: Path) -> None:
     found = extract_steps(str(tmp_path / "log.csv"), None, settings).sections
     np.testing.assert_allclose(np.diff(found.time), 0.6, atol=0.011)
     np.testing.assert_allclose(found.state[1:, 0], 0.3 + 0.01 * (found.time[1:] - 0.3), atol=0.002)
+
+
+@pytest.mark.parametrize("settings", [TWIST, POSE], ids=["twist", "pose"])
+def test_a_log_whose_clocks_differ_is_refused_unless_they_are_corrected(
+    settings: SectionSettings, tmp_path: Path
+) -> None:
+    log = walking(90.0, np.random.default_rng(6))
+    write_walk(log, tmp_path, 0.003)
+    right = extracted(tmp_path, settings)
+    assert right.lag == pytest.approx(DELAY + LAG * np.log(2), abs=0.06)  # a lag is most like this delay
+    write_walk(replace(log, sent=log.sent + 0.4), tmp_path, 0.003)
+    refusal = extracted(tmp_path, settings).refusal
+    assert "the motion comes 0.2 s before the command that it follows, so their clocks differ" in refusal
+    corrected = extracted(tmp_path, replace(settings, delay=-0.4))
+    assert (corrected.refusal, corrected.faults) == ("", right.faults)
+    np.testing.assert_allclose(corrected.sections.state[1:], right.sections.state[1:], atol=1e-3)
+
+
+def test_a_robot_that_does_not_follow_its_commands_has_no_lag(tmp_path: Path) -> None:
+    log = walking(60.0, np.random.default_rng(7))
+    write_walk(replace(log, command=log.command[np.random.default_rng(0).permutation(len(log.command))]), tmp_path)
+    assert np.isnan(extracted(tmp_path, replace(TWIST, every=0.1)).lag)

@@ -52,6 +52,7 @@ class SectionOptions:
         plan_time: Column of the time in the plan. [default: as --time]
         plan_match: PLAN_COLUMN=COLUMN, for a plan without times: its row is of the time at which both are equal.
         of_several: The command that counts if a step has several. [default: such a step is left out]
+        delay: Time that is added to those of the commands [s], where the clocks of two recordings differ.
         deployment: Column that separates deployments, such as an episode: each is a log of its own.
     """
 
@@ -81,6 +82,7 @@ class SectionOptions:
     plan_time: Name | None = None
     plan_match: Name | None = None
     of_several: Literal["first", "last", "largest"] | None = None
+    delay: Seconds | None = None
     deployment: Name | None = None
 
     def given(self) -> dict[str, str | float | bool]:

@@ -78,6 +78,7 @@ class SectionSettings:
             same number.
         of_several: Which command counts if a step has several, such as one at landing and one at take-off: one of
             `OF_SEVERAL`, for each coordinate. By default, such a step is left out.
+        delay: Time that is added to those of commands, targets and predictions [s], where two clocks differ.
         deployment: Column with the name or number of the deployment, such as an episode; each is a log of its own.
         units: Units of columns, after multiplication by their factors.
         factors: Factors by which columns are multiplied.
@@ -110,6 +111,7 @@ class SectionSettings:
     plan_time: str = ""
     plan_match: str = ""
     of_several: str = ""
+    delay: float = 0.0
     deployment: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
     factors: Mapping[str, float] = field(default_factory=dict)
@@ -131,6 +133,8 @@ class SectionSettings:
         for name in ("threshold", "rise", "window", "boom", "every", "hold"):
             if not 0 <= getattr(self, name) < LARGEST_VALUE:
                 raise ValueError(f"{name} = {getattr(self, name)!r}, but it must be a positive number, or 0")
+        if not abs(self.delay) < LARGEST_VALUE:
+            raise ValueError(f"delay = {self.delay!r}, but it must be a number of seconds")
         if self.boom and not (self.pitch and self.yaw):
             raise ValueError(f"boom = {self.boom!r}, but it must be given together with pitch and yaw")
         if len(self.pose) not in (0, 1, 3, 6) or (self.pose and self.boom):

@@ -13,19 +13,23 @@ import numpy as np
 from stepgap.base.errors import StepGapWarning
 from stepgap.logs.columns import unknown_column
 from stepgap.logs.sections.body_motion import with_pose
+from stepgap.logs.sections.command_lag import CELLS, MOST_CELLS, command_lag
 from stepgap.logs.sections.held_commands import HeldCommands, held_commands, held_in_steps, regular_sections
 from stepgap.logs.sections.plans import Plans, joined_doubts, read_plans, step_values
 from stepgap.logs.sections.section_finding import FoundSection, SectionFunction, find_sections, with_boom
 from stepgap.logs.sections.section_settings import COORDINATES, SectionSettings, SignalCoordinate
 from stepgap.logs.sections.section_states import SectionStates, section_states
 from stepgap.logs.sections.signals import Signal, SignalLog, read_deployments, read_signal_log
-from stepgap.logs.sections.step_means import LONGEST_GAP_IN_MEAN
+from stepgap.logs.sections.step_means import LONGEST_GAP_IN_MEAN, step_means
 from stepgap.logs.sections.tops import hop_faults
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
 
 LONGEST_GAP: Final = 0.2
 """A step is left out if a signal has no samples for this part of a typical step: a section could be hidden."""
+
+EARLIEST: Final = -0.15
+"""Nothing is extracted either if the motion is before the commands by more than this part of a step."""
 
 MOST_DOUBTFUL: Final = 0.25
 """Nothing is extracted from a log if a larger part of its sections is doubtful."""
@@ -44,6 +48,7 @@ class ExtractedSteps:
         yaw: Yaw at the beginning of each step [rad], NaN where it is unknown; None if the settings name none.
         faults: Why a step is left out; empty texts for steps that are not.
         signals: The signals by column, first the one in which the sections are seen, such as the height.
+        lag: Time by which the motion follows its commands [s], for steps of equal length; NaN if it is not known.
         deployment: The deployment in the log; empty if it is not divided.
     """
 
@@ -54,6 +59,7 @@ class ExtractedSteps:
     yaw: Array | None
     faults: tuple[str, ...]
     signals: Mapping[str, Signal]
+    lag: float = np.nan
     deployment: str = ""
 
     @property
@@ -64,6 +70,11 @@ class ExtractedSteps:
     @property
     def refusal(self) -> str:
         """Why the log is refused as a whole; empty if it is not."""
+        if self.lag < EARLIEST * float(np.median(np.diff(self.sections.time))):
+            return (
+                f"{self.source}: the motion comes {-self.lag:.2g} s before the command that it follows, so their "
+                "clocks differ; correct this by --delay"
+            )
         doubtful = [doubt for doubt in self.sections.doubts if doubt]
         count = len(self.sections.time)
         if len(doubtful) > MOST_DOUBTFUL * count:
@@ -137,7 +148,7 @@ def _extract(
         role: [held_in_steps(held, found, settings.every)]
         if held and role == "command"
         else [
-            step_values(_source(entry, log, plans), sections.time, settings.of_several)
+            step_values(_source(entry, log, plans, settings), sections.time, settings.of_several)
             for entry in getattr(settings, role)
         ]
         for role in COORDINATES[1:]
@@ -160,13 +171,24 @@ def _extract(
         yaw=_yaw(log, settings, sections.time[:-1]),
         faults=_faults(sections, list(signals.values()), hops, longest, doubts),
         signals=signals,
+        lag=_lag(held, log, settings) if held and settings.command else np.nan,
     )
+
+
+def _lag(held: HeldCommands, log: SignalLog, settings: SectionSettings) -> float:
+    """Time by which the means of the state follow the commands [s]; NaN if it has none."""
+    means = [(log.signal(each.column), each.rate) for each in settings.coordinates("state") if each.mean]
+    if not means:
+        return np.nan
+    first, last = max(signal.time[0] for signal, _ in means), min(signal.time[-1] for signal, _ in means)
+    cells = np.arange(first, last, settings.every / CELLS)[:MOST_CELLS]
+    return command_lag(cells, [step_means(signal, cells[:-1], cells[1:], rate=rate)[0] for signal, rate in means], held)
 
 
 def _held(log: SignalLog, plans: Plans | None, settings: SectionSettings) -> HeldCommands:
     """The commands of a log; without any, a single one that holds all the time."""
     if settings.command:
-        return held_commands([_source(entry, log, plans) for entry in settings.command], settings.hold)
+        return held_commands([_source(entry, log, plans, settings) for entry in settings.command], settings.hold)
     first = log.signal(settings.coordinates("state")[0].column)
     return HeldCommands(first.time[[0, -1]], np.zeros((2, 0)))
 
@@ -184,17 +206,22 @@ def _regular(held: HeldCommands, log: SignalLog, settings: SectionSettings) -> l
     return found
 
 
-def _source(entry: str, log: SignalLog, plans: Plans | None) -> Signal:
-    """The signal of a coordinate of the command, in the plans or else in the log."""
+def _source(entry: str, log: SignalLog, plans: Plans | None, settings: SectionSettings) -> Signal:
+    """The signal of a coordinate of the command, in the plans or else in the log, with its delay."""
     coordinate = SignalCoordinate.of(entry)
     if coordinate.rate or coordinate.mean:
         raise RecordError(f"{entry}: only coordinates of the state may be rates or means")
+    found = _unshifted(coordinate.column, log, plans)
+    return Signal(found.time + settings.delay, found.values)
+
+
+def _unshifted(column: str, log: SignalLog, plans: Plans | None) -> Signal:
     if plans is None:
-        return log.signal(coordinate.column)
-    planned = plans.signal(coordinate.column)
-    if planned is None and coordinate.column not in log.columns:
-        raise RecordError(f"{plans.table.source}: {plans.table.fault_of(coordinate.column)}; nor has {log.source} one")
-    return log.signal(coordinate.column) if planned is None else planned
+        return log.signal(column)
+    planned = plans.signal(column)
+    if planned is None and column not in log.columns:
+        raise RecordError(f"{plans.table.source}: {plans.table.fault_of(column)}; nor has {log.source} one")
+    return log.signal(column) if planned is None else planned
 
 
 def _check_factors(settings: SectionSettings, log: SignalLog, plans: Plans | None) -> None:
