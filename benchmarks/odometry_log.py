@@ -106,7 +106,7 @@ def write_log(folder: Path, seed: int) -> None:
 
 
 def serve(seed: int) -> None:
-    """Moves the same robot as the program of `stepgap run --plant process`; a step takes no longer than to compute it."""
+    """Moves the same robot as the program of `stepgap run --plant process`, as fast as it is computed."""
     robot, space = Walking(np.random.default_rng(seed)), TrottingRobot().space
 
     def step(command: Array) -> dict[str, float]:
