@@ -20,7 +20,7 @@ def test_the_page_of_steps_runs(
     monkeypatch.setattr(
         "stepgap.learning.residual_fit.names_without_lagged_inputs", lambda: ("none", "constant", "linear")
     )
-    printed = []
+    printed, rules = list[str](), list[str]()
     for language, block in BLOCKS:
         if language == "python":
             exec(compile(block, "steps.md", "exec"), {})  # noqa: S102  (our own page)
@@ -32,10 +32,13 @@ def test_the_page_of_steps_runs(
                 printed.append(result.out)
         else:
             Path("columns.toml").write_text(block)
-            assert read_section_settings(Path("columns.toml"), {}).rule == "phase"
+            rules.append(read_section_settings(Path("columns.toml"), {}).rule)
     assert "40 sections, 39 of 39 steps" in printed[1]
     assert (
         "speed:          9" in printed[2]
     )  # more than 90 % of the changes of speed are explained by state and command
     assert printed[3] == "20 19\n"
+    assert rules == ["phase", "every"]
+    assert "state mean over a step" in printed[5]
+    assert Path("walker/steps.csv").is_file()
     assert len(np.genfromtxt("steps.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")) == 39

@@ -25,9 +25,12 @@ VALUES = st.one_of(
         ("speed=rate(x)", ("speed", "x", True)),
         ("rate(x)", ("x", "x", True)),
         ("a=b=c", ("a_b", "c", False)),
+        ("vx=mean(twist.linear.x)", ("vx", "twist.linear.x", False, True)),
+        ("vx=mean(rate(x))", ("vx", "x", True, True)),
+        ("mean(x)", ("x", "x", False, True)),
     ],
 )
-def test_coordinates(entry: str, expected: tuple[str, str, bool]) -> None:
+def test_coordinates(entry: str, expected: tuple[str, str, bool] | tuple[str, str, bool, bool]) -> None:
     assert SignalCoordinate.of(entry) == SignalCoordinate(*expected)
 
 
@@ -48,6 +51,9 @@ def test_options_override_the_file(tmp_path: Path) -> None:
         ({"phase": "p", "force": "f"}, "--force = 'f', but it must not be given beside phase"),
         ({"boom": 1.2}, "--boom = 1.2, but it must be given together with pitch and yaw"),
         ({"rise": -1.0}, "--rise = -1.0, but it must be a positive number, or 0"),
+        ({"every": -0.5}, "--every = -0.5, but it must be a positive number, or 0"),
+        ({"every": 0.5, "crossing": "x"}, "--every = '0.5', but it must not be given beside crossing"),
+        ({"every": 0.5, "state": "y", "delay": float("inf")}, "--delay = inf, but it must be a number of seconds"),
         ({"window": float("nan")}, "--window = nan, but it must be a positive number, or 0"),
         ({"height": "y", "state": "y,y"}, "--state = 'y,y', but it must be at most 100 coordinates"),
         ({"height": "y", "state": "x,y", "target": "z"}, "--target = 'z', but it must be 2 coordinates, as the state"),
