@@ -78,7 +78,7 @@ def driven(rng: np.random.Generator) -> tuple[Array, Array]:
     space = TrottingRobot().space
     changes = np.cumsum(rng.uniform(0.4, 4.0, int(DURATION)))
     levels = rng.uniform(0.9 * space.command_lower, 0.9 * space.command_upper, (len(changes) + 1, 3))
-    levels = np.round(np.where(rng.uniform(size=levels.shape) < 0.7, levels, 0.0), 2)
+    levels = np.asarray(np.round(levels * (rng.uniform(size=levels.shape) < 0.7), 2), float)
     sent = np.unique(np.concatenate([np.arange(0.5, DURATION, 0.1), changes[changes < DURATION]]))
     return sent, levels[np.searchsorted(changes, sent, "right")]
 

@@ -20,17 +20,17 @@ VALUES = st.one_of(
 @pytest.mark.parametrize(
     ("entry", "expected"),
     [
-        ("y", ("y", "y", False)),
-        ("height=y", ("height", "y", False)),
-        ("speed=rate(x)", ("speed", "x", True)),
-        ("rate(x)", ("x", "x", True)),
-        ("a=b=c", ("a_b", "c", False)),
+        ("y", ("y", "y", False, False)),
+        ("height=y", ("height", "y", False, False)),
+        ("speed=rate(x)", ("speed", "x", True, False)),
+        ("rate(x)", ("x", "x", True, False)),
+        ("a=b=c", ("a_b", "c", False, False)),
         ("vx=mean(twist.linear.x)", ("vx", "twist.linear.x", False, True)),
         ("vx=mean(rate(x))", ("vx", "x", True, True)),
         ("mean(x)", ("x", "x", False, True)),
     ],
 )
-def test_coordinates(entry: str, expected: tuple[str, str, bool] | tuple[str, str, bool, bool]) -> None:
+def test_coordinates(entry: str, expected: tuple[str, str, bool, bool]) -> None:
     assert SignalCoordinate.of(entry) == SignalCoordinate(*expected)
 
 

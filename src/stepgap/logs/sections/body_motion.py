@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.logs.sections.section_settings import POSE_COLUMNS, SectionSettings
 from stepgap.logs.sections.signals import SignalLog, TimedTable
@@ -60,7 +61,7 @@ def body_motion(x: Array, y: Array, yaw: Array) -> tuple[Array, Array, Array]:
     return np.append(0.0, np.cumsum(forward)), np.append(0.0, np.cumsum(left)), turn
 
 
-def _yaw_of(quaternion: Array) -> tuple[Array, Array]:
+def _yaw_of(quaternion: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Yaw of quaternions x, y, z, w, shape (4, R), and where they are ones."""
     x, y, z, w = quaternion
     norm = np.linalg.norm(quaternion, axis=0)

@@ -201,7 +201,7 @@ class SignalCoordinate:
     name: str
     column: str
     rate: bool
-    mean: bool = False
+    mean: bool
 
     @staticmethod
     def of(entry: str) -> "SignalCoordinate":

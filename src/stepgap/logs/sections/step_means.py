@@ -3,6 +3,7 @@
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.logs.sections.signals import Signal
 from stepgap.step import Array
@@ -61,7 +62,7 @@ def _noise_std(values: Array) -> float:
     return float(1.4826 * np.median(np.abs(second)) / np.sqrt(6)) if len(second) else np.nan
 
 
-def _far_off(time: Array, values: Array, *, rate: bool) -> Array:
+def _far_off(time: Array, values: Array, *, rate: bool) -> NDArray[np.bool_]:
     """Whether each sample, or the change that leads to it, is far off; shape (R,)."""
     if rate:
         intervals = np.diff(time)
