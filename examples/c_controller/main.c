@@ -5,7 +5,8 @@
  *     echo "0.1 0.56 0.2 0.58 0.0" | ./robot
  *
  * Here, a line of standard input stands for the sensors at a section (for the hopper the apex): the state, the target
- * for the next section, and the phase [rad], or nan if it is unknown. The answer is the status of the plan and the command.
+ * for the next section, and the phase [rad], or nan if it is unknown, as is a state of nan. The answer is the status of
+ * the plan and the command.
  * An empty line ends a deployment, as does a fall: the next line starts a new one.
  *
  * On a robot, replace `read_section` and `write_command`. Nothing else is needed: no memory is allocated, and a call
@@ -83,7 +84,8 @@ int main(void)
             controller_filter_update(&filter, before.state, command, present.state, before.phase);
         int status = controller_plan(&filter, present.state, present.target, steps ? command : NULL, present.phase, command,
                                      NULL, NULL);
-        /* Unless the status is controller_OK, the command is the middle of the bounds. */
+        /* Unless the status is controller_OK, the command is not corrected by what was learned: it is that of the nominal
+           model. With status controller_UNCORRECTED the state was nan, or NULL: measured too long ago, or not at all. */
         write_command(status, command);
         before = present;
         steps++;

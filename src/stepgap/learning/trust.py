@@ -29,7 +29,7 @@ import numpy as np
 from stepgap.base.normal import log_density
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.disturbance import Disturbance, DisturbanceFilter
-from stepgap.learning.outliers import LEAST_KNOWN, LEAST_STD, OUTLIER_PROBABILITY, OUTLIER_WIDTH, improbable_errors
+from stepgap.learning.outliers import LEAST_STD, OUTLIER_PROBABILITY, OUTLIER_WIDTH, improbable_errors
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.step import Array, StepMap, StepRecord, StepSpace
 
@@ -217,7 +217,7 @@ class Trust:
 
     def after(self, residual: Residual, step: PredictedStep) -> "Trust":
         """Returns the hypotheses after a step that this residual predicted."""
-        judges, judged = len(residual.regressions[0].points) >= LEAST_KNOWN, []
+        judges, judged = residual.is_known, []
         hypotheses = self._before_a_step(residual, HAZARDS) if judges else self.hypotheses
         predictions = [self._innovation(each, residual, step) for each in hypotheses]
         outlier = self._outlier_density(predictions)

@@ -25,7 +25,7 @@ def export(
     folder: Path,
     /,
     *,
-    to: Literal["mat", "csv", "parquet", "mcap", "foxglove", "mjcf", "model", "onnx", "casadi", "fmu", "c"],
+    to: Literal["mat", "csv", "parquet", "mcap", "foxglove", "mjcf", "model", "onnx", "casadi", "fmu", "c", "python"],
     iteration: Annotated[
         Integer | None, Parameter(name=("--deployment", "--iteration"), validator=validators.Number(gte=0))
     ] = None,
@@ -40,7 +40,7 @@ def export(
         to: mat: all numbers, for MATLAB and Octave; csv, parquet: the steps; mcap: the ticks; foxglove: a layout with
             plots of the ticks; mjcf: the model of the hopper's twin; model: what was learned, as a documented JSON
             file; onnx, casadi: the corrected map; fmu: the controller for co-simulation; c: the
-            controller as a C99 file and its header.
+            controller as a C99 file and its header; python: the controller as a file that needs NumPy alone.
         iteration: Number of the only deployment to export. [default: all of them; for mcap the last one; for what was
             learned the one after the last]
         fmi: For fmu, the version of FMI.

@@ -8,11 +8,15 @@ if TYPE_CHECKING:
     from stepgap.experiment.run import Run
     from stepgap.export.controller.portable_controller import PortableController
 
-ControllerFormat = Literal["model", "onnx", "casadi", "fmu"]
+ControllerFormat = Literal["model", "python", "onnx", "casadi", "fmu"]
 """Formats of a learned controller."""
 
 CONTROLLER_FILES: Final[dict[str, str]] = dict(
-    zip(get_args(ControllerFormat), ("model.json", "map.onnx", "map.casadi", "controller.fmu"), strict=True)
+    zip(
+        get_args(ControllerFormat),
+        ("model.json", "controller.py", "map.onnx", "map.casadi", "controller.fmu"),
+        strict=True,
+    )
 )
 """Name of the file of each format."""
 
@@ -75,11 +79,14 @@ def _content(
     from stepgap.export.controller.casadi_function import casadi_text
     from stepgap.export.controller.model_document import model_document, model_text, trust_at_end
     from stepgap.export.controller.onnx_model import onnx_model
+    from stepgap.export.controller.python_source import python_source
 
     if to == "fmu":
         from stepgap.export.controller.fmu.controller_fmu import controller_fmu
 
         return controller_fmu(controller, fmi)
+    if to == "python":
+        return python_source(controller)
     if to == "onnx":
         return onnx_model(model_document(controller))
     if to == "casadi":

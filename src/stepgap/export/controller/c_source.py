@@ -20,6 +20,7 @@ from stepgap.base.versions import versions_here
 from stepgap.control import bounded_search, cautious_controller, gauss_newton, goal, horizon
 from stepgap.control.box_points import box_points, composite_design, irrational_steps
 from stepgap.export.controller.portable_controller import SAMPLE_RESOLUTION, PortableController
+from stepgap.export.controller.step_filter import UNCORRECTED
 from stepgap.learning import disturbance, outliers, trust
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.kernel import SQUARED_EXPONENTIAL
@@ -160,6 +161,7 @@ def _header(controller: PortableController, arithmetic: _Arithmetic, stack: int)
     space = controller.space
     noise = zip(space.state, controller.map.noise_std, strict=True)
     notes = [*map(str, controller.approximations), *controller.notes]
+    statuses = {**{each.name: each.value for each in StepStatus}, "UNCORRECTED": UNCORRECTED}
     noises = ", ".join(f"{quantity.name} {std:.3g} {quantity.unit}" for quantity, std in noise)
     fields = {
         "title": "A step controller that was learned by StepGap: the command with which the next state is a target.",
@@ -176,7 +178,7 @@ def _header(controller: PortableController, arithmetic: _Arithmetic, stack: int)
         "filters": str(len(disturbance.FORGETTING)),
         "hypotheses": str(HYPOTHESES),
         "size": str(_filter_size(len(space.state), len(space.command), arithmetic.type)),
-        "statuses": ",\n".join(f"    PREFIX_{status.name} = {status.value}" for status in StepStatus),
+        "statuses": ",\n".join(f"    PREFIX_{name} = {value}" for name, value in statuses.items()),
         "angle": f"{arithmetic.largest_angle:g}",
         "stack": str(stack),
     }

@@ -19,6 +19,10 @@ SMALLEST_SQUARE: Final = 1e-30
 """Added to a squared distance, so that its root has a derivative where it is zero."""
 
 
+INVERSE: Final = "inverse_of_"
+"""Before the name of a factor, key of its inverse, if a program has computed it once for all points."""
+
+
 class Algebra(Protocol):
     """Functions of values in a program."""
 
@@ -108,13 +112,17 @@ def _gaussian_process(algebra: Algebra, part: Mapping[str, Any], point: Value) -
     kernel, linear = _kernel(algebra, part["kernel"], squared), point - constant(part["origin"])
     slopes = linear @ _upright(algebra, part["slopes"])
     mean = kernel @ _upright(algebra, part["weights"]) + slopes + float(part["constant"])
-    white = kernel @ constant(np.linalg.inv(np.array(part["centre_factor"])).T)
+    white = kernel @ constant(_inverse(part, "centre_factor").T)
     one = _column(algebra, linear, 0) * 0.0 + 1.0
     features = algebra.joined([white, linear * constant(part["slope_scale"]), one])
-    rows = np.linalg.inv(np.array(part["weight_factor"]))
+    rows = _inverse(part, "weight_factor")
     response = features @ constant((rows[:-1] if part["constant_is_exact"] else rows).T)
     conditional = algebra.clipped(constant(1.0) - algebra.sum_of_squares(white), 0.0, 1.0)
     return mean, algebra.sqrt(conditional + algebra.sum_of_squares(response)) * float(part["signal_std"])
+
+
+def _inverse(part: Mapping[str, Any], key: str) -> NDArray[np.float64]:
+    return part[INVERSE + key] if INVERSE + key in part else np.linalg.inv(np.array(part[key]))
 
 
 def _kernel(algebra: Algebra, name: str, squared: Value) -> Value:

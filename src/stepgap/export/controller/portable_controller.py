@@ -25,7 +25,6 @@ from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process import GaussianProcess
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.observations import error_of
-from stepgap.learning.outliers import LEAST_KNOWN
 from stepgap.learning.polynomial import Polynomial
 from stepgap.learning.regression import Regression
 from stepgap.learning.residual import HistoryInputs, Residual, join_points
@@ -124,7 +123,7 @@ class PortableController:
     @property
     def judges(self) -> bool:
         """Whether enough steps are known for a judgement on which map is right."""
-        return len(self.map.residual.regressions[0].points) >= LEAST_KNOWN
+        return self.map.residual.is_known
 
     @cached_property
     def trust(self) -> Trust:
@@ -211,11 +210,14 @@ def _notes(space: StepSpace, control: ControlSettings, steps_to_learn: float) ->
     if not space.tracked.all():
         untracked = ", ".join(each.name for each in space.state if not each.weight)
         notes.append(
-            f"{untracked}: the errors of the planned steps count alone; a run, where states are not tracked, counts "
-            "those of all later steps, too"
+            f"{untracked}: the errors of the planned steps count alone in C and FMU; a run and Python, where states are "
+            "not tracked, count those of all later steps, too"
         )
     if control.horizon > 1:
-        notes.append("control.horizon: with one target, each command is chosen for its own step; C has ..._plan_ahead")
+        notes.append(
+            "control.horizon: with one target, each command is chosen for its own step; C has ..._plan_ahead, and Python "
+            "the argument ahead"
+        )
     if control.table:
         notes.append("control.table: the commands are solved for, not taken from a table")
     if steps_to_learn > 0:
