@@ -31,6 +31,7 @@ def export(
     ] = None,
     fmi: Literal[2, 3] = 2,
     real: Literal["double", "float"] = "double",
+    name: str = "",
     out: Path | None = None,
 ) -> None:
     """Convert a run for other programs: MATLAB, data frames, players of tick logs, viewers, controllers.
@@ -45,6 +46,7 @@ def export(
             learned the one after the last]
         fmi: For fmu, the version of FMI.
         real: For c, the type of the numbers.
+        name: Name of this robot, such as its serial number, in the passport of what was learned.
         out: New file, or for mjcf a new folder. [default: a new one in the folder export/ of the run]
     """
     if to in PACKAGE_OF_FORMAT:
@@ -56,20 +58,23 @@ def export(
     elif to == "foxglove":
         _export_layout(folder, iteration, out)
     elif to == "c":
-        _export_c(folder, iteration, real, out)
+        _export_c(folder, iteration, real, out, name)
     elif to in CONTROLLER_FILES:
-        _export_controller(folder, to, iteration, fmi, out)
+        content, file = controller_file(folder, to, iteration, fmi, name), Path(CONTROLLER_FILES[to])
+        write_new(_target(folder, f"{file.stem}{_suffix(iteration)}{file.suffix}", out), "--out", content)
     else:
         _export_steps(folder, to, iteration, out)
 
 
-def _export_c(folder: Path, iteration: int | None, real: Literal["double", "float"], out: Path | None) -> None:
+def _export_c(
+    folder: Path, iteration: int | None, real: Literal["double", "float"], out: Path | None, name: str
+) -> None:
     from stepgap.export.cli.export_controller import c_files
 
     target = out or _target(folder, "controller.c", None)
-    for name in (target, target.with_suffix(".h")):
-        check_new(name, "--out")
-    write_together(c_files(folder, target, iteration, real), "--out")
+    for file in (target, target.with_suffix(".h")):
+        check_new(file, "--out")
+    write_together(c_files(folder, target, iteration, real, name), "--out")
 
 
 def _export_steps(folder: Path, to: str, iteration: int | None, out: Path | None) -> None:
@@ -161,12 +166,6 @@ def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None
             create(partial / name, content)
     for name in files:
         print(target / name)
-
-
-def _export_controller(folder: Path, to: str, iteration: int | None, fmi: Literal[2, 3], out: Path | None) -> None:
-    content = controller_file(folder, to, iteration, fmi)
-    name = Path(CONTROLLER_FILES[to])
-    write_new(_target(folder, f"{name.stem}{_suffix(iteration)}{name.suffix}", out), "--out", content)
 
 
 def _settings_of(folder: Path) -> "Experiment":

@@ -21,7 +21,9 @@ CONTROLLER_FILES: Final[dict[str, str]] = dict(
 """Name of the file of each format."""
 
 
-def controller_file(folder: Path, to: str, deployment: int | None, fmi: Literal[2, 3] = 2) -> str | bytes:
+def controller_file(
+    folder: Path, to: str, deployment: int | None, fmi: Literal[2, 3] = 2, name: str = ""
+) -> str | bytes:
     """Content of the file of a controller; what was replaced for the export is printed as messages.
 
     Args:
@@ -29,6 +31,7 @@ def controller_file(folder: Path, to: str, deployment: int | None, fmi: Literal[
         to: A key of `CONTROLLER_FILES`.
         deployment: Number of the deployment; None for the one after the last.
         fmi: Version of FMI, for an FMU.
+        name: Name of the robot in its passport.
 
     Raises:
         InputError: The run cannot be read or has no such deployment, or its controller has no portable form.
@@ -38,14 +41,16 @@ def controller_file(folder: Path, to: str, deployment: int | None, fmi: Literal[
     from stepgap.export.controller.portable_controller import portable_controller
 
     run = load_run(folder)
-    controller = portable_controller(run, deployment, random_stream(run.needed(run.settings).seed, 0, 3))
+    controller = portable_controller(run, deployment, random_stream(run.needed(run.settings).seed, 0, 3), name)
     content = _content(run, controller, to, deployment, fmi)
     for sentence in (*map(str, controller.approximations), *controller.notes):
         print(sentence, file=sys.stderr)
     return content
 
 
-def c_files(folder: Path, target: Path, deployment: int | None, real: Literal["double", "float"]) -> dict[Path, str]:
+def c_files(
+    folder: Path, target: Path, deployment: int | None, real: Literal["double", "float"], name: str = ""
+) -> dict[Path, str]:
     """Contents of the C source and of its header, by path; what was replaced is printed as messages.
 
     Args:
@@ -53,6 +58,7 @@ def c_files(folder: Path, target: Path, deployment: int | None, real: Literal["d
         target: Path of the C source; its stem begins the names of the functions.
         deployment: As of `controller_file`.
         real: Type of the numbers.
+        name: As of `controller_file`.
 
     Raises:
         InputError: As of `controller_file`, or the name of the file is not a C identifier followed by `.c`.
@@ -66,7 +72,7 @@ def c_files(folder: Path, target: Path, deployment: int | None, real: Literal["d
     if target.suffix != ".c":
         raise InputError(f"--out {target}: the name must end with .c; the header beside it ends with .h")
     run = load_run(folder)
-    controller = portable_controller(run, deployment, random_stream(run.needed(run.settings).seed, 0, 3))
+    controller = portable_controller(run, deployment, random_stream(run.needed(run.settings).seed, 0, 3), name)
     source = c_source(controller, target.stem, real)
     for sentence in (*map(str, controller.approximations), *controller.notes):
         print(sentence, file=sys.stderr)

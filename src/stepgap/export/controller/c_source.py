@@ -19,6 +19,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.versions import versions_here
 from stepgap.control import bounded_search, cautious_controller, gauss_newton, goal, horizon
 from stepgap.control.box_points import box_points, composite_design, irrational_steps
+from stepgap.export.controller.passport import passport_lines
 from stepgap.export.controller.portable_controller import SAMPLE_RESOLUTION, PortableController
 from stepgap.export.controller.step_filter import UNCORRECTED
 from stepgap.learning import disturbance, outliers, trust
@@ -166,6 +167,7 @@ def _header(controller: PortableController, arithmetic: _Arithmetic, stack: int)
     fields = {
         "title": "A step controller that was learned by StepGap: the command with which the next state is a target.",
         "version": versions_here()["stepgap"],
+        "passport": "\n".join(f"   {_in_comment(line)}" for line in passport_lines(controller.passport)),
         "n": str(len(space.state)),
         "m": str(len(space.command)),
         "state": _quantities(space.state, "range of use"),

@@ -48,6 +48,7 @@ def model_document(controller: PortableController, last: Trust | None = None) ->
         "format": FORMAT,
         "schema": MODEL_SCHEMA,
         "stepgap": version("stepgap"),
+        "passport": dict(controller.passport),
         "state": [{**_quantity(each), "weight": each.weight} for each in controller.space.state],
         "command": [_quantity(each) for each in controller.space.command],
         "nominal": _nominal(controller.map.nominal),

@@ -82,6 +82,7 @@ def _controller(saved: Mapping[str, Any]) -> PortableController:
         reject_outliers=boolean(saved["outliers"], "used"),
         warm_start=boolean(saved["trust"], "warm_start"),
         notes=tuple(map(str, (*saved["approximations"], *saved["notes"]))),
+        passport=saved.get("passport", {}),
     )
 
 
@@ -138,7 +139,7 @@ def _check_same(saved: Any, computed: Any, where: str = "") -> None:
     """Raises ValueError where the file's numbers are not those that follow from its data."""
     if isinstance(computed, dict):
         for key, value in computed.items():
-            if key not in ("stepgap", "approximations", "notes"):
+            if key not in ("stepgap", "passport", "approximations", "notes"):
                 _check_same(saved[key], value, f"{where}.{key}" if where else key)
     elif isinstance(computed, list) and computed and isinstance(computed[0], dict):
         if not isinstance(saved, list) or len(saved) != len(computed):

@@ -11,9 +11,10 @@ What is replaced is compared with the original, and the differences are reported
 controller has to compute.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from stepgap.base.errors import InputError
 from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.settings import ControlSettings
 from stepgap.experiment.run import Run
+from stepgap.export.controller.passport import passport_of
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process import GaussianProcess
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
@@ -98,6 +100,7 @@ class PortableController:
         warm_start: Whether steps from before the run were learned from.
         approximations: What was replaced, and by how much it differs.
         notes: Sentences on what the portable form does not do.
+        passport: Which robot it is, and what it was learned from; see `passport_of`. Empty if that is not known.
     """
 
     map: CorrectedMap
@@ -109,6 +112,7 @@ class PortableController:
     warm_start: bool = False
     approximations: tuple[Approximation, ...] = ()
     notes: tuple[str, ...] = ()
+    passport: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def space(self) -> StepSpace:
@@ -150,13 +154,16 @@ class PortableController:
         return trust.step_map(self.map.nominal, self.map.residual, phase)
 
 
-def portable_controller(run: Run, deployment: int | None, rng: np.random.Generator) -> PortableController:
+def portable_controller(
+    run: Run, deployment: int | None, rng: np.random.Generator, name: str = ""
+) -> PortableController:
     """Brings the controller at the start of a deployment into portable form.
 
     Args:
         run: The recorded run.
         deployment: Number of the deployment; None for the one after the last.
         rng: Draws the points at which maps are sampled and compared.
+        name: Name of the robot in its passport.
 
     Raises:
         InputError: There is no such deployment, or its controller has no portable form.
@@ -185,6 +192,7 @@ def portable_controller(run: Run, deployment: int | None, rng: np.random.Generat
         warm_start=learner.log.has_earlier_runs,
         approximations=(*replaced, *(loss for _, loss in found if loss)),
         notes=_notes(nominal.space, settings.control, learner.steps_to_learn),
+        passport=passport_of(run, deployment, name),
     )
 
 
@@ -210,13 +218,13 @@ def _notes(space: StepSpace, control: ControlSettings, steps_to_learn: float) ->
     if not space.tracked.all():
         untracked = ", ".join(each.name for each in space.state if not each.weight)
         notes.append(
-            f"{untracked}: the errors of the planned steps count alone in C and FMU; a run and Python, where states are "
-            "not tracked, count those of all later steps, too"
+            f"{untracked}: the errors of the planned steps count alone in C and FMU; a run and Python, where states "
+            "are not tracked, count those of all later steps, too"
         )
     if control.horizon > 1:
         notes.append(
-            "control.horizon: with one target, each command is chosen for its own step; C has ..._plan_ahead, and Python "
-            "the argument ahead"
+            "control.horizon: with one target, each command is chosen for its own step; C has ..._plan_ahead, and "
+            "Python the argument ahead"
         )
     if control.table:
         notes.append("control.table: the commands are solved for, not taken from a table")

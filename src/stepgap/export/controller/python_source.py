@@ -6,6 +6,7 @@ from typing import Final
 from stepgap.base.versions import versions_here
 from stepgap.export.controller.model_document import model_document
 from stepgap.export.controller.one_file import Place, one_file
+from stepgap.export.controller.passport import passport_lines
 from stepgap.export.controller.portable_controller import PortableController
 
 FILTER: Final = "stepgap.export.controller.step_filter"
@@ -46,6 +47,7 @@ def python_source(controller: PortableController) -> str:
     space, notes = controller.space, [*map(str, controller.approximations), *controller.notes]
     lines = [
         "A step controller that was learned by StepGap: the command with which the next state is a target.",
+        *passport_lines(controller.passport),
         "",
         f"Written by StepGap {versions_here()['stepgap']}; the code is part of it (MIT licence). It needs NumPy alone.",
         "",
