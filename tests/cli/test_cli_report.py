@@ -196,21 +196,8 @@ def test_settings_that_are_not_valid_are_named(finished: Path, stepgap: Command)
         )
 
 
-def test_runs_are_compared(finished: Path, stepgap: Command) -> None:
-    for name in ("a", "b"):
-        shutil.copytree(finished, name)
-    Path("comparison.html").write_text("precious")
-    result = stepgap("report", "a", "b")
-    assert (result.code, result.err) == (0, "")
-    assert Path(result.out.strip()).samefile("comparison_2.html")
-    assert "StepGap comparison of 2 runs" in Path("comparison_2.html").read_text(encoding="utf-8")
-    assert stepgap("report", "a", "b", "--out", "page.html") == CommandResult(0, "page.html\n", "")
-    assert Path("comparison.html").read_text() == "precious"
-    refused(stepgap("report", "a", "b", "--out", "page.html"), "page.html: exists already; choose another --out")
-    refused(stepgap("report", "a", "b", "--out", "none/page.html"), "none/page.html: cannot be written")
-    refused(stepgap("report", "a", "a"), "a run is given twice")
-    refused(stepgap("report", "a", "none"), "none/steps.csv: no such file", "must be the folder of a run")
-    refused(stepgap("report", "a", "--out", "other.html"), "--out: valid only with several runs")
+def test_several_runs_are_compared_by_another_verb(finished: Path, stepgap: Command) -> None:
+    refused(stepgap("report", finished, "other"), "compare several by: stepgap compare", "other")
 
 
 def test_a_sweep_has_a_report(finished: Path, stepgap: Command) -> None:
@@ -224,9 +211,6 @@ def test_a_sweep_has_a_report(finished: Path, stepgap: Command) -> None:
     assert "All 12 cases of the sweep are finished" in text
     assert "last RMSE of speed [m/s]" in text
     assert '<tr><th scope="row">learning.iterations</th><td>1</td><td>4</td></tr>' in text
-    own = "sweep: a sweep has a report of its own, in its folder; give only: stepgap report sweep"
-    refused(stepgap("report", "sweep", "--out", "page.html"), own)
-    refused(stepgap("report", finished, "sweep"), own)
     Path("sweep/experiment.toml").write_text("unheard_of = 1\n")
     Path("sweep/sweep.toml").write_text("keep = 3\n")
     assert stepgap("report", "sweep").code == 0

@@ -12,7 +12,22 @@ VERBS = "stepgap.verbs"
 """Entry points of this group are functions with annotated parameters, or a Cyclopts `App` with verbs of its own."""
 
 ORDER = (
-    *("run", "settings", "new", "check", "sweep", "report", "view", "export", "recover", "steps", "fit", "gait", "map"),
+    *(
+        "run",
+        "settings",
+        "new",
+        "check",
+        "sweep",
+        "report",
+        "compare",
+        "view",
+        "export",
+        "recover",
+        "steps",
+        "fit",
+        "gait",
+        "map",
+    ),
     *("doctor", "completion", "bench", "rig"),
 )
 """Order of the verbs in the help; those of other packages follow by name."""

@@ -5,8 +5,8 @@ A report is made from a `Run` alone. Nothing here builds a plant or a twin, exce
 `analysis` computes what is learned and the limit cycles; the modules in `figures` each draw and describe some figures;
 `error_table`, `learned_table`, `gait_table` and `settings_table` make the tables, `sentences`, `diagnosis_sentences`,
 `reach_sentences` and `trust_sentences` the text, `replay_view` the replay. `page` puts all on one page, next to
-published results, and lists the missing parts. `comparison` makes the page of several runs. `text`, `html` and
-`drawing` are for all pages.
+published results, and lists the missing parts. `comparison` makes the page of several runs, `individuals` compares
+what was learned of robots. `text`, `html` and `drawing` are for all pages.
 """
 
 from collections.abc import Callable
@@ -19,12 +19,11 @@ from stepgap.base.errors import InputError, message_of
 from stepgap.base.files import write_whole
 from stepgap.experiment.run import Run
 from stepgap.report.analysis import Analysis
-from stepgap.report.comparison import compare_runs, comparison_html
 from stepgap.report.drawing import has_figures, write_figures
 from stepgap.report.figures import drawn_figures
 from stepgap.report.page import missing_parts, report_html
 
-__all__ = ["FolderReport", "WrittenReport", "compare_runs", "comparison_html", "write_report"]
+__all__ = ["FolderReport", "WrittenReport", "write_report"]
 
 
 class WrittenReport(NamedTuple):

@@ -9,8 +9,6 @@ import numpy as np
 from scipy.special import stdtrit
 
 from stepgap.base.errors import InputError
-from stepgap.base.files import create
-from stepgap.base.output_files import check_new, writing
 from stepgap.experiment.run import Run
 from stepgap.records.missing import Missing
 from stepgap.report.drawing import BLACK, BLUE, LIGHT, VERMILLION, axis_label, draw_figure, log_scale, plain
@@ -61,29 +59,12 @@ SPREAD_NOTE: Final = (
 )
 
 
-def compare_runs(folders: Sequence[Path], page: Path) -> None:
-    """Writes one page that compares several runs.
-
-    Args:
-        folders: The run folders.
-        page: File to write, which must not exist.
-
-    Raises:
-        InputError: A run cannot be read or compared, or the page cannot be written.
-    """
-    check_new(page, "--out")
-    if len({folder.resolve() for folder in folders}) < len(folders):
-        raise InputError("a run is given twice; give each run once")
-    text = comparison_html([Run(folder).checked() for folder in folders])
-    with writing(page, "--out"):
-        create(page, text)
-
-
-def comparison_html(runs: Sequence[Run]) -> str:
+def comparison_html(runs: Sequence[Run], before: Sequence[str] = ()) -> str:
     """HTML of the comparison page.
 
     Args:
         runs: At least two runs.
+        before: HTML of sections that come before those on the errors.
 
     Raises:
         InputError: There are too few or too many runs, or their states differ.
@@ -103,6 +84,7 @@ def comparison_html(runs: Sequence[Run]) -> str:
         [
             f"<h1>StepGap comparison of {len(runs)} runs</h1>",
             bullets([f"{name}: {headline(run)}" for name, run in zip(names, runs, strict=True)]),
+            *before,
             section("figure", "Figures", *pictures),
             *(
                 [section("spread", "Spread over seeds", paragraph(SPREAD_NOTE), _side_by_side(spreads))]
