@@ -20,7 +20,7 @@ from stepgap.control.settings import ControlSettings
 from stepgap.export.controller.model_document import model_text
 from stepgap.export.controller.portable_controller import PortableController
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.individuals import Comparison, Individual, compare_individuals
+from stepgap.learning.individuals import ComparedRobots, Individual, compare_individuals
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
@@ -64,7 +64,7 @@ def learned(kind: int, number: int, fault: float | None, residual: str) -> Indiv
     return Individual(f"robot {number}", nominal, learner.residual)
 
 
-def named(comparison: Comparison) -> str:
+def named(comparison: ComparedRobots) -> str:
     """Whom the comparison names, and in what."""
     space, found = comparison.space, list[str]()
     for row, column in zip(*np.nonzero(comparison.unlike), strict=True):

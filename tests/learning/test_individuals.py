@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stepgap.base.errors import InputError
-from stepgap.learning.individuals import FALSE_ALARMS, Comparison, Individual, Trait, compare_individuals, outlying
+from stepgap.learning.individuals import FALSE_ALARMS, ComparedRobots, Individual, Trait, compare_individuals, outlying
 from stepgap.learning.polynomial import LINEAR
 from stepgap.learning.regression import TrainingData
 from stepgap.learning.residual import Residual, no_residual
@@ -34,7 +34,7 @@ def robot(number: int, *, slow: float = 0.0, turn: float = 0.0, noise: float = 0
     return Individual(f"unit {number}", NOMINAL, Residual(LINEAR, tuple(parts), 2))
 
 
-def named(comparison: Comparison) -> list[tuple[str, Trait]]:
+def named(comparison: ComparedRobots) -> list[tuple[str, Trait]]:
     """Who is unlike the others, and in what."""
     return [(comparison.names[row], comparison.traits[column]) for row, column in np.argwhere(comparison.unlike)]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stepgap.learning.individuals import Comparison, Trait, compare_individuals
+from stepgap.learning.individuals import ComparedRobots, Trait, compare_individuals
 from stepgap.report.individuals import difference_sentences, differences_section, differences_table
 from tests.learning.test_individuals import SPACE, robot
 
@@ -27,7 +27,7 @@ def test_without_an_odd_robot_or_with_few_robots_there_is_one_sentence() -> None
 def test_the_scatter_is_compared_by_its_ratio() -> None:
     traits, values = (Trait("noise", 0),), np.log([[1.0], [1.02], [0.98], [1.01], [0.99], [3.0]])
     names, steps = tuple("abcdef"), np.full(6, 100)
-    found = Comparison(names, SPACE, traits, np.zeros(2), values, np.full((6, 1), 0.05), steps)
+    found = ComparedRobots(names, SPACE, traits, np.zeros(2), values, np.full((6, 1), 0.05), steps)
     (sentence,) = difference_sentences(found)
     assert sentence == "f: its vx scatters 3.0 times as much as that of the others (95 %: 2.7 to 3.3)"
 

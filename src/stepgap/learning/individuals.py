@@ -73,7 +73,7 @@ class Trait(NamedTuple):
 
 @final
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class ComparedRobots:
     """The traits of R robots.
 
     Attributes:
@@ -137,7 +137,7 @@ class Comparison:
         return np.array(means), np.array(stds)
 
 
-def compare_individuals(individuals: Sequence[Individual]) -> Comparison:
+def compare_individuals(individuals: Sequence[Individual]) -> ComparedRobots:
     """Compares robots by the steps from which their residuals were learned.
 
     Args:
@@ -171,7 +171,7 @@ def compare_individuals(individuals: Sequence[Individual]) -> Comparison:
     values, stds = (np.array(part) for part in zip(*found, strict=True))
     steps = np.array([len(error) for _, error in remaining])
     names = tuple(each.name for each in individuals)
-    return Comparison(names, space, tuple(traits), middle, values, stds, steps)
+    return ComparedRobots(names, space, tuple(traits), middle, values, stds, steps)
 
 
 def outlying(values: Array, probability: float) -> NDArray[np.bool_]:

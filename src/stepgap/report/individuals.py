@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from stepgap.learning.individuals import LEAST_ROBOTS, Comparison, Trait
+from stepgap.learning.individuals import LEAST_ROBOTS, ComparedRobots, Trait
 from stepgap.report.drawing import GREY, LIGHT, VERMILLION, draw_figure, new_figure, plain
 from stepgap.report.html import bullets, paragraph, picture, section, table
 from stepgap.report.text import decimal, in_scale, trimmed, unit_suffix, with_unit
@@ -13,7 +13,7 @@ from stepgap.report.text import decimal, in_scale, trimmed, unit_suffix, with_un
 if TYPE_CHECKING:  # slow imports are made where they are used
     from matplotlib.figure import Figure
 
-CAPTION: Final = (
+DIFFERENCES_CAPTION: Final = (
     "Each dot is a robot: its difference from the others, in standard deviations of those that are alike. Robots that "
     "are unlike the others are named."
 )
@@ -25,7 +25,7 @@ EXPLANATION: Final = (
 )
 
 
-def difference_sentences(comparison: Comparison) -> list[str]:
+def difference_sentences(comparison: ComparedRobots) -> list[str]:
     """Which robots are unlike the others, and in what; one sentence that none is, or can be named."""
     count = len(comparison.names)
     if count < LEAST_ROBOTS:
@@ -38,7 +38,7 @@ def difference_sentences(comparison: Comparison) -> list[str]:
     ]
 
 
-def differences_table(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
+def differences_table(comparison: ComparedRobots) -> tuple[list[str], list[list[str]]]:
     """Heads and rows of the table of differences: a row for each trait, a column for each robot."""
     heads = ["", *comparison.names, "spread of those that are alike"]
     rows = [
@@ -52,20 +52,20 @@ def differences_table(comparison: Comparison) -> tuple[list[str], list[list[str]
     return heads, rows
 
 
-def differences_section(comparison: Comparison) -> str:
+def differences_section(comparison: ComparedRobots) -> str:
     """HTML section of a page on these robots."""
     drawing = draw_figure(lambda: differences_figure(comparison), "the differences")
     return section(
         "individuals",
         "What was learned of the robots",
         bullets(difference_sentences(comparison)),
-        picture(drawing, "individuals-", CAPTION),
+        picture(drawing, "individuals-", DIFFERENCES_CAPTION),
         paragraph(f"{EXPLANATION} Offsets are those at {_middle(comparison)}."),
         table("", *differences_table(comparison)),
     )
 
 
-def differences_figure(comparison: Comparison) -> "Figure":
+def differences_figure(comparison: ComparedRobots) -> "Figure":
     """Every trait of every robot, by its distance from the others."""
     figure = new_figure(0.8 + 0.24 * len(comparison.traits))
     panel = figure.subplots()
@@ -87,7 +87,7 @@ def differences_figure(comparison: Comparison) -> "Figure":
     return figure
 
 
-def trait_name(comparison: Comparison, trait: Trait) -> str:
+def trait_name(comparison: ComparedRobots, trait: Trait) -> str:
     """What a trait is, with its unit."""
     state = comparison.space.state[trait.state]
     if trait.kind == "offset":
@@ -99,7 +99,7 @@ def trait_name(comparison: Comparison, trait: Trait) -> str:
     return f"{state.name} by {command.name}{f' [{unit}]' if unit else ''}"
 
 
-def _sentence(comparison: Comparison, row: int, column: int) -> str:
+def _sentence(comparison: ComparedRobots, row: int, column: int) -> str:
     trait, name = comparison.traits[column], comparison.names[row]
     state, command = comparison.space.state[trait.state], comparison.space.command[trait.command]
     difference, half = float(comparison.difference[row, column]), float(comparison.interval[row, column])
@@ -118,7 +118,7 @@ def _sentence(comparison: Comparison, row: int, column: int) -> str:
     return f"{name}: its {state.name} grows by {amount} with {command.name} than that of the others (± {margin})"
 
 
-def _middle(comparison: Comparison) -> str:
+def _middle(comparison: ComparedRobots) -> str:
     pairs = zip(comparison.space.command, comparison.middle.tolist(), strict=True)
     return ", ".join(f"{each.name} {trimmed(in_scale(value, each, 2))}{unit_suffix(each)}" for each, value in pairs)
 
@@ -128,13 +128,13 @@ def _per(unit: str, command_unit: str) -> str:
     return "" if unit == command_unit or not (unit and command_unit) else f"{unit} per {command_unit}"
 
 
-def _cell(comparison: Comparison, row: int, column: int) -> str:
+def _cell(comparison: ComparedRobots, row: int, column: int) -> str:
     value = _shown(comparison, column, float(comparison.difference[row, column]), signed=True)
     half = _shown(comparison, column, float(comparison.interval[row, column]))
     return f"{value} ± {half}{' *' if comparison.unlike[row, column] else ''}"
 
 
-def _shown(comparison: Comparison, column: int, value: float, *, signed: bool = False) -> str:
+def _shown(comparison: ComparedRobots, column: int, value: float, *, signed: bool = False) -> str:
     """A difference or spread of a trait, with decimals by the spread of all."""
     whole = float(np.max(np.abs(comparison.difference[:, column]), initial=0.0))
     places = max(0, 1 - int(np.floor(np.log10(whole)))) if whole > 0 else 3

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stepgap.export.controller.one_file import PACKAGES, Place, one_file
+from stepgap.export.controller.one_file import PERMITTED, Place, one_file
 from stepgap.export.controller.python_source import python_source
 from stepgap.export.controller.step_filter import UNCORRECTED
 from stepgap.step import Array, StepStatus
@@ -161,6 +161,15 @@ print(*sorted({name.split(".")[0] for name in sys.modules if name.startswith(("s
 
 
 def test_another_package_is_refused() -> None:
-    assert "scipy" not in PACKAGES
+    assert "scipy" not in PERMITTED
     with pytest.raises(ValueError, match="NumPy alone"):
         one_file([Place("stepgap.control.gauss_newton", "minimise")], {})
+
+
+@pytest.mark.parametrize("name", ['unit "7"', 'a"""\nimport os\n"""', "\\N{BULLET} \\"])
+def test_a_name_is_no_code(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    passport = {"robot": "r", "name": name, "plant": "p", "date": "", "deployments": 1, "steps": 2, "errors": []}
+    controller = replace(learned("none", linear=True), passport={**passport, "settings_sha256": ""})
+    module = exported(python_source(controller), "exported_name", monkeypatch)
+    assert module.MODEL["passport"]["name"] == name
+    assert not hasattr(module, "os")

@@ -11,7 +11,7 @@ from stepgap.cli.terminal import announces_compilation
 
 if TYPE_CHECKING:
     from stepgap.experiment.run import Run
-    from stepgap.learning.individuals import Comparison, Individual
+    from stepgap.learning.individuals import ComparedRobots, Individual
 
 
 class _Robot(NamedTuple):
@@ -31,7 +31,7 @@ class _Robot(NamedTuple):
 
 
 @announces_compilation
-def compare(robots: list[Path], /, *, out: Path | None = None) -> None:
+def compare_robots(robots: list[Path], /, *, out: Path | None = None) -> None:
     """Compare robots of one type, or runs: which one is unlike the others, and in what; and their errors side by side.
 
     Args:
@@ -80,7 +80,7 @@ def _robot(path: Path, name: str) -> _Robot:
         return _Robot(name, {}, str(error), run)
 
 
-def _compared(robots: Sequence[_Robot]) -> "Comparison | str":
+def _compared(robots: Sequence[_Robot]) -> "ComparedRobots | str":
     """The comparison of what was learned, or why there is none; that is an error if there are no runs to compare."""
     from stepgap.learning.individuals import Individual, compare_individuals
 
@@ -96,7 +96,7 @@ def _compared(robots: Sequence[_Robot]) -> "Comparison | str":
         return f"what was learned is not compared: {error}"
 
 
-def _page(robots: Sequence[_Robot], compared: "Comparison | str") -> str:
+def _page(robots: Sequence[_Robot], compared: "ComparedRobots | str") -> str:
     """HTML of the page: what was learned, and of runs the errors, as far as these can be compared."""
     from stepgap.report.comparison import MOST_RUNS, comparison_html
     from stepgap.report.html import page, paragraph, section

@@ -12,10 +12,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final, NamedTuple, final
 
-PACKAGES: Final = frozenset({*sys.stdlib_module_names, "numpy"})
+PERMITTED: Final = frozenset({*sys.stdlib_module_names, "numpy"})
 """Packages that the file may import."""
 
-PACKAGE: Final = "stepgap"
+COPIED_PACKAGE: Final = "stepgap"
 """Package whose definitions are copied."""
 
 
@@ -99,7 +99,7 @@ def one_file(roots: list[Place], instead: Mapping[Place, Place]) -> str:
     for root in roots:
         add(root)
     for line in imports:
-        if line.split()[1].split(".")[0] not in PACKAGES:
+        if line.split()[1].split(".")[0] not in PERMITTED:
             raise ValueError(f"'{line}': the file has NumPy alone")
     ordered = sorted(imports, key=lambda line: ("numpy" in line, line.startswith("from"), line))
     return "\n".join(["from __future__ import annotations", "", *ordered]) + "\n\n\n" + "\n\n\n".join(parts) + "\n"
@@ -131,7 +131,7 @@ def _note_imports(node: ast.Import | ast.ImportFrom, module: _Module) -> None:
         name, renamed = each.asname or each.name, f" as {each.asname}" if each.asname else ""
         if isinstance(node, ast.Import):
             module.imports[name] = f"import {each.name}{renamed}"
-        elif (node.module or "").split(".")[0] == PACKAGE:
+        elif (node.module or "").split(".")[0] == COPIED_PACKAGE:
             module.copied[name] = Place(node.module or "", each.name)
         else:
             module.imports[name] = f"from {node.module} import {each.name}{renamed}"

@@ -34,7 +34,7 @@ def passport_of(run: Run, deployment: int | None, name: str = "") -> dict[str, A
     changed = datetime.fromtimestamp((run.folder / "steps.csv").stat().st_mtime, UTC)
     return {
         "robot": settings.robot.name,
-        "name": checked_name(name),
+        "name": checked_robot_name(name),
         "plant": settings.plant,
         "date": f"{changed:%Y-%m-%d}",
         "deployments": len(log.iterations),
@@ -45,7 +45,7 @@ def passport_of(run: Run, deployment: int | None, name: str = "") -> dict[str, A
     }
 
 
-def checked_name(name: str) -> str:
+def checked_robot_name(name: str) -> str:
     """The name of a robot; raises InputError if it is too long, or has letters that cannot be printed."""
     if len(name) > LONGEST_NAME or not name.isprintable():
         raise InputError(f"name {name!r:.80}: must have at most {LONGEST_NAME} printable characters")
