@@ -8,9 +8,10 @@ import numpy as np
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.files import read_bounded_text, write_whole
 from stepgap.control.reference import Reference, read_reference, reference_text
-from stepgap.experiment.settings import LARGEST_NOMINAL_FILE, Experiment, with_files
+from stepgap.experiment.settings import LARGEST_NOMINAL_FILE, NO_PRIOR, PRIOR_OF_ROBOT, Experiment, with_files
 from stepgap.experiment.settings_text import experiment_toml
 from stepgap.learning.steps import Steps, joined
+from stepgap.records.prior_file import PriorFile, read_prior
 from stepgap.records.steps_csv import RecordError, read_step_log, text_of
 from stepgap.step import StepSpace
 
@@ -19,6 +20,9 @@ SURROGATE = "nominal_map.json"
 
 WARM_START = "warm_start.csv"
 """File in a run's folder with the steps that were known before its first deployment."""
+
+PRIOR_FILE = "prior.json"
+"""File in a run's folder with the prior that its learning begins with."""
 
 
 def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
@@ -74,6 +78,35 @@ def load_known(experiment: Experiment, space: StepSpace) -> Steps:
     return known
 
 
+def load_prior(experiment: Experiment, space: StepSpace) -> PriorFile | None:
+    """Reads the prior over robots that learning begins with; None if there is none.
+
+    Raises:
+        InputError: The file does not exist, is not a prior, or is that of another state, command or nominal map.
+    """
+    nominal, linear = experiment.nominal.kind, experiment.nominal.linear
+    built_in, path = experiment.prior == PRIOR_OF_ROBOT, Path(experiment.prior)
+    if built_in:
+        shipped = experiment.robot.prior()
+        if shipped is None or not experiment.learning.online or linear:
+            return None
+        path = shipped
+    elif experiment.prior == NO_PRIOR:
+        return None
+    try:
+        found = read_prior(path, space)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; prior must be robot, none or a file of `stepgap prior`") from None
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    if found.nominal == nominal and not linear:
+        return found
+    if built_in:
+        return None
+    kind = f"a linear map of nominal.kind = '{nominal}'" if linear else f"nominal.kind = '{nominal}'"
+    raise InputError(f"{path}: it is for nominal.kind = '{found.nominal}', but this experiment has {kind}")
+
+
 def experiment_files(
     experiment: Experiment, reference: Reference, known: Steps | None = None, surrogate: str = ""
 ) -> dict[str, str]:
@@ -112,6 +145,9 @@ def experiment_files(
         return file
 
     experiment = replace(experiment, robot=with_files(experiment.robot, copied))
+    if experiment.prior not in (PRIOR_OF_ROBOT, NO_PRIOR):
+        files[PRIOR_FILE] = _text_of(Path(experiment.prior), "prior")
+        experiment = replace(experiment, prior=PRIOR_FILE)
     if known:
         files[WARM_START] = text_of(known)
         experiment = replace(experiment, warm_start=WARM_START)
@@ -126,8 +162,9 @@ def write_experiment(
         write_whole(folder / name, text)
 
 
-def _text_of(path: Path, setting: str) -> str:
+def _text_of(path: Path, name: str) -> str:
+    """Text of the file that a setting names."""
     try:
         return read_bounded_text(path, LARGEST_NOMINAL_FILE)
     except (OSError, ValueError) as error:
-        raise InputError(f"{setting}: {message_of(error)}") from None
+        raise InputError(f"{name}: {message_of(error)}") from None

@@ -24,6 +24,7 @@ from stepgap.experiment.deployment import AdaptiveMap, ExecutedSteps, deploy
 from stepgap.experiment.outcome import estimate_noise_floor, summarise
 from stepgap.experiment.resume import Recording, warm_start_of
 from stepgap.learning.learner import Learner
+from stepgap.learning.prior import Prior
 from stepgap.learning.residual import Residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps, as_past
@@ -106,6 +107,7 @@ class Setup:
         seed: Random seed.
         known: Steps with the same state and command, recorded earlier, that are used for learning before the first
             deployment; even if they come from another robot or map, the errors of this nominal map are learned.
+        prior: Prior over robots with which learning begins.
     """
 
     nominal: StepMap
@@ -115,6 +117,7 @@ class Setup:
     control: ControlSettings = ALL_RULES
     seed: int = 0
     known: Steps | None = None
+    prior: Prior | None = None
 
 
 def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) -> list[Deployment]:
@@ -145,10 +148,11 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
             iteration = len(deployments)
             observer.on_phase("learning", 0, 0)
             begin = perf_counter()
-            learner = Learner.start(nominal, Steps(recording.space) + past + log, setup.learning, iteration)
+            before = Steps(recording.space) + past + log
+            learner = Learner.start(nominal, before, setup.learning, iteration, prior=setup.prior)
             seconds = perf_counter() - begin
             observer.on_learned(learner.residual)
-            if iteration > 0 or len(past):
+            if iteration > 0 or len(past) or setup.prior:
                 observer.on_time(iteration, "fit", seconds)
                 recording.write_model(learner)
             latest = deque[AdaptiveMap]([learner], maxlen=1)

@@ -14,7 +14,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.output_files import free_name
 from stepgap.base.ranges import format_value
 from stepgap.control.reference import Reference
-from stepgap.experiment.inputs import load_known
+from stepgap.experiment.inputs import load_known, load_prior
 from stepgap.experiment.loop import Setup, is_finished
 from stepgap.experiment.outcome import unheld_steps
 from stepgap.experiment.plants import PlantRequest, choose_plants
@@ -78,7 +78,17 @@ def load_setup(request: PlantRequest, nominal: StepMap) -> Setup:
         raise InputError("control.table: a table needs a target of every state coordinate at every step; set it to 0")
     known = load_known(settings, settings.space)
     plants = choose_plants(request)
-    return Setup(nominal, plants, request.reference, settings.learning, settings.control, settings.seed, known)
+    prior = load_prior(settings, settings.space)
+    return Setup(
+        nominal,
+        plants,
+        request.reference,
+        settings.learning,
+        settings.control,
+        settings.seed,
+        known,
+        prior.prior if prior else None,
+    )
 
 
 def start_folder(folder: Path, write: Callable[[], None]) -> None:

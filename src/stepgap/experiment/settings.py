@@ -39,8 +39,11 @@ ROBOT = "robot"
 DEFAULT_ROBOT = "hopper"
 """Name of the robot if no other is given."""
 
-_PATHS = ("reference", "rig", "warm_start", "nominal.file")
+_PATHS = ("reference", "rig", "warm_start", "prior", "nominal.file")
 """Settings of every experiment that name a file or a folder."""
+
+PRIOR_OF_ROBOT, NO_PRIOR = "robot", "none"
+"""Values of the setting `prior` that name no file: that which comes with the robot, and no prior."""
 
 PROCESS = "process"
 """The plant that is another program; all others but the simulated ones are names of rigs."""
@@ -111,6 +114,9 @@ class Experiment:
         rig: File that describes that rig, relative to the experiment's file.
         warm_start: Folder of a run whose steps are known before the first deployment, or a `steps.csv`, relative to the
             experiment's file; empty: nothing is known.
+        prior: Prior over robots that learning begins with: `robot`, that which comes with the robot, when it learns
+            online and its nominal map is the default one; `none`; or a file that `stepgap prior` wrote, relative to the
+            experiment's file.
         weights: By the name of a state coordinate, how much its squared error [half ranges] counts against those of the
             others, instead of the weight that the robot gives it, such as `speed = 0.5`. 0: it is predicted, but not
             tracked.
@@ -126,6 +132,7 @@ class Experiment:
     plant: str = ""
     rig: str = ""
     warm_start: str = ""
+    prior: str = PRIOR_OF_ROBOT
     weights: Mapping[str, float] = field(default_factory=dict[str, float])
     nominal: NominalSettings = field(default_factory=NominalSettings)
     learning: LearningSettings = field(default_factory=LearningSettings)
@@ -220,7 +227,8 @@ def names_file(robot: Robot, name: str) -> bool:
 
 def in_folder(folder: Path, robot: Robot, name: str, value: str) -> str:
     """The value of a setting that names a file and is given in a file of this folder, to which paths are relative."""
-    named = bool(value) and not (name == "reference" and value in robot.references())
+    words = {"reference": robot.references(), "prior": (PRIOR_OF_ROBOT, NO_PRIOR)}
+    named = bool(value) and value not in words.get(name, ())
     return str(folder / value) if named else value
 
 

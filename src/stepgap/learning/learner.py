@@ -11,6 +11,7 @@ from stepgap.learning.background import Deferred
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.observations import context_inputs_of, error_of, history_after, next_history, observe
 from stepgap.learning.outliers import LEAST_KNOWN, improbable_errors
+from stepgap.learning.prior import Prior
 from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.residual_fit import explains_better, learned_residual
@@ -70,6 +71,7 @@ class Learner:
         changes: Row in the log of each step after a change of the robot, and by what it had changed there; shape (n,).
         refit: The fit that is running, if there is one.
         refit_from: Number of known steps from which the next fit may begin.
+        prior: A prior over robots, if there is one.
     """
 
     nominal: StepMap
@@ -86,6 +88,7 @@ class Learner:
     changes: tuple[tuple[int, Array], ...]
     refit: Refit | None
     refit_from: float
+    prior: Prior | None = None
 
     @classmethod
     def start(
@@ -95,6 +98,7 @@ class Learner:
         settings: LearningSettings,
         iteration: int,
         residual: Residual | None = None,
+        prior: Prior | None = None,
     ) -> Self:
         """Returns the learner before a deployment.
 
@@ -104,10 +108,11 @@ class Learner:
             settings: Which residual model is used, and whether steps of this deployment are learned from.
             iteration: Number of the deployment.
             residual: The residual that was fitted to these steps; None to fit it.
+            prior: A prior over robots, if there is one.
         """
         failed = ~np.isin(log.status, _NO_FAILURE)
         if residual is None:
-            residual = _fitted(nominal, log, settings, iteration, None)
+            residual = _fitted(nominal, log, settings, iteration, None, prior)
         return cls(
             nominal=nominal,
             settings=settings,
@@ -130,6 +135,7 @@ class Learner:
             changes=(),
             refit=None,
             refit_from=max(1.0, REFIT_GROWTH * len(log)),
+            prior=prior,
         )
 
     @property
@@ -216,7 +222,7 @@ class Learner:
 
         remaining = self.steps_to_learn - counts
         if remaining == 0:
-            fitted = _fitted(self.nominal, self._lessons, self.settings, self.iteration, self.residual)
+            fitted = _fitted(self.nominal, self._lessons, self.settings, self.iteration, self.residual, self.prior)
             return replace(self, steps_to_learn=0, residual=fitted, refit=None)
         learner = replace(self, steps_to_learn=remaining)
         if self.refit is None:
@@ -231,7 +237,7 @@ class Learner:
         count = len(self.log)
         if self.refit or self.steps_to_learn == 0 or count < self.refit_from:
             return self
-        known = self.nominal, self._lessons, self.settings, self.iteration, self.residual
+        known = self.nominal, self._lessons, self.settings, self.iteration, self.residual, self.prior
         due = count + 1 + count // FITTED_PER_STEP
         if self.residual.kind == NONE.name and count <= FIRST_STEPS:
             return replace(self, residual=_fitted(*known), refit_from=due)
@@ -240,7 +246,12 @@ class Learner:
 
 
 def _fitted(
-    nominal: StepMap, log: Steps, settings: LearningSettings, iteration: int, start: Residual | None
+    nominal: StepMap,
+    log: Steps,
+    settings: LearningSettings,
+    iteration: int,
+    start: Residual | None,
+    prior: Prior | None,
 ) -> Residual:
     """Fits the residual to all known steps, or where these explain the latest deployment worse, to this one alone.
 
@@ -250,7 +261,7 @@ def _fitted(
     planned = log.planned()
     log = planned if len(planned) >= LEAST_KNOWN else log
     observations = observe(log, nominal)
-    residual = learned_residual(observations, settings, iteration, start)
+    residual = learned_residual(observations, settings, iteration, start, prior)
     latest = observations.labels[:, 0] == observations.labels[-1:, 0]
     if residual.kind == "none" or latest.all() or latest.sum() < LEAST_KNOWN or not _is_surprising(log):
         return residual

@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
+from stepgap.base.json_data import as_object, number, numbers
+from stepgap.base.ranges import require
 from stepgap.learning.regression import BatchRegression, Parameter, Prediction, Regression, ResidualModel, TrainingData
 from stepgap.step import Array
 
@@ -58,10 +60,39 @@ class Moments(NamedTuple):
         """Multiplies the weight of the data by a factor and keeps the prior."""
         return Moments(
             prior.information + factor * (self.information - prior.information),
-            factor * self.projection,
+            prior.projection + factor * (self.projection - prior.projection),
             prior.squares + factor * (self.squares - prior.squares),
             prior.degrees_of_freedom + factor * (self.degrees_of_freedom - prior.degrees_of_freedom),
         )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Converts the sums to JSON-ready numbers, which `from_dict` reads."""
+        return {name: np.asarray(value).tolist() for name, value in self._asdict().items()}
+
+    @staticmethod
+    def from_dict(saved: Mapping[str, Any]) -> "Moments":
+        """Restores what `to_dict` saved; a ValueError names the wrong key."""
+        found = Moments(
+            numbers(saved, "information", 2),
+            numbers(saved, "projection", 1),
+            number(saved, "squares"),
+            number(saved, "degrees_of_freedom"),
+        )
+        size = len(found.projection)
+        require(found.information.shape == (size, size), "information.shape", found.information.shape, "be square")
+        require(_is_positive(found.information), "information", found.information, "be positive definite")
+        require(found.degrees_of_freedom > 2, "degrees_of_freedom", found.degrees_of_freedom, "be more than 2")
+        least = float(found.projection @ np.linalg.solve(found.information, found.projection))
+        require(found.squares > least, "squares", found.squares, f"be more than {least:g}")
+        return found
+
+    def log_evidence(self, prior: "Moments") -> float:
+        """Logarithm of the probability density of the data, which these moments have beside this prior.
+
+        The marginal likelihood of the conjugate model, without its factor (2π)^(−N/2) (Bishop, Pattern Recognition and
+        Machine Learning, Exercise 3.23).
+        """
+        return _log_normalisation(prior) - _log_normalisation(self)
 
     def solve(self, basis: Array) -> tuple[Array, Array, float]:
         """Weights (d_φ,), information⁻¹ φᵀ for rows φ (k, d_φ), and the variance of a value's noise (Student's t)."""
@@ -69,6 +100,18 @@ class Moments(NamedTuple):
         weights = cho_solve(factor, self.projection)
         noise_variance = (self.squares - float(self.projection @ weights)) / (self.degrees_of_freedom - 2)
         return weights, cho_solve(factor, basis.T), noise_variance
+
+
+def _is_positive(matrix: Array) -> bool:
+    """Whether a matrix is symmetric and positive definite."""
+    return np.array_equal(matrix, matrix.T) and bool((np.linalg.eigvalsh(matrix) > 0).all())
+
+
+def _log_normalisation(moments: Moments) -> float:
+    """Logarithm of the factor by which the normal-inverse-gamma density with these moments is normalised."""
+    shape, (weights, _, _) = moments.degrees_of_freedom / 2, moments.solve(moments.information[:1])
+    rate = (moments.squares - float(moments.projection @ weights)) / 2
+    return float(np.linalg.slogdet(moments.information)[1] / 2 + shape * math.log(rate) - math.lgamma(shape))
 
 
 @final
@@ -83,10 +126,12 @@ class Polynomial(BatchRegression):
 
     Attributes:
         degree: 0, 1 or 2.
+        prior: Moments without data.
         moments: Sums over prior and data.
     """
 
     degree: int
+    prior: Moments
     moments: Moments
 
     @property
@@ -139,19 +184,26 @@ class Polynomial(BatchRegression):
         """Conditions the polynomial on one more value; costs as much as solving for the weights."""
         point, moments = np.asarray(point, float), self.moments
         if self.data.timed and len(self.points):
-            moments = moments.discounted(_prior(self.data, self.degree), float(np.exp(self.points[-1, -1] - point[-1])))
+            moments = moments.discounted(self.prior, float(np.exp(self.points[-1, -1] - point[-1])))
         moments = moments.plus(self._basis(point)[None], np.array([value]), np.ones(1))
         return replace(self, data=self.data.append(point, value), moments=moments)
 
     def to_dict(self) -> dict[str, Any]:
-        """Converts data and prior to JSON-ready numbers; the rest follows from them and the degree."""
-        return self.data.to_dict()
+        """Converts the data to JSON-ready numbers, and the prior if it is not the weak one; the rest follows."""
+        weak = weak_prior(self.data, self.degree)
+        same = all(np.array_equal(one, other) for one, other in zip(self.prior, weak, strict=True))
+        return {**self.data.to_dict(), **({} if same else {"prior": self.prior.to_dict()})}
 
     def parameters(self) -> list[Parameter]:
         """Noise, and the value and slopes in the middle of the range of use."""
         slopes = [Parameter("slope in the middle", self.mean_gradient(self.data.centre), "value per input")]
         middle = Parameter("in the middle", float(self.mean(self.data.centre)), "value")
         return [*super().parameters(), middle, *(slopes if self.degree else [])]
+
+    @property
+    def log_evidence(self) -> float:
+        """Logarithm of the probability density of the data by the prior, up to a term that all polynomials share."""
+        return self.moments.log_evidence(self.prior)
 
     @cached_property
     def _posterior(self) -> tuple[Array, Array, float]:
@@ -193,19 +245,21 @@ class Polynomial(BatchRegression):
         return np.concatenate([gradient, time], axis=-1) / self.data.scale * _one_or_nan(point)[..., None]
 
 
-def fit_polynomial(data: TrainingData, degree: int) -> Polynomial:
+def fit_polynomial(data: TrainingData, degree: int, prior: Moments | None = None) -> Polynomial:
     """Conditions a polynomial on data.
 
     Args:
         data: The data; N may be zero.
         degree: 0, 1 or 2.
+        prior: Moments without data; None for those of the weak prior.
     """
-    empty = Polynomial(data, degree, _prior(data, degree))
-    return replace(empty, moments=empty.moments.plus(empty._basis(data.points), data.values, empty._counts))
+    prior = prior or weak_prior(data, degree)
+    empty = Polynomial(data, degree, prior, prior)
+    return replace(empty, moments=prior.plus(empty._basis(data.points), data.values, empty._counts))
 
 
-def _prior(data: TrainingData, degree: int) -> Moments:
-    """Moments of the prior, without data."""
+def weak_prior(data: TrainingData, degree: int) -> Moments:
+    """Moments of the weak prior, without data."""
     inputs = len(data.scale) - data.timed
     size = sum([1, inputs, inputs * (inputs + 1) // 2][: degree + 1])
     noise_scale = NOISE_SCALE * data.value_scale
@@ -238,7 +292,12 @@ def _fit(data: TrainingData, start: Regression | None, degree: int) -> Polynomia
 
 
 def _from_dict(saved: Mapping[str, Any], degree: int) -> Polynomial:
-    return fit_polynomial(TrainingData.from_dict(saved), degree)
+    data = TrainingData.from_dict(saved)
+    if "prior" not in saved:
+        return fit_polynomial(data, degree)
+    prior, size = Moments.from_dict(as_object(saved["prior"], "prior")), len(weak_prior(data, degree).projection)
+    require(len(prior.projection) == size, "prior.projection", prior.projection, f"have {size} numbers")
+    return fit_polynomial(data, degree, prior)
 
 
 def _model(name: str, degree: int, description: str) -> ResidualModel:

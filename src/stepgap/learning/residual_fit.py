@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import inf
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ from stepgap.learning.entry_points import load_feature_model, load_residual_mode
 from stepgap.learning.feature_map import FeatureModel, with_features
 from stepgap.learning.observations import Observations
 from stepgap.learning.outliers import LEAST_KNOWN, MOST_OUTLIERS, outliers_among
+from stepgap.learning.polynomial import Polynomial, fit_polynomial
+from stepgap.learning.prior import DEGREE, PRIOR, Prior
 from stepgap.learning.regression import Regression, ResidualModel, TrainingData
 from stepgap.learning.residual import HistoryInputs, Residual, no_residual
 from stepgap.learning.residual_check import check_regression, failed, naming_model
@@ -26,6 +28,9 @@ from stepgap.learning.zero import NONE
 
 SELECTION_FOLDS = 5
 """Number of contiguous parts of the record, each predicted from the others, by which `auto` chooses."""
+
+PRIOR_ODDS = 20.0
+"""Odds that a robot is of the kind of its prior, before it has made a step."""
 
 LARGEST_DIMENSION = 100
 """Largest number of state coordinates, of command coordinates, and of inputs of a regression that is read."""
@@ -85,7 +90,11 @@ def fit_residual(
 
 
 def learned_residual(
-    observations: Observations, settings: LearningSettings, iteration: int, start: Residual | None = None
+    observations: Observations,
+    settings: LearningSettings,
+    iteration: int,
+    start: Residual | None = None,
+    prior: Prior | None = None,
 ) -> Residual:
     """Fits the residual of the settings as a deployment does.
 
@@ -96,12 +105,13 @@ def learned_residual(
         settings: Which residual model is used, and what is left out.
         iteration: Number of the deployment that is running, from whose errors nothing is removed.
         start: A residual fitted to fewer observations, from which a search for hyper-parameters may start.
+        prior: A prior over robots, which is used where it applies and predicts better.
 
     Raises:
         InputError: There is no model of this name, or it cannot be used; even if there are no observations.
         ResidualError: The model failed, or what it returned is not valid.
     """
-    residual = _learned_residual(observations, settings, iteration, start)
+    residual = _learned_residual(observations, settings, iteration, start, prior)
     if not settings.reject_outliers:
         return residual
     kept, without_outliers = np.arange(len(observations)), residual
@@ -112,12 +122,54 @@ def learned_residual(
         kept = kept[~outliers]
         if len(kept) < (1 - MOST_OUTLIERS) * len(observations):
             return residual
-        without_outliers = _learned_residual(observations.selected(kept), settings, iteration, without_outliers)
+        without_outliers = _learned_residual(observations.selected(kept), settings, iteration, without_outliers, prior)
     left_out = np.delete(observations.labels, kept, axis=0)
     return replace(without_outliers, outliers=tuple((int(deployment), int(number)) for deployment, number in left_out))
 
 
 def _learned_residual(
+    observations: Observations,
+    settings: LearningSettings,
+    iteration: int,
+    start: Residual | None,
+    prior: Prior | None,
+) -> Residual:
+    """Fits to all observations, which may include outliers: the residual of the settings, or that with the prior."""
+    residual = _residual_of_settings(observations, settings, iteration, start)
+    if prior is None or settings.residual == NONE.name:
+        return residual
+    used = observations
+    if settings.remove_yaw_dependence and len(observations):
+        used = without_periodic_part(observations, iteration)
+    expected = _with_prior(prior, used)
+    if not _applies(expected, used):
+        return residual
+    if residual.kind == NONE.name:
+        return expected
+    gain = len(used) * (held_out_score(residual, used) - held_out_score(expected, used))
+    return residual if gain > LEAST_EVIDENCE else expected
+
+
+def _with_prior(prior: Prior, observations: Observations) -> Residual:
+    """The residual with a prior over robots."""
+    inputs = HistoryInputs(context_inputs=observations.context_inputs)
+    data = [training_data(observations, inputs, number) for number in range(len(observations.space.state))]
+    found = [fit_polynomial(each, DEGREE, prior.moments(number, each)) for number, each in enumerate(data)]
+    return Residual(PRIOR, tuple(found), len(observations.space.command), inputs)
+
+
+def _applies(expected: Residual, observations: Observations) -> bool:
+    """Whether the robot is probably of the kind of a prior, by the observations and those odds beforehand."""
+    if not len(observations):
+        return True
+    inputs = expected.history_inputs
+    data = [training_data(observations, inputs, number) for number in range(len(expected.regressions))]
+    weak = sum(fit_polynomial(each, DEGREE).log_evidence for each in data)
+    own = sum(cast("Polynomial", each).log_evidence for each in expected.regressions)
+    return own + math.log(PRIOR_ODDS) > weak
+
+
+def _residual_of_settings(
     observations: Observations, settings: LearningSettings, iteration: int, start: Residual | None
 ) -> Residual:
     """Fits the residual of the settings to all observations, which may include outliers."""

@@ -20,7 +20,14 @@ from stepgap.records.steps_csv import LARGEST_STEPS_FILE, digest, read_step_log,
 from stepgap.records.summary import read_summary, write_summary
 from stepgap.step import StepSpace
 
-INPUT_FILES = ("reference.csv", "warm_start.csv", "nominal_map.json", "nominal_map.toml", "nominal_map.csv")
+INPUT_FILES = (
+    "reference.csv",
+    "warm_start.csv",
+    "prior.json",
+    "nominal_map.json",
+    "nominal_map.toml",
+    "nominal_map.csv",
+)
 """Files of a run folder, besides `experiment.toml`, that are written before the first step."""
 
 

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -107,6 +108,10 @@ class Robot(ABC):
 
     def published(self) -> PublishedResult | None:
         """The published result with which runs along its reference are compared; None if there is none."""
+        return None
+
+    def prior(self) -> Path | None:
+        """File of the prior over robots of this kind, which `stepgap prior` wrote; None if there is none."""
         return None
 
     def check(self) -> None:  # noqa: B027  (few robots need it)

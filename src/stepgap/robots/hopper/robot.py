@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from math import tau
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
@@ -131,6 +132,10 @@ class Hopper(Robot):
         from stepgap.robots.hopper.tick.hop_control import HopperControl
 
         return HopperControl(self.parameters, self.gains, self.command, ground=self.ground)
+
+    def prior(self) -> Path:
+        """That of 60 random twins, of whose hops a nominal controller with noise made 40 each."""
+        return Path(__file__).with_name("prior.json")
 
     def kinematics(self, sensors: SensorModel | None = None) -> "HopperKinematics":
         """Kinematics of boom and leg with the sensors of a rig, or with those of the twin."""

@@ -1,0 +1,193 @@
+"""Priors over robots: the error of the first hops of unseen hoppers that learn online, with and without one.
+
+The prior is found from random twins that hop to random targets with the nominal map alone. Then other twins, and robots
+that the family of twins does not draw, hop along the beginning of the paper's reference. Wrong priors are those of the
+same twins with inverted commands, with exchanged commands, and with errors in another unit.
+
+Printed for each group and prior: falls, error of the first hop (root mean square over the runs), of hops 1–10, 11–20
+and 81–100 (median and 90 % quantile), each as speed [mm/s] and height [mm]; then, paired by run, the median ratio of
+the squared error [bands²] of hops 1–20, 41–100 and 81–100 to that without a prior, with a 95 % interval (bootstrap).
+
+    ./go python -m benchmarks.priors [--family 80] [--twins 20] [--seeds 3] [--out prior.json]
+"""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.disturbed_plant import finished, tracked, uncorrected
+from stepgap.base.blas import one_blas_thread
+from stepgap.base.random_streams import random_stream
+from stepgap.control.reference import Reference
+from stepgap.learning.learner import Learner
+from stepgap.learning.observations import Observations, observe
+from stepgap.learning.prior import LEAST_ROBOTS, Prior, fit_prior
+from stepgap.learning.settings import LearningSettings
+from stepgap.learning.steps import Steps
+from stepgap.records.prior_file import PriorFile
+from stepgap.robots.hopper.paper import paper_reference
+from stepgap.robots.hopper.robot import Hopper
+from stepgap.robots.hopper.twin.simulation import TwinSimulation
+from stepgap.step import Array
+
+BAND = np.array([0.0179, 0.0052])
+"""Final errors of the paper's robot: speed [m/s] and height [m]."""
+
+STEPS, LAST = 100, 20
+"""Hops of a run, and how many of them are the last."""
+
+LEAST_STEPS = 15
+"""Hops from which a twin of the family says something."""
+
+FIRST_UNSEEN = 1000
+"""Number of the first twin that no prior has seen."""
+
+OUTSIDE: Mapping[str, Mapping[str, float]] = {
+    "soft boom, heavy": {"boom_stiffness": 7e3, "body_mass_scale": 1.25},
+    "weak, late": {"torque_scale": 0.6, "torque_lag": 4e-3},
+    "rough slope": {"ground_roughness": 2e-3, "boom_tilt": 0.006},
+    "strong, slope": {"torque_scale": 1.15, "boom_tilt": -0.005},
+    "late, soft ground": {"torque_lag": 4e-3, "ground_stiffness": 1.2e4},
+    "rubbing": {"joint_friction": 0.15, "joint_damping": 0.01},
+}
+"""Differences of robots that the family does not draw, from the default twin."""
+
+
+class Run(NamedTuple):
+    """One run: a robot, by the number of a twin or a name in `OUTSIDE`, a seed, and the name of a prior."""
+
+    robot: int | str
+    seed: int
+    prior: str
+
+
+def hopper_of(robot: int | str) -> Hopper:
+    """The robot of a run."""
+    if isinstance(robot, int):
+        return Hopper().randomised(random_stream(robot))
+    return replace(Hopper(), gap=replace(Hopper().gap, **OUTSIDE[robot]))
+
+
+def random_targets(number: int) -> Reference:
+    """Targets that change every one to three hops."""
+    rng, rows = random_stream(number, 7), list[Array]()
+    while len(rows) < 80:
+        rows += [rng.uniform([0.0, 0.535], [0.4, 0.63])] * int(rng.integers(1, 4))
+    return Reference(("speed", "height"), np.array(rows))
+
+
+def family_member(number: int) -> Observations:
+    """What a twin of the family does with the nominal map alone."""
+    hopper = hopper_of(number)
+    with one_blas_thread():
+        nominal = hopper.apex_map()
+        simulation = TwinSimulation(hopper.parameters, hopper.gap, hopper.control, random_stream(number, 2))
+        steps = tracked(uncorrected(nominal), simulation.plant(random_stream(number, 5)), random_targets(number), 0)
+        return observe(steps, nominal)
+
+
+def priors_of(robots: Sequence[Observations]) -> dict[str, Prior | None]:
+    """The prior of these robots, wrong ones, and none."""
+
+    def changed(each: Observations, kind: str) -> Observations:
+        space = each.space
+        if kind == "inverted":
+            return replace(each, command=2 * space.command_centre - each.command)
+        if kind == "swapped":
+            return replace(each, command=space.command_at(np.roll(space.point_of(each.command), 1, axis=1)))
+        return replace(each, error=each.error * np.array([3.6, 1.0]))
+
+    wrong = {kind: fit_prior([changed(each, kind) for each in robots]) for kind in ("inverted", "swapped", "km/h")}
+    return {"none": None, "prior": fit_prior(robots), **wrong}
+
+
+def errors_of(priors: Mapping[str, Prior | None], run: Run) -> Array:
+    """Tracking errors of a run; shape (N, 2), with N less than `STEPS` if it fell."""
+    hopper = hopper_of(run.robot)
+    number = run.robot if isinstance(run.robot, int) else sum(map(ord, run.robot))
+    with one_blas_thread():
+        nominal = hopper.apex_map()
+        simulation = TwinSimulation(hopper.parameters, hopper.gap, hopper.control, random_stream(number, run.seed))
+        reference = paper_reference()
+        shortened = Reference(reference.names, reference.targets[:STEPS])
+        learning = LearningSettings(online=True)
+        learner = Learner.start(nominal, Steps(nominal.space), learning, 0, prior=priors[run.prior])
+        steps = tracked(learner, simulation.plant(random_stream(number, run.seed, 1)), shortened, 0)
+        return steps.planned().completed().tracking_errors()
+
+
+def part(errors: Array, first: int, last: int) -> Array:
+    """Root-mean-square error of hops `first` to `last`, NaN if the robot did not make them; shape (2,)."""
+    chosen = errors[first - 1 : last]
+    return np.sqrt(np.mean(chosen**2, axis=0)) if len(chosen) == last - first + 1 else np.full(2, np.nan)
+
+
+def print_group(name: str, runs: Sequence[Run], errors: Mapping[Run, Array]) -> None:
+    """Prints the rows of a group of runs."""
+    for prior in dict.fromkeys(run.prior for run in runs):
+        chosen = [run for run in runs if run.prior == prior]
+        falls = sum(len(errors[run]) < STEPS for run in chosen)
+        first = np.sqrt(np.nanmean([part(errors[run], 1, 1) ** 2 for run in chosen], axis=0))
+        cells = [f"{name:9}{prior:9} falls {falls:2d} of {len(chosen)}", f"first {_pair(first)}"]
+        for begin, end in ((1, 10), (11, 20), (STEPS - LAST + 1, STEPS)):
+            values = np.array([part(errors[run], begin, end) for run in chosen])
+            middle, most = np.nanquantile(values, [0.5, 0.9], axis=0)
+            cells.append(f"{begin}–{end} {_pair(middle)} ({_pair(most)})")
+        if prior != "none":
+            cells += [_ratio(chosen, errors, *span) for span in ((1, 20), (41, 100), (STEPS - LAST + 1, STEPS))]
+        print(" | ".join(cells), flush=True)
+
+
+def _pair(error: Array) -> str:
+    return f"{1e3 * error[0]:.1f}, {1e3 * error[1]:.1f}"
+
+
+def _ratio(runs: Sequence[Run], errors: Mapping[Run, Array], first: int, last: int) -> str:
+    """Median paired ratio of the error to that without a prior, with its interval."""
+
+    def size(run: Run) -> float:
+        return float(np.linalg.norm(part(errors[run], first, last) / BAND))
+
+    logs = np.log([size(run) / size(run._replace(prior="none")) for run in runs])
+    logs = logs[np.isfinite(logs)]
+    rng = np.random.default_rng(0)
+    drawn = np.median(rng.choice(logs, (2000, len(logs))), axis=1)
+    low, high = np.exp(np.quantile(drawn, [0.025, 0.975]))
+    return f"ratio {first}–{last} {np.exp(np.median(logs)):.2f} ({low:.2f}–{high:.2f})"
+
+
+def main() -> None:
+    """Prints all groups."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--family", type=int, default=80)
+    parser.add_argument("--twins", type=int, default=20)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--out", type=Path)
+    given = parser.parse_args()
+    members = dict(finished(family_member, range(given.family)))
+    robots = [members[number] for number in sorted(members) if len(members[number]) >= LEAST_STEPS]
+    print(f"{len(robots)} of {given.family} twins with {LEAST_STEPS} hops or more; a prior needs {LEAST_ROBOTS}")
+    priors, seeds = priors_of(robots), range(given.seeds)
+    if given.out and (found := priors["prior"]):
+        about = {"robots": len(robots), "steps": sum(map(len, robots)), "by": "benchmarks/priors.py"}
+        given.out.write_text(PriorFile(found, "hopper", "equations", about).text(), encoding="utf-8")
+    twins = range(FIRST_UNSEEN, FIRST_UNSEEN + given.twins)
+    right = ("none", "prior")
+    groups = {
+        "twins": [Run(*case) for case in product(twins, seeds, right)],
+        "outside": [Run(*case) for case in product(OUTSIDE, seeds, right)],
+        "wrong": [Run(*case) for case in product(twins, [0], [name for name in priors if name not in right])],
+    }
+    errors = dict(finished(partial(errors_of, priors), [run for runs in groups.values() for run in runs]))
+    for name, runs in groups.items():
+        print_group(name, runs, errors)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,48 @@
+"""The verb `stepgap prior`: what the errors of many robots have in common."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stepgap.base.errors import InputError
+from stepgap.base.output_files import check_new, write_new
+from stepgap.cli.options import Flag
+from stepgap.cli.terminal import announces_compilation, warn
+
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from stepgap.experiment.prior import RobotSteps
+
+LEAST_STEPS = 15
+"""Number of completed steps from which a run says something about its robot."""
+
+
+@announces_compilation
+def prior(*runs: Path, out: Path, quiet: Flag = False) -> None:
+    """Find a prior over robots from the steps of many of them, so that a new one of the kind needs fewer steps.
+
+    Args:
+        runs: Folders of runs, one for each robot, or of a sweep over random twins, all of whose runs are used.
+        out: New file of the prior (JSON), which `stepgap run --prior` takes.
+        quiet: Print only the path of the file.
+    """
+    from stepgap.cli.progress import progress_bar
+    from stepgap.experiment.prior import find_prior, folders_of, steps_of_robot
+
+    check_new(out, "--out")
+    folders = folders_of(runs)
+    if not folders:
+        raise InputError("RUNS: give the folders of runs, one for each robot, or of a sweep over random twins")
+    found: list[RobotSteps] = []
+    with progress_bar("reading", quiet) as progress:
+        for number, folder in enumerate(folders, 1):
+            found.append(steps_of_robot(folder))
+            progress(number, len(folders))
+    poor = [each.folder for each in found if len(each.observations) < LEAST_STEPS]
+    if poor:
+        warn(f"left out, since it has fewer than {LEAST_STEPS} completed steps: {', '.join(map(str, poor))}")
+    made = find_prior([each for each in found if each.folder not in poor])
+    write_new(out, "--out", made.text())
+    if not quiet:
+        for name, each in zip(made.prior.names, made.prior.coordinates, strict=False):
+            spread = float(each.covariance[0, 0]) ** 0.5
+            print(f"{name}: robots differ by {spread:.2g} half ranges, steps by {each.noise_std:.2g}", file=sys.stderr)

@@ -1,0 +1,72 @@
+"""A prior over robots from recorded runs, one for each robot."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from stepgap.base.errors import InputError
+from stepgap.base.versions import versions_here
+from stepgap.experiment.run import Run
+from stepgap.learning.observations import Observations, observe
+from stepgap.learning.prior import LEAST_ROBOTS, fit_prior
+from stepgap.records.prior_file import PriorFile
+
+
+class RobotSteps(NamedTuple):
+    """What is known of one robot.
+
+    Attributes:
+        folder: Folder of its run.
+        robot: Name of the kind of robot.
+        nominal: Kind of its nominal map.
+        observations: Errors of that map.
+    """
+
+    folder: Path
+    robot: str
+    nominal: str
+    observations: Observations
+
+
+def folders_of(paths: Sequence[Path]) -> list[Path]:
+    """The folders of runs among these, and those of all runs of a sweep among these."""
+    found = list[Path]()
+    for path in paths:
+        runs = sorted(each.parent for each in (path / "runs").glob("*/steps.csv"))
+        found += runs if runs and not (path / "steps.csv").exists() else [path]
+    return found
+
+
+def steps_of_robot(folder: Path) -> RobotSteps:
+    """Reads a run, of which all steps count.
+
+    Raises:
+        InputError: It is not a run, or its nominal map is not known.
+    """
+    run = Run(folder)
+    nominal, settings = run.needed(run.nominal), run.needed(run.settings)
+    kind = "" if settings.nominal.linear else settings.nominal.kind
+    return RobotSteps(folder, settings.robot.name, kind, observe(run.recorded, nominal))
+
+
+def find_prior(robots: Sequence[RobotSteps]) -> PriorFile:
+    """Finds the prior over robots.
+
+    Raises:
+        InputError: There are too few, or they differ in state, command, ranges or nominal map.
+    """
+    if len(robots) < LEAST_ROBOTS:
+        raise InputError(f"RUNS: {len(robots)} robots with enough steps, but a prior needs at least {LEAST_ROBOTS}")
+    first = robots[0]
+    for each in robots:
+        if each[1:3] != first[1:3] or each.observations.space != first.observations.space:
+            wanted = "the robot, the ranges of its state and command, and the nominal map must be the same"
+            raise InputError(f"{each.folder}: differs from {first.folder}; {wanted}")
+    if not first.nominal:
+        raise InputError(f"{first.folder}: a prior is for the nominal map as it is, but nominal.linear is true")
+    provenance = {
+        "robots": len(robots),
+        "steps": sum(len(each.observations) for each in robots),
+        "stepgap": versions_here()["stepgap"],
+    }
+    return PriorFile(fit_prior([each.observations for each in robots]), first.robot, first.nominal, provenance)

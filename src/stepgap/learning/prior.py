@@ -1,0 +1,150 @@
+"""A prior over robots: what the errors of a nominal map have in common on many robots of a kind.
+
+The error of each state coordinate is a quadratic polynomial of the scaled state and command, whose weights are drawn
+anew for each robot from one normal distribution. `fit_prior` finds that distribution from the steps of many robots, by
+expectation maximisation (Gelman et al., Bayesian Data Analysis, Sec. 15.5). The noise is that of each robot, so that a
+bad one has little weight.
+
+A residual with this prior needs some three steps of a new robot where one without it needs ten. If the data of the new
+robot are more probable by the weak prior of a polynomial, the robot is not of that kind, and the prior is not used.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepgap.learning.observations import Observations
+from stepgap.learning.polynomial import QUADRATIC, Moments, fit_polynomial, monomials, weak_prior
+from stepgap.learning.regression import ResidualModel, TrainingData
+from stepgap.step import Array
+
+DEGREE = 2
+"""Degree of the polynomials."""
+
+LEAST_ROBOTS = 5
+"""Number of robots from which a prior can be found."""
+
+NOISE_COUNT = 5.0
+"""Number of values that the noise of other robots is worth for a new one."""
+
+ROUNDS = 60
+"""Number of rounds of expectation maximisation; later ones change no weight by more than a hundredth of its spread."""
+
+LEAST_SPREAD = 1e-4
+"""Variance of a weight that a single robot is taken to add [half ranges²], so that no direction is without spread."""
+
+
+class CoordinatePrior(NamedTuple):
+    """Prior of the error of one state coordinate, in half ranges.
+
+    Attributes:
+        mean: Mean of the weights of the monomials; shape (k,).
+        covariance: Their covariance between robots; shape (k, k).
+        noise_std: Standard deviation of a step's error about the polynomial, median of the robots.
+    """
+
+    mean: Array
+    covariance: Array
+    noise_std: float
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """A prior over robots.
+
+    Attributes:
+        names: Names of the d coordinates of state and command.
+        centre: Middle of the range of use of each; shape (d,).
+        scale: Half that range; shape (d,).
+        coordinates: Of each of the n state coordinates.
+    """
+
+    names: tuple[str, ...]
+    centre: Array
+    scale: Array
+    coordinates: tuple[CoordinatePrior, ...]
+
+    def moments(self, coordinate: int, data: TrainingData) -> Moments:
+        """Moments of the polynomial of a state coordinate, whose inputs after the first d have the weak prior.
+
+        Args:
+            coordinate: Number of the coordinate.
+            data: Data of the polynomial, whose ranges may differ from those of the prior.
+        """
+        weak, found = weak_prior(data, DEGREE), self.coordinates[coordinate]
+        d, size = len(self.names), len(data.scale) - data.timed
+        back = self._converted(data.centre[:d], data.scale[:d])
+        mean, covariance = (found.mean @ back.T, back @ found.covariance @ back.T)
+        unit = float(self.scale[coordinate])
+        kept = _kept(d, size)
+        information, projection = weak.information.copy(), weak.projection.copy()
+        block = found.noise_std**2 * np.linalg.inv(covariance)
+        information[np.ix_(kept, kept)] = block = (block + block.T) / 2
+        projection[kept] = block @ mean * unit
+        squares = (NOISE_COUNT - 2) * (found.noise_std * unit) ** 2 + float(mean @ block @ mean) * unit**2
+        return Moments(information, projection, squares, NOISE_COUNT)
+
+    def _converted(self, centre: Array, scale: Array) -> Array:
+        """The matrix that converts weights of this prior to those of inputs with other ranges; shape (k, k)."""
+        d = len(self.names)
+        x = np.random.default_rng(0).uniform(-1, 1, (4 * (d + 1) ** 2, d))
+        there = monomials((x * self.scale + self.centre - centre) / scale, DEGREE)
+        return np.asarray(np.linalg.lstsq(there, monomials(x, DEGREE))[0], float)
+
+
+def _kept(d: int, size: int) -> NDArray[np.intp]:
+    """Which monomials of `size` inputs have the first d alone; in the order of the monomials of those d."""
+    first, second = np.triu_indices(size)
+    pairs = 1 + size + np.flatnonzero((first < d) & (second < d))
+    return np.concatenate([np.arange(1 + d), pairs])
+
+
+def fit_prior(robots: Sequence[Observations]) -> Prior:
+    """Finds the prior from the observations of many robots.
+
+    Raises:
+        ValueError: There are too few robots.
+    """
+    if len(robots) < LEAST_ROBOTS:
+        raise ValueError(f"{len(robots)} robots, but a prior needs those of at least {LEAST_ROBOTS}")
+    space = robots[0].space
+    basis = [monomials(space.scaled_inputs(each.state, each.command), DEGREE) for each in robots]
+    errors = [each.error / space.state_scale for each in robots]
+    coordinates = [_fitted(basis, [each[:, number] for each in errors]) for number in range(len(space.state))]
+    centre = np.concatenate([space.state_centre, space.command_centre])
+    scale = np.concatenate([space.state_scale, space.command_scale])
+    return Prior(space.names, centre, scale, tuple(coordinates))
+
+
+def _fitted(basis: Sequence[Array], values: Sequence[Array]) -> CoordinatePrior:
+    """Expectation maximisation for one coordinate: monomials (N, k) and errors (N,) of each robot [half ranges]."""
+    size, count = basis[0].shape[1], len(basis)
+    mean, covariance, noise = np.zeros(size), 0.1 * np.eye(size), np.full(count, 0.05**2)
+    grams = [each.T @ each for each in basis]
+    sums = [each.T @ value for each, value in zip(basis, values, strict=True)]
+    for _ in range(ROUNDS):
+        prior = np.linalg.inv(covariance)
+        spreads = [np.linalg.inv(prior + gram / one) for gram, one in zip(grams, noise, strict=True)]
+        weights = np.array(
+            [spread @ (prior @ mean + total / one) for spread, total, one in zip(spreads, sums, noise, strict=True)]
+        )
+        for number, (each, value) in enumerate(zip(basis, values, strict=True)):
+            squares = float(np.sum((value - each @ weights[number]) ** 2) + np.sum(grams[number] * spreads[number]))
+            noise[number] = squares / len(value)
+        mean = weights.mean(axis=0)
+        covariance = ((weights - mean).T @ (weights - mean) + sum(spreads) + LEAST_SPREAD * np.eye(size)) / count
+    return CoordinatePrior(mean, covariance, float(np.sqrt(np.median(noise))))
+
+
+PRIOR: Final = ResidualModel(
+    "prior",
+    "a quadratic polynomial with a prior learned from other robots",
+    lambda data, start: fit_polynomial(data, DEGREE),
+    QUADRATIC.from_dict,
+    complexity=3,
+)
+"""The residual `prior`: without one, it is `quadratic`."""

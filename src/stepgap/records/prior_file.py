@@ -1,0 +1,130 @@
+"""Files of priors over robots: readable JSON, with what the prior was found from."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from stepgap.base.errors import message_of
+from stepgap.base.files import read_bounded_text
+from stepgap.base.json_data import as_object, number, numbers, parse_json
+from stepgap.learning.polynomial import monomials
+from stepgap.learning.prior import DEGREE, CoordinatePrior, Prior
+from stepgap.step import Array, StepSpace
+
+LARGEST_PRIOR = 2**24
+"""Largest file of a prior that is read [bytes]."""
+
+FORMAT = "stepgap prior 1"
+"""Value of the key `format`."""
+
+DIGITS = 8
+"""Significant digits of the numbers."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PriorFile:
+    """A prior with its provenance.
+
+    Attributes:
+        prior: The prior.
+        robot: Name of the robots.
+        nominal: Kind of nominal map whose errors they are.
+        provenance: How it was found, as JSON data.
+    """
+
+    prior: Prior
+    robot: str
+    nominal: str
+    provenance: Mapping[str, Any]
+
+    def text(self) -> str:
+        """The file. Means and covariances are in half ranges of the state coordinate."""
+        prior = self.prior
+        ranges = zip(prior.names, prior.centre, prior.scale, strict=True)
+        content = {
+            "format": FORMAT,
+            "robot": self.robot,
+            "nominal": self.nominal,
+            "provenance": dict(self.provenance),
+            "inputs": [{"name": name, "centre": float(middle), "scale": float(half)} for name, middle, half in ranges],
+            "monomials": _names_of_monomials(prior.names),
+            "coordinates": [
+                {
+                    "name": name,
+                    "noise_std": _rounded(each.noise_std),
+                    "mean": _rounded(each.mean),
+                    "covariance": _rounded(each.covariance),
+                }
+                for name, each in zip(prior.names, prior.coordinates, strict=False)
+            ],
+        }
+        return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+
+
+def read_prior(path: Path, space: StepSpace) -> PriorFile:
+    """Reads a prior for a robot with this state and command.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: It is not a prior, or that of another state and command; the message names the file.
+    """
+    try:
+        data = as_object(parse_json(read_bounded_text(path, LARGEST_PRIOR)), "a prior")
+        if data.get("format") != FORMAT:
+            raise ValueError(f"format must be {FORMAT!r}; `stepgap prior` writes such a file")
+        return _restored(data, space)
+    except ValueError as error:
+        raise ValueError(f"{path}: {message_of(error).removeprefix(f'{path}: ')}") from None
+
+
+def _restored(data: Mapping[str, Any], space: StepSpace) -> PriorFile:
+    inputs = [as_object(each, "inputs") for each in _items(data, "inputs")]
+    names = tuple(str(each.get("name")) for each in inputs)
+    if names != space.names:
+        raise ValueError(f"it is for {', '.join(names)}, but this robot has {', '.join(space.names)}")
+    centre, scale = (np.array([number(each, key) for each in inputs]) for key in ("centre", "scale"))
+    if not (scale > 0).all():
+        raise ValueError("inputs: scale must be positive")
+    size = len(_names_of_monomials(names))
+    coordinates = tuple(_coordinate(as_object(each, "coordinates"), size) for each in _items(data, "coordinates"))
+    if len(coordinates) != len(space.state):
+        raise ValueError(f"coordinates must have {len(space.state)} entries, one for each state coordinate")
+    robot, nominal = (str(data.get(key, "")) for key in ("robot", "nominal"))
+    provenance = as_object(data.get("provenance", {}), "provenance")
+    return PriorFile(Prior(names, centre, scale, coordinates), robot, nominal, provenance)
+
+
+def _coordinate(data: Mapping[str, Any], size: int) -> CoordinatePrior:
+    found = CoordinatePrior(numbers(data, "mean", 1), numbers(data, "covariance", 2), number(data, "noise_std"))
+    covariance = found.covariance
+    if found.mean.shape != (size,) or covariance.shape != (size, size):
+        raise ValueError(f"coordinates: mean and covariance must have {size} numbers and rows, one for each monomial")
+    if not np.array_equal(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] <= 0:
+        raise ValueError("coordinates: covariance must be symmetric and positive definite")
+    if found.noise_std <= 0:
+        raise ValueError("coordinates: noise_std must be positive")
+    return found
+
+
+def _items(data: Mapping[str, Any], key: str) -> list[Any]:
+    found = data.get(key)
+    if not isinstance(found, list):
+        raise ValueError(f"{key} must be a list")
+    return found
+
+
+def _names_of_monomials(names: tuple[str, ...]) -> list[str]:
+    """What each weight is multiplied by, in the order of `monomials`."""
+    i, j = np.triu_indices(len(names))
+    found = ["1", *names, *(f"{names[a]} {names[b]}" for a, b in zip(i, j, strict=True))]
+    return found[: monomials(np.zeros(len(names)), DEGREE).size]
+
+
+def _rounded(values: Array | float) -> Any:
+    """Numbers with `DIGITS` significant digits, as JSON data."""
+    return np.vectorize(lambda value: float(f"{value:.{DIGITS}g}"))(np.asarray(values, float)).tolist()
