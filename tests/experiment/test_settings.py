@@ -346,10 +346,10 @@ def test_a_file_of_a_robot_is_found_beside_the_settings_and_goes_with_a_run(tmp_
     (tmp_path / "floor.csv").write_text("place,height\n0,0\n1,0.01\n")
     (tmp_path / "own.toml").write_text('[ground]\nprofile = "floor.csv"\n')
     settings = read_experiment(tmp_path / "own.toml")
-    assert settings.robot.ground.profile == str(tmp_path / "floor.csv")
+    assert as_hopper(settings.robot, "").ground.profile == str(tmp_path / "floor.csv")
     write_experiment(tmp_path / "run", settings, load_reference(settings, settings.space))
     (tmp_path / "floor.csv").unlink()
     again = read_experiment(tmp_path / "run" / "experiment.toml")
-    assert again.robot.ground.largest_change == 0.01
+    assert as_hopper(again.robot, "").ground.largest_change == 0.01
     with pytest.raises(InputError, match=r"ground.profile: .*floor.csv"):
         write_experiment(tmp_path / "run", settings, load_reference(settings, settings.space))

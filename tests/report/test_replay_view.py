@@ -79,7 +79,9 @@ def test_the_legend_speaks_of_what_the_robot_has(folder: Path) -> None:
 
 def test_the_ground_is_drawn_and_heights_stand_on_it(folder: Path) -> None:
     run = Run(folder, space=LossyHopper().space)
-    ground = GroundPieces(*np.array([[0.0, 1.0], [1.0, 1.5], [0.0, 0.05], [0.01, 0.05]]), np.array([False, True]))
+    start, end, *heights = np.array([[0.0, 1.0], [1.0, 1.5], [0.0, 0.05], [0.01, 0.05]])
+    changed = np.array([False, True])
+    ground = GroundPieces(start=start, end=end, start_height=heights[0], end_height=heights[1], changed=changed)
     found = re.search(r'id="replay-data">(.*?)</script>', replay_view(run, Replay({1: motion(40)}, SCENE, {1: ground})))
     assert found
     (entry,) = json.loads(found[1])["motions"]

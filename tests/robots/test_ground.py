@@ -111,7 +111,8 @@ def test_a_profile_is_read_as_it_is_written(rows, tmp_path_factory):
     place, height = np.array(rows).T / [[100], [1000]]
     path.write_text("height,place\n" + "".join(f"{y!r},{x!r}\n" for x, y in np.column_stack([place, height]).tolist()))
     ground = UnevenGround(profile=str(path))
-    gaps, rises = np.diff(np.append(place, place[0] + LENGTH)), np.diff(np.append(height, height[0]))
+    gaps = np.asarray(np.diff(np.append(place, place[0] + LENGTH)), float)
+    rises = np.asarray(np.diff(np.append(height, height[0])), float)
     if (np.abs(rises[gaps > 0]) > LARGEST_SLOPE * gaps[gaps > 0]).any():
         with pytest.raises(InputError, match=r"profile.csv, row \d+: the ground rises"):
             ground.treads(LENGTH, np.random.default_rng(0))

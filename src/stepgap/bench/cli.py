@@ -35,11 +35,13 @@ def bench_map_(
     """
     from stepgap.bench.step_map import bench_map, describe_map_bench
     from stepgap.experiment.settings import read_experiment
+    from stepgap.robots.hopper.model.apex_map import ApexMap
     from stepgap.robots.hopper.robot import as_hopper
 
     settings = read_experiment(experiment, overrides or [])
     file = _new_file(out, "bench_map.json")
-    nominal = as_hopper(settings.robot, "the map is timed").apex_map()
+    hopper = as_hopper(settings.robot, "the map is timed")
+    nominal = ApexMap(hopper.parameters, hopper.gains, hopper.command)
     result = bench_map(nominal, settings.seed, quick, _announce)
     print(describe_map_bench(result))
     _write_json(file, result)
