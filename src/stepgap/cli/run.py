@@ -45,6 +45,8 @@ class Shorthand:
         explore: Number of exploratory steps before the first deployment. [default: 0]
         online: Learn after every step, from the first one on.
         warm_start: Folder of an earlier run, whose steps are learned from before the first deployment.
+        prior: What learning expects before the first step: robot (of many robots of this kind, where there is such a
+            prior and --online is given), none, or a file that `stepgap prior` wrote. [default: robot]
     """
 
     reference: FileName | None = None
@@ -56,6 +58,7 @@ class Shorthand:
     explore: Integer | None = None
     online: Flag = False
     warm_start: FolderName | None = None
+    prior: FileName | None = None
 
     def overrides(self) -> list[tuple[str, str]]:
         """Given settings as dotted names and TOML values."""
@@ -65,6 +68,7 @@ class Shorthand:
             "plant": self.plant,
             "rig": self.rig,
             "warm_start": self.warm_start,
+            "prior": self.prior,
         }
         numbers = {
             "seed": self.seed,

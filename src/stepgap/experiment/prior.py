@@ -46,7 +46,7 @@ def steps_of_robot(folder: Path) -> RobotSteps:
     run = Run(folder)
     nominal, settings = run.needed(run.nominal), run.needed(run.settings)
     kind = "" if settings.nominal.linear else settings.nominal.kind
-    return RobotSteps(folder, settings.robot.name, kind, observe(run.recorded, nominal))
+    return RobotSteps(folder, settings.robot.name, kind, observe(run.recorded.planned(), nominal))
 
 
 def find_prior(robots: Sequence[RobotSteps]) -> PriorFile:

@@ -134,7 +134,7 @@ class Hopper(Robot):
         return HopperControl(self.parameters, self.gains, self.command, ground=self.ground)
 
     def prior(self) -> Path:
-        """That of 60 random twins, of whose hops a nominal controller with noise made 40 each."""
+        """That of 76 random twins, which hopped to random targets with the nominal map (`benchmarks/priors.py`)."""
         return Path(__file__).with_name("prior.json")
 
     def kinematics(self, sensors: SensorModel | None = None) -> "HopperKinematics":
