@@ -1,19 +1,19 @@
-"""Priors over robots: the error of the first hops of unseen hoppers that learn online, with and without one.
+"""Priors over robots: the error of the first steps of unseen robots that learn online, with and without one.
 
-The prior is found from random twins that hop to random targets with the nominal map alone. Then other twins, and robots
-that the family of twins does not draw, hop along the beginning of the paper's reference. Wrong priors are those of the
+The prior is found from random robots of a kind that step to random targets with the nominal map alone. Then others, and
+hoppers that the family of twins does not draw, track the beginning of their reference. Wrong priors are those of the
 same twins with inverted commands, with exchanged commands, and with errors in another unit.
 
-Left out are robots that cannot track the reference however much they have learned: those whose last 20 hops without a
+Left out are hoppers that cannot track the reference however much they have learned: those whose last 20 hops without a
 prior have, with one of the seeds, more than twice the final error of the paper's robot. Their numbers are printed.
 
-Printed for each group and prior: falls, error of the first hop (root mean square over the runs), of hops 1–10, 11–20
-and 81–100 (median and 90 % quantile), each as speed [mm/s] and height [mm]; what the controller itself expected of hops
-1–10 and 11–20 (median of the root mean squares), which is the least error that its knowledge permits; then, paired by
-run, the median ratio of the error [bands] of hops 1–20, 41–100 and 81–100 to that without a prior, with a 95 % interval
-(bootstrap).
+Printed for each group and prior: falls, error of the first step (root mean square over the runs), of steps 1–10, 11–20
+and 81–100 (median and 90 % quantile), each in thousandths of the units of the states, such as mm/s and mm; what the
+controller itself expected of steps 1–10 and 11–20 (median of the root mean squares), which is the least error that its
+knowledge permits; then, paired by run, the median ratio of the error [half ranges] of steps 1–20, 41–100 and 81–100 to
+that without a prior, with a 95 % interval (bootstrap).
 
-    ./go python -m benchmarks.priors [--family 80] [--twins 20] [--seeds 3] [--out prior.json]
+    ./go python -m benchmarks.priors [--robot hopper] [--family 80] [--twins 20] [--seeds 3] [--out prior.json]
 """
 
 import argparse
@@ -35,11 +35,12 @@ from stepgap.learning.observations import Observations, observe
 from stepgap.learning.prior import LEAST_ROBOTS, Prior, fit_prior
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
+from stepgap.plants.plant import Plant
 from stepgap.records.prior_file import PriorFile
-from stepgap.robots.hopper.paper import paper_reference
+from stepgap.robots.entry_points import load_robot
 from stepgap.robots.hopper.robot import Hopper
-from stepgap.robots.hopper.twin.simulation import TwinSimulation
-from stepgap.step import Array
+from stepgap.robots.robot import Robot
+from stepgap.step import Array, StepMap, StepSpace
 
 BAND = np.array([0.0179, 0.0052])
 """Final errors of the paper's robot: speed [m/s] and height [m]."""
@@ -65,35 +66,49 @@ OUTSIDE: Mapping[str, Mapping[str, float]] = {
 
 
 class Run(NamedTuple):
-    """One run: a robot, by the number of a twin or a name in `OUTSIDE`, a seed, and the name of a prior."""
+    """One run: a kind of robot, which one, by its number or a name in `OUTSIDE`, a seed, and the name of a prior."""
 
+    kind: str
     robot: int | str
     seed: int
     prior: str
 
 
-def hopper_of(robot: int | str) -> Hopper:
+def robot_of(kind: str, robot: int | str) -> Robot:
     """The robot of a run."""
-    if isinstance(robot, int):
-        return Hopper().randomised(random_stream(robot))
-    return replace(Hopper(), gap=replace(Hopper().gap, **OUTSIDE[robot]))
+    if isinstance(robot, str):
+        return replace(Hopper(), gap=replace(Hopper().gap, **OUTSIDE[robot]))
+    found = load_robot(kind).randomised(random_stream(robot))
+    if found is None:
+        raise ValueError(f"{kind}: no random robots")
+    return found
 
 
-def random_targets(number: int) -> Reference:
-    """Targets that change every one to three hops."""
+def random_targets(space: StepSpace, number: int) -> Reference:
+    """Targets within 0.9 of the ranges of use that change every one to three steps."""
     rng, rows = random_stream(number, 7), list[Array]()
     while len(rows) < 80:
-        rows += [rng.uniform([0.0, 0.535], [0.4, 0.63])] * int(rng.integers(1, 4))
-    return Reference(("speed", "height"), np.array(rows))
+        target = space.state_centre + 0.9 * space.state_scale * rng.uniform(-1, 1, len(space.state))
+        rows += [np.where(space.tracked, target, np.nan)] * int(rng.integers(1, 4))
+    return Reference(space.state_names, np.array(rows))
 
 
-def family_member(number: int) -> Observations:
-    """What a twin of the family does with the nominal map alone."""
-    hopper = hopper_of(number)
+def plant_of(robot: Robot, world: np.random.Generator, rng: np.random.Generator) -> Plant:
+    """The first simulated plant of a robot."""
+    return next(iter(robot.simulations().values()))(world).plant(rng)
+
+
+def nominal_of(robot: Robot) -> StepMap:
+    """The first nominal map of a robot."""
+    return next(iter(robot.nominal_maps().values()))()
+
+
+def family_member(kind: str, number: int) -> Observations:
+    """What a robot of the family does with the nominal map alone."""
+    robot = robot_of(kind, number)
     with one_blas_thread():
-        nominal = hopper.apex_map()
-        simulation = TwinSimulation(hopper.parameters, hopper.gap, hopper.control, random_stream(number, 2))
-        steps = tracked(uncorrected(nominal), simulation.plant(random_stream(number, 5)), random_targets(number), 0)
+        nominal, plant = nominal_of(robot), plant_of(robot, random_stream(number, 2), random_stream(number, 5))
+        steps = tracked(uncorrected(nominal), plant, random_targets(robot.space, number), 0)
         return observe(steps.planned(), nominal)
 
 
@@ -106,7 +121,7 @@ def priors_of(robots: Sequence[Observations]) -> dict[str, Prior | None]:
             return replace(each, command=2 * space.command_centre - each.command)
         if kind == "swapped":
             return replace(each, command=space.command_at(np.roll(space.point_of(each.command), 1, axis=1)))
-        return replace(each, error=each.error * np.array([3.6, 1.0]))
+        return replace(each, error=each.error * np.append(3.6, np.ones(len(space.state) - 1)))
 
     wrong = {kind: fit_prior([changed(each, kind) for each in robots]) for kind in ("inverted", "swapped", "km/h")}
     return {"none": None, "prior": fit_prior(robots), **wrong}
@@ -114,24 +129,24 @@ def priors_of(robots: Sequence[Observations]) -> dict[str, Prior | None]:
 
 def errors_of(priors: Mapping[str, Prior | None], run: Run) -> Array:
     """Tracking errors of a run and their expected size; shape (2, N, 2), with N less than `STEPS` if it fell."""
-    hopper = hopper_of(run.robot)
+    robot = robot_of(run.kind, run.robot)
     number = run.robot if isinstance(run.robot, int) else sum(map(ord, run.robot))
     with one_blas_thread():
-        nominal = hopper.apex_map()
-        simulation = TwinSimulation(hopper.parameters, hopper.gap, hopper.control, random_stream(number, run.seed))
-        reference = paper_reference()
-        shortened = Reference(reference.names, reference.targets[:STEPS])
+        nominal = nominal_of(robot)
+        plant = plant_of(robot, random_stream(number, run.seed), random_stream(number, run.seed, 1))
+        reference = next(iter(robot.references().values()))()
+        rows = np.resize(reference.targets, (STEPS, len(reference.names)))
         learning = LearningSettings(online=True)
         learner = Learner.start(nominal, Steps(nominal.space), learning, 0, prior=priors[run.prior])
-        steps = tracked(learner, simulation.plant(random_stream(number, run.seed, 1)), shortened, 0)
+        steps = tracked(learner, plant, Reference(reference.names, rows), 0)
         made = steps.planned().completed()
         return np.stack([made.tracking_errors(), made.std])
 
 
 def part(errors: Array, first: int, last: int) -> Array:
-    """Root-mean-square error of hops `first` to `last`, NaN if the robot did not make them; shape (2,)."""
+    """Root-mean-square error of steps `first` to `last`, NaN if the robot did not make them; shape (n,)."""
     chosen = errors[first - 1 : last]
-    return np.sqrt(np.mean(chosen**2, axis=0)) if len(chosen) == last - first + 1 else np.full(2, np.nan)
+    return np.sqrt(np.mean(chosen**2, axis=0)) if len(chosen) == last - first + 1 else np.full(errors.shape[1], np.nan)
 
 
 def print_group(name: str, runs: Sequence[Run], found: Mapping[Run, Array]) -> None:
@@ -158,18 +173,18 @@ def print_group(name: str, runs: Sequence[Run], found: Mapping[Run, Array]) -> N
 def unable(runs: Sequence[Run], found: Mapping[Run, Array]) -> set[int | str]:
     """Robots that do not track the reference after 80 hops of learning without a prior."""
     late = {run: part(found[run][0], STEPS - LAST + 1, STEPS) for run in runs if run.prior == "none"}
-    return {run.robot for run, error in late.items() if not (error <= 2 * BAND).all()}
+    return {run.robot for run, error in late.items() if run.kind == Hopper.name and not (error <= 2 * BAND).all()}
 
 
 def _pair(error: Array) -> str:
-    return f"{1e3 * error[0]:.1f}, {1e3 * error[1]:.1f}"
+    return ", ".join(f"{1e3 * each:.1f}" for each in error)
 
 
 def _ratio(runs: Sequence[Run], errors: Mapping[Run, Array], first: int, last: int) -> str:
     """Median paired ratio of the error to that without a prior, with its interval."""
 
     def size(run: Run) -> float:
-        return float(np.linalg.norm(part(errors[run], first, last) / BAND))
+        return float(np.linalg.norm(part(errors[run], first, last) / load_robot(run.kind).space.state_scale))
 
     logs = np.log([size(run) / size(run._replace(prior="none")) for run in runs])
     logs = logs[np.isfinite(logs)]
@@ -182,27 +197,30 @@ def _ratio(runs: Sequence[Run], errors: Mapping[Run, Array], first: int, last: i
 def main() -> None:
     """Prints all groups."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--robot", default=Hopper.name)
     parser.add_argument("--family", type=int, default=80)
     parser.add_argument("--twins", type=int, default=20)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
-    members = dict(finished(family_member, range(given.family)))
+    members = dict(finished(partial(family_member, given.robot), range(given.family)))
     robots = [members[number] for number in sorted(members) if len(members[number]) >= LEAST_STEPS]
     print(f"{len(robots)} of {given.family} twins with {LEAST_STEPS} hops or more; a prior needs {LEAST_ROBOTS}")
     priors, seeds = priors_of(robots), range(given.seeds)
     if given.out and (found := priors["prior"]):
         about = {"robots": len(robots), "steps": sum(map(len, robots)), "by": "benchmarks/priors.py"}
-        given.out.write_text(PriorFile(found, "hopper", "equations", about).text(), encoding="utf-8")
+        nominal = next(iter(load_robot(given.robot).nominal_maps()))
+        given.out.write_text(PriorFile(found, given.robot, nominal, about).text(), encoding="utf-8")
     twins = range(FIRST_UNSEEN, FIRST_UNSEEN + given.twins)
     right = ("none", "prior")
     groups = {
-        "twins": [Run(*case) for case in product(twins, seeds, right)],
-        "outside": [Run(*case) for case in product(OUTSIDE, seeds, right)],
-        "wrong": [Run(*case) for case in product(twins, [0], [name for name in priors if name not in right])],
+        "unseen": [Run(given.robot, *case) for case in product(twins, seeds, right)],
+        "wrong": [Run(given.robot, *case) for case in product(twins, [0], [*priors][2:])],
     }
+    if given.robot == Hopper.name:
+        groups["outside"] = [Run(given.robot, *case) for case in product(OUTSIDE, seeds, right)]
     found = dict(finished(partial(errors_of, priors), [run for runs in groups.values() for run in runs]))
-    left_out = unable([*groups["twins"], *groups["outside"]], found)
+    left_out = unable([*found], found)
     print(f"left out: {', '.join(map(str, sorted(left_out, key=str))) or 'none'}")
     for name, runs in groups.items():
         print_group(name, [run for run in runs if run.robot not in left_out], found)
