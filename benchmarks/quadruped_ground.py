@@ -4,8 +4,8 @@ It hops after random targets that change every 4 to 8 hops. `blind` and `touchdo
 is the same controller without a new plan when all feet have landed, which knows the ground of the hop before alone.
 `online` also learns from hop to hop, `again` has hopped on this ground before, and learned from that. On the grounds
 `floors` the whole floor is at another height at each hop; on the others the ground is one by place. After a fall the
-robot starts at another place. On grounds with `late` its legs are lowered when it falls at 0.4 m/s. Errors are those of
-the true state above the ground that was measured; the last one is that of hops whose forces are within their bounds.
+robot starts at another place. Errors are those of the true state above the ground that was measured. The feet are
+raised by 5 cm while it rises, 2 cm more than by default.
 
     ./go python -m benchmarks.quadruped_ground [--grounds floors_30,stairs_31] [--seeds 1,2,3] [--hops 60]
 """
@@ -41,16 +41,17 @@ FLOORS: Mapping[str, float] = {f"floors_{mm}": mm / 1e3 for mm in (15, 30)}
 GROUNDS: Mapping[str, UnevenGround] = {
     "flat": FLAT,
     **dict.fromkeys(FLOORS, FLAT),
-    **{f"stairs_{mm}{late}": UnevenGround(stair_height=mm / 1e3) for mm in (31, 62) for late in ("", "_late")},
+    **{f"stairs_{mm}": UnevenGround(stair_height=mm / 1e3) for mm in (15, 31, 62)},
     "ramps_5": UnevenGround(slope=0.05),
     "ramps_10": UnevenGround(slope=0.1),
-    "rough_5": UnevenGround(roughness=0.005),
     "soft": UnevenGround(patch_stiffness=0.1),
     "slippery": UnevenGround(patch_friction=0.5),
 }
 """Grounds by name."""
 
 WAYS = ("nominal", "blind", "touchdown", "online", "again")
+
+GAINS = PronkGains(retraction=0.05)
 
 LEARNED = 100
 """Hops from which is learned."""
@@ -70,12 +71,12 @@ class Found(NamedTuple):
 
     Attributes:
         errors: Errors of the true speed [m/s] and height [m]; shape (N, 2).
-        free: Whether its forces were within their bounds; shape (N,).
+        at_bound: Whether one of its forces was at a bound; shape (N,).
         falls: Number of hops that failed.
     """
 
     errors: Array
-    free: Array
+    at_bound: Array
     falls: int
 
 
@@ -99,8 +100,7 @@ def hops_of(learner: Learner, plant: Plant, reference: Reference, between: Calla
 
 def deployments(case: Case, ground: str, way: str, learner: Learner, hops: int) -> list[Steps]:
     """So many hops on a ground; after a fall, of another deployment."""
-    gains, logs = PronkGains(extension_speed=0.4 if case.ground.endswith("late") else 0.0), list[Steps]()
-    robot = Quadruped(ground=GROUNDS[ground], gains=gains)
+    robot, logs = Quadruped(ground=GROUNDS[ground], gains=GAINS), list[Steps]()
     simulation, rng = robot.simulations()["mujoco"](random_stream(case.seed, 9)), random_stream(case.seed, 7)
     while (left := hops - sum(map(len, logs))) > 0:
         plant = simulation.plant(random_stream(case.seed, learner.iteration, len(logs)))
@@ -134,7 +134,7 @@ def measured(case: Case) -> Found:
     hops = [each for log in logs for each in log.planned().completed()]
     errors = np.array([each.record.true_next_state - each.target for each in hops]).reshape(-1, 2)
     points = nominal.space.point_of(np.array([each.record.requested for each in hops]).reshape(-1, 2))
-    return Found(errors, np.abs(points).max(axis=1) < 1, sum(log.failed_steps for log in logs))
+    return Found(errors, np.abs(points).max(axis=1) >= 1, sum(log.failed_steps for log in logs))
 
 
 def main() -> None:
@@ -147,15 +147,20 @@ def main() -> None:
     options = parser.parse_args()
     grounds, ways, seeds = options.grounds.split(","), options.ways.split(","), map(int, options.seeds.split(","))
     found = dict(finished(measured, [Case(g, w, s, options.hops) for s in seeds for g in grounds for w in ways]))
-    print("RMSE [mm/s, mm], falls of hops; RMSE of height [mm] and number of hops within the bounds")
+    print(
+        "RMSE [mm/s, mm], falls of hops; of the height's error median and 90 % quantile [mm]; hops at a bound of a force"
+    )
     for ground in grounds:
         for way in ways:
             runs = [each for case, each in found.items() if (case.ground, case.way) == (ground, way)]
             errors, falls = np.concatenate([each.errors for each in runs]), sum(each.falls for each in runs)
             speed, height = 1e3 * np.sqrt(np.mean(errors**2, axis=0))
-            free = errors[np.concatenate([each.free for each in runs]) > 0, 1]
-            within = f"{1e3 * np.sqrt(np.mean(free**2)):.1f} of {len(free)}"
-            print(f"{ground:14} {way:10} {speed:6.1f} {height:6.1f}   {falls} of {len(errors) + falls}   {within}")
+            usual, most = 1e3 * np.quantile(np.abs(errors[:, 1]), [0.5, 0.9])
+            bound = np.mean(np.concatenate([each.at_bound for each in runs]))
+            hops = f"{falls} of {len(errors) + falls}"
+            print(
+                f"{ground:10} {way:10} {speed:6.1f} {height:6.1f}   {hops:10} {usual:5.1f} {most:5.1f}   {bound:4.0%}"
+            )
 
 
 if __name__ == "__main__":

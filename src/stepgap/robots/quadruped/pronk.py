@@ -37,7 +37,6 @@ class PronkGains:
         pitch_stiffness: Torque against the pitch in stance [N·m/rad].
         pitch_damping: Torque against its rate [N·m·s/rad].
         retraction: Height by which the feet are raised while the robot rises in flight [m].
-        extension_speed: Speed of descent at which they are lowered again [m/s]; a higher one clears higher risers.
         foot_stiffness: Stiffness with which each foot is placed in flight [N/m].
         foot_damping: Damping of this motion [N·s/m].
     """
@@ -52,7 +51,6 @@ class PronkGains:
     pitch_stiffness: float = 300.0
     pitch_damping: float = 30.0
     retraction: float = 0.03
-    extension_speed: float = 0.0
     foot_stiffness: float = 900.0
     foot_damping: float = 18.0
 
@@ -80,7 +78,6 @@ class PronkLaw(NamedTuple):
     pitch_stiffness: float
     pitch_damping: float
     retraction: float
-    extension_speed: float
     foot_stiffness: float
     foot_damping: float
 
@@ -181,9 +178,7 @@ def pronk(law, phase, contact, position, velocity, force_x, force_z, torques):
     length_rate = (x * x_rate + z * z_rate) / length
     phase = pronk_phase(law, phase, length, length_rate, velocity[1] >= 0.0, contact)
     landing_x, landing_z = foot_placement(law, velocity[0])
-    landing_z += (
-        law.retraction if velocity[1] > -law.extension_speed else 0.0
-    )  # so that no foot touches the ground on its way
+    landing_z += law.retraction if velocity[1] > 0.0 else 0.0  # so that no foot touches the ground on its way
     body_x, body_z = virtual_force(law, x, z, length_rate, phase == THRUST, force_x, force_z)
     moment = -law.pitch_stiffness * pitch - law.pitch_damping * rate - (z * body_x - x * body_z)
     for leg in range(4):
