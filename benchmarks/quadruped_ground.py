@@ -147,9 +147,7 @@ def main() -> None:
     options = parser.parse_args()
     grounds, ways, seeds = options.grounds.split(","), options.ways.split(","), map(int, options.seeds.split(","))
     found = dict(finished(measured, [Case(g, w, s, options.hops) for s in seeds for g in grounds for w in ways]))
-    print(
-        "RMSE [mm/s, mm], falls of hops; of the height's error median and 90 % quantile [mm]; hops at a bound of a force"
-    )
+    print("RMSE [mm/s, mm], falls of hops; height: median error, 90 % quantile [mm]; hops with a force at its bound")
     for ground in grounds:
         for way in ways:
             runs = [each for case, each in found.items() if (case.ground, case.way) == (ground, way)]
