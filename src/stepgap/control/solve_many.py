@@ -91,9 +91,8 @@ def solve_many(step_map: StepMap, states: ArrayLike, targets: ArrayLike) -> Answ
     reached = norms(values) <= REACHED
     status = np.full(len(points), int(StepStatus.OK))
     free = (np.abs(points) < 1).sum(axis=1)
-    doubtful = (m > wanted.sum(axis=1)) | (
-        free >= min(2, m)
-    )  # Broyden's updates give the derivative along one free direction, not along all
+    # Broyden's updates give the derivative along one free direction, not along all.
+    doubtful = (m > wanted.sum(axis=1)) | (free >= min(2, m))
     unsolved = np.flatnonzero(~reached & (~converged | doubtful))
     found = _solve_one_by_one(problem, unsolved, count, commands[unsolved])
     commands[unsolved], predicted[unsolved], reached[unsolved], status[unsolved] = found

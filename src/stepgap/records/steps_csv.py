@@ -313,10 +313,7 @@ def _space_in(lines: Sequence[str], path: Path, space: StepSpace) -> StepSpace:
     known = {each.name: each for each in space.context}
     valid = all(map(is_name, names))
     context = tuple(known.get(name) or ContextQuantity(name, "") for name in names) if valid else ()
-    there = {
-        "",
-        *(each.name for each in context),
-    }  # what an older run did not measure above anything, it took from zero
+    there = {"", *(each.name for each in context)}  # an older run took from zero what it did not measure above anything
     state = tuple(each if each.above in there else replace(each, above="") for each in space.state)
     found = replace(space, state=state, context=context)
     if columns != column_names(found) or len(set(columns)) < len(columns):

@@ -174,7 +174,6 @@ def clear_change(before: float, after: float, ends: Array) -> float:
     """
     explained, ratio = np.log(ABOUT), np.log(after / before)
     if (ends > 0).all():
-        explained = np.linalg.norm(
-            np.log(ends[:, 1] / ends[:, 0]) / 2
-        )  # half widths on the logarithm, added in squares
+        half_widths = np.log(ends[:, 1] / ends[:, 0]) / 2
+        explained = np.linalg.norm(half_widths)
     return float(np.sign(ratio)) if abs(ratio) > explained else 0.0
