@@ -62,9 +62,27 @@ def external(path: Path) -> Path:
     return path
 
 
+def external_in_long_form(path: Path) -> Path:
+    """The same, with a length of the key in two bytes instead of one: onnxruntime would read the other file."""
+
+    def part(field: int, content: bytes) -> bytes:
+        return bytes([8 * field + 2, len(content)]) + content
+
+    model = onnx.load(graph(path, "Add", ((1, 3),)))
+    model.graph.node[0].input.append("w")
+    entries = b"\x0a\x88\x00location" + part(2, b"data"), part(1, b"length") + part(2, b"12")
+    tensor = b"\x08\x03\x10\x01" + part(8, b"w") + b"".join(part(13, each) for each in entries) + b"\x70\x01"
+    content = model.graph.SerializeToString() + part(5, tensor)
+    model.ClearField("graph")
+    path.write_bytes(model.SerializeToString() + part(7, content))
+    assert onnx.load(path, load_external_data=False).graph.initializer[0].external_data[0].key == "location"
+    return path
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
+        (external_in_long_form, "some of its numbers are in another file"),
         (external, "some of its numbers are in another file"),
         (lambda path: graph(path, "Add", ((1, 3), (1, 3))), "it has 2 inputs (x0, x1), but only one can be given"),
         (

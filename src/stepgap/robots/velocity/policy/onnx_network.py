@@ -1,5 +1,6 @@
 """A network in an ONNX file: a vector in, a vector out."""
 
+import re
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -13,8 +14,9 @@ from stepgap.step import Array
 LARGEST_NETWORK: Final = 2**28
 """Largest file of a network that is read [bytes]."""
 
-_EXTERNAL: Final = b"\n\x08location"
-"""Begins, in the encoding of ONNX, the entry of a tensor that says in which other file its numbers are."""
+_EXTERNAL: Final = re.compile(rb"(?:\x0a|\x8a\x80{0,8}\x00)(?:\x08|\x88\x80{0,8}\x00)location")
+"""Begins, in the encoding of ONNX, the entry of a tensor that says in which other file its numbers are; the two numbers
+of field and length may have more bytes than they need."""
 
 _REMEDY: Final = "export the policy by torch.onnx.export or your training program as one ONNX file"
 
@@ -83,7 +85,7 @@ def read_network(path: Path) -> bytes:
         content = read_bounded(path, LARGEST_NETWORK)
     except OSError as error:
         raise InputError(f"{message_of(error)}; {_REMEDY}") from None
-    if _EXTERNAL in content:
+    if _EXTERNAL.search(content):
         raise InputError(f"{path}: some of its numbers are in another file; {_REMEDY} (external_data=False)")
     return content
 
