@@ -58,10 +58,13 @@ def test_a_policy_without_metadata_says_what_is_missing_until_it_is_filled_in(st
     Path("cart.xml").write_text(cart_xml())
     made = stepgap("new", "cart", "--policy", "walk.onnx", "--mjcf", "cart.xml")
     assert made.code == 0
-    assert "fill in action_scale, observation in cart/policy.toml first: they are not in walk.onnx" in made.err
+    assert (
+        "fill in action_scale, observation, stiffness in cart/policy.toml first: they are not in walk.onnx" in made.err
+    )
     file = Path("cart/policy.toml")
     refused(stepgap("run", "cart/experiment.toml", "--out", "out"), "cart/policy.toml: action_scale: missing")
     text = file.read_text().replace("# action_scale = []", "action_scale = [1.0]")
+    text = text.replace("stiffness = []", "stiffness = [2.0]").replace("damping = []", "damping = [0.8]")
     file.write_text(text.replace("# observation = [", "observation = [", 1))
     settings = read_policy_settings(file)
     assert settings.observation == TERMS
@@ -87,14 +90,26 @@ def test_texts_of_others_do_not_leave_their_place(stepgap: Command) -> None:
         (["--policy", "cart.xml", "--mjcf", "cart.xml"], ["--policy cart.xml: onnxruntime cannot load it"]),
         (["--policy", "none.onnx", "--mjcf", "cart.xml"], ["--policy none.onnx: No such file"]),
         (["--policy", "walk.onnx", "--mjcf", "walk.onnx"], ["--mjcf walk.onnx: ", "give a MuJoCo model (MJCF)"]),
-        (["--policy", "walk.onnx", "--mjcf", "fixed.xml"], ["model.xml: its first body has no free joint"]),
-        (["--policy", "small.onnx", "--mjcf", "cart.xml"], ["its terms have 24 numbers", "but policy.onnx wants 23"]),
+        (
+            ["--policy", "walk.onnx", "--mjcf", "fixed.xml"],
+            ["--policy walk.onnx, --mjcf fixed.xml: its first body has no free"],
+        ),
+        (["--policy", "walk.onnx", "--mjcf", "empty.xml"], ["--mjcf empty.xml: its first body has no free joint"]),
+        (["--policy", "plain.onnx", "--mjcf", "fixed.xml"], ["--mjcf fixed.xml: its first body has no free joint"]),
+        (["--policy", "walk.onnx", "--mjcf", "space.xml"], ["--mjcf space.xml: it has no gravity"]),
+        (
+            ["--policy", "small.onnx", "--mjcf", "cart.xml"],
+            [": policy.toml: observation: its terms have 24", "policy.onnx wants 23"],
+        ),
     ],
 )
 def test_wrong_files_leave_no_folder(stepgap: Command, options: list[str], words: list[str]) -> None:
     write_network(Path("walk.onnx"), driving(), mjlab_metadata())
     write_network(Path("small.onnx"), driving()[:, 1:], mjlab_metadata())
     Path("cart.xml").write_text(cart_xml())
+    write_network(Path("plain.onnx"), driving())
     Path("fixed.xml").write_text(cart_xml().replace("<freejoint/>", ""))
+    Path("empty.xml").write_text("<mujoco/>")
+    Path("space.xml").write_text(cart_xml().replace("<option", '<option gravity="0 0 0"'))
     refused(stepgap("new", "cart", *options), *words)
     assert not Path("cart").exists()

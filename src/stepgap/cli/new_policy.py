@@ -1,6 +1,6 @@
 """The folder of a robot with a trained policy that `stepgap new --policy` makes."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields
 from pathlib import Path
 from string import Template
@@ -52,14 +52,17 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> list[str]
     if added:
         write_whole(model, text)
     create(folder / POLICY_FILE, _policy_toml(found._replace(values=known)))
-    missing = _missing(known)
-    if not missing:
-        robot = PolicyRobot(policy=PolicyFile(str(folder / POLICY_FILE)))
-        robot.model_spec().compile()
-        robot.walking_control()
-    fall_height = f"{0.5 * standing_height(joints, positions, model):.3f}"
+    missing = _missing(known, found.advice)
+    try:
+        height = standing_height(joints, positions, model)
+        if not missing:
+            robot = PolicyRobot(policy=PolicyFile(str(folder / POLICY_FILE)))
+            robot.model_spec().compile()
+            robot.walking_control()
+    except ValueError as error:
+        raise InputError(f"--policy {policy}, --mjcf {mjcf}: {str(error).replace(f'{folder}/', '')}") from None
     todo = f"\n**First fill in {', '.join(missing)} in `policy.toml`.**\n" if missing else ""
-    values = {"name": readme_name(name), "fall_height": fall_height, "todo": todo, "added": ""}
+    values = {"name": readme_name(name), "fall_height": f"{0.5 * height:.3f}", "todo": todo, "added": ""}
     if added:
         values["added"] = f" It had no {' and no '.join(added)}, so they were added."
     for target, source in {"experiment.toml": "policy.toml.txt", "README.md": "README_policy.md.txt"}.items():
@@ -67,11 +70,12 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> list[str]
     return missing
 
 
-def _missing(known: Mapping[str, Any]) -> list[str]:
-    """Settings without a default that are not known."""
+def _missing(known: Mapping[str, Any], advice: Mapping[str, Sequence[str]]) -> list[str]:
+    """Settings that are not known, and have no default or one that does not fit."""
     from stepgap.robots.velocity.policy.policy_settings import PolicySettings
 
-    return [each.name for each in fields(PolicySettings) if each.default is MISSING and each.name not in known]
+    unknown = [each for each in fields(PolicySettings) if each.name not in known]
+    return [each.name for each in unknown if each.default is MISSING or each.name in advice]
 
 
 def _policy_toml(proposal: "Proposal") -> str:

@@ -156,6 +156,7 @@ def test_it_starts_on_the_ground_in_its_default_posture_and_drives_as_commanded(
         ({"model": "none.xml"}, "model = none.xml: "),
         ({"model": cart_xml(actuators("motor")), "stiffness": [], "damping": []}, "the actuator of joint front_left"),
         ({"model": cart_xml(actuators("motor")).replace("<freejoint/>", "")}, "its first body has no free joint"),
+        ({"model": cart_xml(actuators("motor", 'gear="0"'))}, "the actuator of joint front_left has gear 0"),
         ({"model": cart_xml()}, "joint front_left has 0 actuators in the model; it must have one"),
     ],
 )  # fmt: skip

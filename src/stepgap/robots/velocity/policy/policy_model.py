@@ -27,15 +27,11 @@ def policy_spec(settings: PolicySettings, file: Path) -> Any:
     Raises:
         InputError: The model cannot be loaded, or has not what the policy needs; the message names the key.
     """
-    path = file.parent / settings.model
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = _walking_spec(file.parent / settings.model)
     except ValueError as error:
-        raise InputError(f"{file}: model = {settings.model}: {' '.join(str(error).split()):.300}") from None
+        raise InputError(f"{file}: model = {settings.model}: {error}") from None
     spec.option.timestep = settings.timestep
-    body = spec.worldbody.first_body()
-    if body is None or body.first_joint() is None or body.first_joint().type != mujoco.mjtJoint.mjJNT_FREE:
-        raise InputError(f"{path}: its first body has no free joint; give it <freejoint/>")
     if settings.imu and spec.site(settings.imu) is None:
         raise InputError(f"{file}: imu = {settings.imu!r}, but the model has no such site")
     servos = [_servo(spec, joint, file) for joint in settings.joints]
@@ -51,6 +47,20 @@ def policy_spec(settings: PolicySettings, file: Path) -> Any:
     return spec
 
 
+def _walking_spec(path: Path) -> Any:
+    """The model in a file; raises ValueError if it cannot be loaded, or cannot walk."""
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise ValueError(f"{' '.join(str(error).split()):.300}") from None
+    body = spec.worldbody.first_body()
+    if body is None or body.first_joint() is None or body.first_joint().type != mujoco.mjtJoint.mjJNT_FREE:
+        raise ValueError("its first body has no free joint; give it <freejoint/>")
+    if not np.any(spec.option.gravity):
+        raise ValueError("it has no gravity; give it that of the training")
+    return spec
+
+
 def _servo(spec: Any, joint: str, file: Path) -> Any:
     """The only actuator of a joint."""
     found = spec.joint(joint)
@@ -60,6 +70,8 @@ def _servo(spec: Any, joint: str, file: Path) -> Any:
     actuators = [each for each in spec.actuators if each.target == joint and each.trntype == mujoco.mjtTrn.mjTRN_JOINT]
     if len(actuators) != 1:
         raise InputError(f"{file}: joint {joint} has {len(actuators)} actuators in the model; it must have one")
+    if not actuators[0].gear[0]:
+        raise InputError(f"{file}: the actuator of joint {joint} has gear 0 in the model; give it another one")
     return actuators[0]
 
 
@@ -92,8 +104,12 @@ def stand(joints: Sequence[str], positions: Sequence[float], model: Any, data: A
 
 
 def standing_height(joints: Sequence[str], positions: Sequence[float], path: Path) -> float:
-    """Height of the frame of the first body of a model that stands with these joints at these positions [m]."""
-    model = mujoco.MjModel.from_xml_path(str(path))
+    """Height of the frame of the first body of a model that stands with these joints at these positions [m].
+
+    Raises:
+        ValueError: The model cannot be loaded, or cannot walk; the message is the reason.
+    """
+    model = _walking_spec(path).compile()
     data = mujoco.MjData(model)
     stand(joints, positions, model, data)
     return float(data.qpos[2])

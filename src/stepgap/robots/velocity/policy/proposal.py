@@ -64,8 +64,8 @@ def propose_policy(network: NetworkParts, model: Parts) -> Proposal:
             values[key] = numbers
     if "action_scale" not in values:
         advice["action_scale"] = ["Fill it in, such as 0.25 or 0.5:"]
-    if "stiffness" not in values and not all(model.servos):
-        advice["stiffness"] = ["Fill it in, and damping, for the actuators of the model that are motors."]
+    if "stiffness" not in values and not (model.servos and all(model.servos)):
+        advice["stiffness"] = ["Fill it in, and damping: not every joint has a position servo with gains in the model."]
     if imus := [site for site in model.sites if "imu" in site.lower()]:
         values["imu"], advice["imu"] = imus[0], ["Check it: the name of a site of the model."]
     _propose_observation(said, network, values, advice)
@@ -91,7 +91,7 @@ def _propose_joints(
         advice["joints"] = [f"Fill in the joints of the {network.outputs} actions; the model has these {len(found)}:"]
         advice["joints"].append(toml_line("joints", found))
     positions = _numbers(said.get("default_joint_pos", []))
-    if known and len(positions) == network.outputs == len(known):
+    if values.get("joints") is known and len(positions) == network.outputs:
         values["default_joint_pos"] = positions
     elif "joints" in values:
         name = "home" if "home" in model.keyframes else next(iter(model.keyframes), "")
