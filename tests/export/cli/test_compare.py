@@ -1,6 +1,7 @@
 """The verb `compare`: runs and model files on one page."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -46,6 +47,13 @@ def test_model_files_are_compared_by_the_names_of_their_passports(
     broken = json.loads(Path(paths[1]).read_text("utf-8"))
     Path("broken.json").write_text(json.dumps({**broken, "schema": 1}), "utf-8")
     refused(stepgap("compare", paths[0], "broken.json"), "broken.json: not a model file (schema must be 3, not 1)")
+    for wrong in ([], [["name", "x"]], "text", None, {"name": 5}, {"name": "\x1b[31m"}, {"name": "x" * 61}):
+        Path("broken.json").write_text(json.dumps({**broken, "passport": wrong}), "utf-8")
+        refused(stepgap("compare", paths[0], "broken.json"), "broken.json: not a model file (passport")
+    odd = {"name": "<script>a</script>", "<b>": "<img src=x>", "errors": 5}
+    Path("broken.json").write_text(json.dumps({**broken, "passport": odd}), "utf-8")
+    assert stepgap("compare", *paths, "broken.json", "--out", "odd.html").code == 0
+    assert not re.search("<script>a|<b>|<img src=x", Path("odd.html").read_text("utf-8"))
 
 
 def test_runs_are_compared(tmp_path: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:

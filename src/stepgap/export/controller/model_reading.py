@@ -9,9 +9,10 @@ from typing import Any, Final
 import numpy as np
 
 from stepgap.base.errors import InputError, message_of
-from stepgap.base.json_data import boolean, integer, numbers
+from stepgap.base.json_data import as_object, boolean, integer, numbers
 from stepgap.control.settings import ControlSettings
 from stepgap.export.controller.model_document import FORMAT, MODEL_SCHEMA, model_document
+from stepgap.export.controller.passport import checked_robot_name
 from stepgap.export.controller.portable_controller import PortableController
 from stepgap.export.controller.trust_document import sized, trust_from
 from stepgap.learning.corrected_map import CorrectedMap
@@ -82,8 +83,21 @@ def _controller(saved: Mapping[str, Any]) -> PortableController:
         reject_outliers=boolean(saved["outliers"], "used"),
         warm_start=boolean(saved["trust"], "warm_start"),
         notes=tuple(map(str, (*saved["approximations"], *saved["notes"]))),
-        passport=saved.get("passport", {}),
+        passport=_passport(saved.get("passport", {})),
     )
+
+
+def _passport(saved: Any) -> dict[str, Any]:
+    """A passport, whose name can be printed; its other entries are as they are."""
+    passport = as_object(saved, "passport")
+    name = passport.get("name", "")
+    if not isinstance(name, str):
+        raise ValueError(f"passport.name must be a text, not {name!r:.40}")
+    try:
+        checked_robot_name(name)
+    except InputError as error:
+        raise ValueError(f"passport: {error}") from None
+    return passport
 
 
 def _quantities(saved: Mapping[str, Any], key: str) -> tuple[Quantity, ...]:
