@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import tau
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Self
@@ -14,7 +15,14 @@ from stepgap.rigs.rig import SensorModel
 from stepgap.robots.ground import UnevenGround
 from stepgap.robots.hopper.footholds import random_strides, stones_reference
 from stepgap.robots.hopper.paper import paper_reference, paper_result
-from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.parameters import (
+    FIRST_EARLY,
+    KNOB_UNITS,
+    PAPER_PAIR,
+    CommandBounds,
+    Gains,
+    RobotParameters,
+)
 from stepgap.robots.hopper.twin.paper_family import PAPER_FAMILY
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.published_result import PublishedResult
@@ -37,7 +45,7 @@ class Hopper(Robot):
     Attributes:
         parameters: Robot of the physics model.
         gains: Gains of the joint controller.
-        command: Bounds of the step command.
+        command: What the step command is, and its bounds.
         gap: Differences of the twin from the model.
         ground: The twin's ground, where it is uneven.
     """
@@ -57,7 +65,7 @@ class Hopper(Robot):
 
     @property
     def space(self) -> StepSpace:
-        """State [speed, height], command [fx, fy]; on uneven ground, the height above what the foot finds."""
+        """State [speed, height], command such as [fx, fy]; on uneven ground, the height above what the foot finds."""
         return self.command.space(self.ground)
 
     def apex_map(self) -> StepMap:
@@ -108,15 +116,23 @@ class Hopper(Robot):
         )
 
     def published(self) -> PublishedResult | None:
-        """The result of the paper, whose robot did not track footholds."""
-        return None if self.ground.has_footholds else paper_result()
+        """The result of the paper, whose robot did not track footholds and had its command."""
+        return None if self.ground.has_footholds or self.command.pair != PAPER_PAIR else paper_result()
 
     def check(self) -> None:
-        """Raises ValueError where a gain does not fit the leg."""
-        try:
-            self.gains.check(self.parameters)
-        except ValueError as error:
-            raise ValueError(f"gains.{error}") from None
+        """Raises ValueError where a gain does not fit the leg, or the command does not fit gains or ground."""
+        for table, check in (("gains", self.gains.check), ("command", partial(self.command.check, self.gains))):
+            try:
+                check(self.parameters)
+            except ValueError as error:
+                raise ValueError(f"{table}.{error}") from None
+        if self.ground.is_measured and self.command.is_early:
+            late = ", ".join([*KNOB_UNITS][:FIRST_EARLY])
+            pair = list(self.command.pair)
+            raise ValueError(
+                f"command.pair = {pair}, but on uneven ground, where a command is planned at touchdown, it must be two "
+                f"of {late}"
+            )
 
     def simulations(self) -> "Mapping[str, Callable[[np.random.Generator], HopperSimulation]]":
         """The twin."""
@@ -133,9 +149,9 @@ class Hopper(Robot):
 
         return HopperControl(self.parameters, self.gains, self.command, ground=self.ground)
 
-    def prior(self) -> Path:
-        """That of 76 random twins, which hopped to random targets with the nominal map (`benchmarks/priors.py`)."""
-        return Path(__file__).with_name("prior.json")
+    def prior(self) -> Path | None:
+        """That of 76 random twins that hopped to random targets (`benchmarks/priors.py`); for the paper's command alone."""
+        return Path(__file__).with_name("prior.json") if self.command.pair == PAPER_PAIR else None
 
     def kinematics(self, sensors: SensorModel | None = None) -> "HopperKinematics":
         """Kinematics of boom and leg with the sensors of a rig, or with those of the twin."""

@@ -31,7 +31,7 @@ from stepgap.robots.hopper.model.hop import (
     STANDSTILL,
     STRETCHING,
 )
-from stepgap.robots.hopper.model.joint_control import landing_posture, saturate
+from stepgap.robots.hopper.model.joint_control import commanded, landing_posture, saturate
 from stepgap.robots.hopper.model.leg import foot, four_bar
 from stepgap.robots.hopper.model.reduced import (
     Flight,
@@ -152,16 +152,18 @@ def _integrate_flight(flight, state, pending, tick, tolerance, trace):
 
 
 @compiled
-def _integrate_stance(masses, law, state, pending, tick, tolerance, trace, force_x, force_y):
-    """Integrates a stance from just after the impact to take-off; arguments as for `_integrate_flight`.
+def _integrate_stance(masses, laws, state, pending, tick, tolerance, trace):
+    """Integrates a stance from just after the impact to take-off; arguments as for `_integrate_flight`, and `HopLaws`.
 
     Returns:
         (event, state, pending): CONTACT at take-off, or another event that ended the stance.
     """
-    stance = Stance(masses=masses, law=law, side=-1.0, force_x=0.0, force_y=0.0, mode_1=0.0, mode_2=0.0)
+    stance = Stance(
+        masses=masses, law=laws.landing, side=-1.0, force_x=0.0, force_y=0.0, mode_1=0.0, mode_2=0.0
+    )
     if stance_motion(stance, state)[1].speed_y >= 0.0:
-        stance = Stance(masses=masses, law=law, side=1.0, force_x=force_x, force_y=force_y, mode_1=0.0, mode_2=0.0)
-    time, (remaining, torque_1, torque_2), limit = 0.0, pending, law.torque_limit
+        stance = _thrust(masses, laws)
+    time, (remaining, torque_1, torque_2), limit = 0.0, pending, laws.apex.torque_limit
     while time < STANCE_LIMIT:
         if remaining <= 0.0:
             asked_1, asked_2 = stance_motion(stance, state)[3]
@@ -171,25 +173,34 @@ def _integrate_stance(masses, law, state, pending, tick, tolerance, trace, force
         time, state, event, _ = integrate(held, time, state, begin + remaining, tolerance, FIRST_STEP, trace)
         remaining = 0.0 if event == TIME_OUT else remaining - (time - begin)
         if event == REVERSAL and stance.side < 0.0:
-            stance = Stance(masses=masses, law=law, side=1.0, force_x=force_x, force_y=force_y, mode_1=0.0, mode_2=0.0)
+            stance = _thrust(masses, laws)
         elif event != TIME_OUT:
             return event, state, (remaining, torque_1, torque_2)
     return BROKEN, state, (remaining, torque_1, torque_2)
 
 
 @compiled
-def sampled_hop(masses, law, tick, tolerance, speed, height, force_x, force_y, trace):
-    """Integrates one hop with torques held for `tick` [s]; the other arguments are as in `hop`.
+def _thrust(masses, laws):
+    """`Stance` after mid-stance."""
+    return Stance(
+        masses=masses, law=laws.thrust, side=1.0, force_x=laws.force_x, force_y=laws.force_y, mode_1=0.0, mode_2=0.0
+    )
+
+
+@compiled
+def sampled_hop(masses, law, tick, tolerance, speed, height, command_1, command_2, trace):
+    """Integrates one hop with torques held for `tick` [s]; the other arguments are as in `ApexMap`.
 
     Returns:
         (status, next speed, next height): `StepStatus` as an integer; NaN if there is no next apex.
     """
     no_apex = np.nan, np.nan
-    if not np.isfinite(speed + height + force_x + force_y):
+    if not np.isfinite(speed + height + command_1 + command_2):
         return INVALID, *no_apex
+    laws = commanded(law, command_1, command_2)
     alpha_1, alpha_2 = landing_posture(law, speed)
     state = (alpha_1, alpha_2, 0.0, 0.0)
-    flight = flight_of(masses, law, -1.0, 0.0, Hip(height, speed, 0.0), state)
+    flight = flight_of(masses, laws.landing, -1.0, 0.0, Hip(height, speed, 0.0), state)
     if flight_motion(flight, 0.0, state)[2] <= 0.0:
         return FOOT_SCUFFED, *no_apex
     event, time, state, pending = _integrate_flight(flight, state, (0.0, 0.0, 0.0), tick, tolerance, trace)
@@ -201,13 +212,12 @@ def sampled_hop(masses, law, tick, tolerance, speed, height, force_x, force_y, t
     hip = hip_in_flight(flight, m, time, state)
     _, _, rate_1, rate_2 = impact(m, toe, hip.speed_x, hip.speed_y, state[2], state[3])
     state = (state[0], state[1], rate_1, rate_2)
-    event, state, pending = _integrate_stance(masses, law, state, pending, tick, tolerance, trace, force_x, force_y)
-    stance = Stance(masses=masses, law=law, side=1.0, force_x=force_x, force_y=force_y, mode_1=0.0, mode_2=0.0)
-    hip = stance_motion(stance, state)[1]
+    event, state, pending = _integrate_stance(masses, laws, state, pending, tick, tolerance, trace)
+    hip = stance_motion(_thrust(masses, laws), state)[1]
     if event != CONTACT or hip.speed_y <= STANDSTILL:
         return _failure(event, NO_TAKE_OFF), *no_apex
 
-    flight = flight_of(masses, law, 1.0, SCUFF_DEPTH, hip, state)
+    flight = flight_of(masses, laws.apex, 1.0, SCUFF_DEPTH, hip, state)
     event, time, state, _ = _integrate_flight(flight, state, pending, tick, tolerance, trace)
     if event != REVERSAL:
         return _failure(event, FOOT_SCUFFED if event == CONTACT else NO_APEX), *no_apex

@@ -26,9 +26,9 @@ DIFFERENCE = 0.05
 def _hop_all(masses, law, tick, tolerance, points, next_state, status):
     trace = make_trace()
     for i in range(points.shape[0]):
-        speed, height, force_x, force_y = points[i]
+        speed, height, command_1, command_2 = points[i]
         status[i], next_state[i, 0], next_state[i, 1] = sampled_hop(
-            masses, law, tick, tolerance, speed, height, force_x, force_y, trace
+            masses, law, tick, tolerance, speed, height, command_1, command_2, trace
         )
 
 
@@ -59,12 +59,12 @@ class SampledApexMap(StepMap):
     ground: UnevenGround = FLAT_GROUND
 
     def __post_init__(self) -> None:
-        joint_law(self.robot, self.gains)
+        joint_law(self.robot, self.gains, self.bounds)
         require(TICKS[0] <= self.tick <= TICKS[1], "tick", self.tick, f"lie between {TICKS[0]:g} and {TICKS[1]:g} s")
 
     @property
     def space(self) -> StepSpace:
-        """State [speed, height], command [fx, fy]."""
+        """State [speed, height], and the command."""
         return self.bounds.space(self.ground)
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
@@ -75,10 +75,10 @@ class SampledApexMap(StepMap):
         """
         points, leading = as_points(state, command)
         next_state, status = np.full((len(points), 2), np.nan), np.zeros(len(points), dtype=np.int64)
-        constants = masses_of(self.robot), joint_law(self.robot, self.gains), self.tick, self.tolerance
+        constants = masses_of(self.robot), joint_law(self.robot, self.gains, self.bounds), self.tick, self.tolerance
         on_all_cores(_hop_all, constants, points, next_state, status)
         return Outcome(next_state.reshape(*leading, 2), status.reshape(leading))
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """∂(next speed, next height)/∂(speed, height, fx, fy) by differences that average over jumps; (…, 2, 4)."""
+        """∂(next speed, next height)/∂(speed, height, command) by differences that average over jumps; (…, 2, 4)."""
         return difference_jacobian(self, state, command, DIFFERENCE)

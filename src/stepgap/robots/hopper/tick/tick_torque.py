@@ -4,7 +4,7 @@ import numpy as np
 
 from stepgap.base.compiled import as_written, compiled
 from stepgap.plants.tick_control import Mode
-from stepgap.robots.hopper.model.joint_control import flight_torque, stance_torque
+from stepgap.robots.hopper.model.joint_control import commanded, flight_torque, stance_torque
 from stepgap.robots.hopper.model.leg import foot, four_bar
 from stepgap.robots.hopper.tick.estimator import mean_speed
 from stepgap.robots.hopper.tick.phases import Phase
@@ -17,17 +17,19 @@ LANDING_DAMPING = 0.5
 def wanted_torque(law, phase, motion, flight, hop, inputs):
     """Torques requested by the law of the mode [N·m]."""
     if inputs.mode == Mode.TORQUE:
-        return inputs.force_x, inputs.force_y
+        return inputs.command_1, inputs.command_2
+    laws = commanded(law, 0.0, 0.0) if np.isnan(hop.command_1) else commanded(law, hop.command_1, hop.command_2)
     grounded = phase == Phase.COMPRESSION or phase == Phase.THRUST
     if inputs.mode == Mode.POSTURE or not grounded:
         share = inputs.share if inputs.mode == Mode.POSTURE else 1.0
-        torque_1, torque_2 = _posture_torque(law, motion, flight)
+        is_commanded = inputs.mode != Mode.POSTURE and phase == Phase.DESCENT
+        torque_1, torque_2 = _posture_torque(laws.landing if is_commanded else law, motion, flight)
         return share * torque_1, share * torque_2
     if inputs.mode == Mode.LAND:
         return _landing_torque(law, motion, inputs.share)
-    acts = phase == Phase.THRUST and not np.isnan(hop.force_x)
-    force_x, force_y = (hop.force_x, hop.force_y) if acts else (0.0, 0.0)
-    return _stance_torque(law, motion.alpha_1, motion.alpha_2, force_x, force_y)
+    if phase == Phase.THRUST:
+        return _stance_torque(laws.thrust, motion.alpha_1, motion.alpha_2, laws.force_x, laws.force_y)
+    return _stance_torque(laws.landing, motion.alpha_1, motion.alpha_2, 0.0, 0.0)
 
 
 @as_written
