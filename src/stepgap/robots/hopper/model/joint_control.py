@@ -95,6 +95,13 @@ def acts_late(law):
 
 
 @compiled
+def changes_gains(law):
+    """Whether the law under a command, or after mid-stance, differs from that without and before."""
+    is_force = law.knob_1 <= FY and law.knob_2 <= FY
+    return not is_force or law.thrust_stiffness != 0.0 or law.thrust_rest_length != 0.0
+
+
+@compiled
 def _added(law, knob, command_1, command_2):
     """What the command adds to the quantity with a number in `KNOB_UNITS`."""
     return (command_1 if law.knob_1 == knob else 0.0) + (command_2 if law.knob_2 == knob else 0.0)
@@ -123,16 +130,19 @@ def commanded(law, command_1, command_2):
         0.0,
     )
     return HopLaws(
-        apex=law, landing=landing, thrust=thrust, force_x=_added(law, FX, command_1, command_2),
+        apex=_with_spring(law, 0.0, 0.0, law.landing_angle, 0.0, 0.0),
+        landing=landing,
+        thrust=thrust,
+        force_x=_added(law, FX, command_1, command_2),
         force_y=_added(law, FY, command_1, command_2),
-    )  # fmt: skip
+    )
 
 
 @compiled
 def _with_spring(law, stiffer, longer, landing_angle, more_gain, more_speed):
-    """`JointLaw` with changes of spring and landing."""
+    """`JointLaw` with changes of spring and landing; a copy, since compiled code cannot return a record."""
     return JointLaw(
-        leg=law.leg, stiffness=law.stiffness + stiffer, rest_length=law.rest_length + longer,
+        leg=Leg(law.leg.top, law.leg.bottom, law.leg.foot), stiffness=law.stiffness + stiffer, rest_length=law.rest_length + longer,
         landing_angle=landing_angle, speed_gain=law.speed_gain + more_gain,
         speed_setpoint=law.speed_setpoint + more_speed, position_gain=law.position_gain, damping_gain=law.damping_gain,
         torque_limit=law.torque_limit, thrust_rest_length=law.thrust_rest_length,
