@@ -1,7 +1,7 @@
 """The interface of a robot: its settings, state and command, nominal maps, reference, and simulated plants."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -12,6 +12,7 @@ from stepgap.plants.plant import Plant, RepeatablePlant
 from stepgap.plants.tick_control import RobotControl
 from stepgap.plants.ticks.stream import OnTicks, thinned
 from stepgap.rigs.rig import SensorModel
+from stepgap.robots.knobs import Knob, gain_knobs
 from stepgap.robots.published_result import PublishedResult
 from stepgap.robots.scene import GroundPieces, Kinematics
 from stepgap.step import Array, StepMap, StepSpace
@@ -101,6 +102,19 @@ class Robot(ABC):
             ValueError: The tick is out of its range.
         """
         return None
+
+    def knobs(self) -> Sequence[Knob]:
+        """What could be its step command instead, for `stepgap gait knobs`: without others, all its gains."""
+        return gain_knobs(self)
+
+    def loads(self, state: Array, command: Array) -> Mapping[str, float]:  # noqa: ARG002  (others use it)
+        """What a step asks of the robot and the floor, such as "torque [N·m]" and "friction"; empty if not known.
+
+        Args:
+            state: State at its start; shape (n,).
+            command: Its command; shape (m,).
+        """
+        return {}
 
     def references(self) -> Mapping[str, Callable[[], Reference]]:
         """Its references by name; the first one is the default. Without another, stairs in the ranges of use."""

@@ -1,6 +1,6 @@
 """The hopper as a `Robot`: its settings, and what they make."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import tau
@@ -25,9 +25,10 @@ from stepgap.robots.hopper.parameters import (
 )
 from stepgap.robots.hopper.twin.paper_family import PAPER_FAMILY
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.knobs import Knob
 from stepgap.robots.published_result import PublishedResult
 from stepgap.robots.robot import Robot
-from stepgap.step import StepMap, StepSpace
+from stepgap.step import Array, StepMap, StepSpace
 
 if TYPE_CHECKING:  # they load Numba and MuJoCo, which the settings do not need
     from stepgap.robots.hopper.kinematics import HopperKinematics
@@ -84,6 +85,20 @@ class Hopper(Robot):
 
         apexes = SampledApexMap(self.parameters, self.gains, self.command, tick, ground=self._of_apexes)
         return self._with_footholds(apexes)
+
+    def knobs(self) -> Sequence[Knob]:
+        """Gains that `command.pair` can name, each within its bounds."""
+        names = [name for name in KNOB_UNITS if name not in (*PAPER_PAIR, *self.command.pair)]
+        return [Knob(f"gains.{name}", KNOB_UNITS[name], getattr(self.command, name)) for name in names]
+
+    def loads(self, state: Array, command: Array) -> Mapping[str, float]:
+        """Largest torque, and the friction without which the foot slips, by the equations of motion."""
+        from stepgap.robots.hopper.model.dynamics import masses_of
+        from stepgap.robots.hopper.model.joint_control import joint_law
+        from stepgap.robots.hopper.model.loads import hop_loads
+
+        law = joint_law(self.parameters, self.gains, self.command)
+        return dict(zip(("torque [N·m]", "friction"), hop_loads(masses_of(self.parameters), law, *state[:2], *command)))
 
     @property
     def _of_apexes(self) -> UnevenGround:
