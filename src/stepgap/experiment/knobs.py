@@ -1,6 +1,6 @@
 """What else could be the step command: effects of settings on the next state, and what pairs of them cost."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -21,7 +21,10 @@ DIFFERENCE = 0.1
 """Step of the differences, as a part of the range of a knob; longer than the effect of a tick of a simulator."""
 
 WANTED = 0.5
-"""Wanted change of each state coordinate for which loads are computed [errors that count as one]."""
+"""Wanted change of each state coordinate for which loads are computed [half ranges of use, by their weights]."""
+
+TINY = 1e-300
+"""Least divisor, where a knob has no effect."""
 
 OnGait = Callable[[int, int], None]
 """Called with the number of gaits that are done, and of all."""
@@ -36,8 +39,9 @@ class KnobPair:
         angle: Angle between their effects, in errors that count as one, the mean over the gaits [rad]; π/2 if each
             changes what the other does not.
         condition: Largest ratio of what the pair does in its strongest and in its weakest direction, within the ranges.
-        missed: Part of the wanted changes that are out of the ranges, by the linear effects.
-        loads: Largest load over the gaits and wanted changes, by name; NaN without any.
+        missed: Part of the wanted steps that are out of the ranges, by the linear effects; NaN where other than two
+            coordinates are tracked.
+        loads: Largest load in the wanted steps within the ranges, by name: the gaits, and a change of each coordinate.
     """
 
     first: int
@@ -69,7 +73,10 @@ class KnobStudy:
     pairs: tuple[KnobPair, ...]
 
 
-def study_knobs(settings: Experiment, on_gait: OnGait = lambda done, total: None) -> KnobStudy:
+def study_knobs(settings: Experiment, on_gait: TINY = 1e-300
+"""Least divisor, where a knob has no effect."""
+
+OnGait = lambda done, total: None) -> KnobStudy:
     """Compares what could be the step command of a robot, by the nominal map with other settings.
 
     Args:
@@ -82,13 +89,14 @@ def study_knobs(settings: Experiment, on_gait: OnGait = lambda done, total: None
     robot, kind = settings.robot, settings.nominal.kind
     if kind not in robot.nominal_maps():
         known = ", ".join(robot.nominal_maps()) or "none"
-        raise InputError(f"nominal.kind = {kind}: only a map that robot '{robot.name}' makes from its settings has ({known})"
-                         " effects of settings")
+        raise InputError(
+            f"nominal.kind = {kind}: robot '{robot.name}' does not make it from its settings, so they have no effect on "
+            f"it; it must be one of {known}"
+        )
     space = robot.space
     commands = (Knob(each.name, each.unit, (each.upper - each.lower) / 2) for each in space.command)
     knobs = (*commands, *robot.knobs())
-    states, bases, effects = [], [], []
-    targets = _targets(space)
+    targets, states, commands_there, effects = _targets(space), [], [], []
     nominal = robot.nominal_maps()[kind]()
     for done, target in enumerate(targets):
         on_gait(done, len(targets))
@@ -99,7 +107,7 @@ def study_knobs(settings: Experiment, on_gait: OnGait = lambda done, total: None
         effect = np.stack([_effect(robot, kind, knob, gait.state, gait.command) for knob in knobs], axis=1)
         if gait.held and np.isfinite(effect).all():
             states.append(gait.state)
-            bases.append(gait.command)
+            commands_there.append(gait.command)
             effects.append(effect)
     if not states:
         raise InputError(
@@ -107,7 +115,7 @@ def study_knobs(settings: Experiment, on_gait: OnGait = lambda done, total: None
             "gait at which settings could be compared"
         )
     study = KnobStudy(space, knobs, np.array(states), len(targets) - len(states), np.array(effects), ())
-    pairs = sorted(_pairs(robot, study, np.array(bases)), key=lambda pair: pair.condition)
+    pairs = sorted(_pairs(robot, study, np.array(commands_there)), key=lambda pair: pair.condition)
     return KnobStudy(space, knobs, study.states, study.left_out, study.effects, tuple(pairs))
 
 
@@ -142,25 +150,44 @@ def _under(robot: Robot, changes: dict[str, float], command: Array) -> tuple[Rob
 
 
 def _pairs(robot: Robot, study: KnobStudy, commands: Array) -> Iterator[KnobPair]:
-    tracked = study.space.tracked
+    tracked, keys = study.space.tracked, np.array([knob.key for knob in study.knobs])
     scaled = study.effects[:, tracked] / study.space.error_scale[tracked, None]
-    wanted = WANTED * np.concatenate([np.eye(tracked.sum()), -np.eye(tracked.sum())])
-    for first, second in combinations(range(len(study.knobs)), 2):
-        two = scaled[:, :, [first, second]]
+    for chosen in map(list, combinations(range(len(keys)), 2)):
+        two = scaled[:, :, chosen]
         sizes = np.linalg.norm(two, axis=1)
-        cosines = np.abs((two[:, :, 0] * two[:, :, 1]).sum(axis=1)) / np.maximum(sizes.prod(axis=1), 1e-300)
-        changes = np.linalg.pinv(two, rcond=1e-9) @ wanted.T  # (g, 2, wanted)
-        hits = (np.abs(changes) <= 1).all(axis=1) & (np.abs(two @ changes - wanted.T) < 1e-6).all(axis=1)
-        keys = [(study.knobs[number].key, study.knobs[number].reach) for number in (first, second)]
+        cosines = np.abs((two[:, :, 0] * two[:, :, 1]).sum(axis=1)) / np.maximum(sizes.prod(axis=1), TINY)
+        moves = _moves(study, scaled, commands, chosen) if tracked.sum() == 2 else np.empty((len(commands), 0, len(keys)))
+        hits = np.abs(moves[:, :, chosen]).max(axis=2) <= 1
         loads = [
-            _loads(robot, dict(zip((key for key, _ in keys), change * [reach for _, reach in keys])), *place)
-            for place, there, hit in zip(zip(study.states, commands), np.swapaxes(changes, 1, 2), hits)
-            for change in there[hit]
+            _loads(robot, dict(zip(keys, move * [knob.reach for knob in study.knobs], strict=True)), *place)
+            for place, there, hit in zip(zip(study.states, commands, strict=True), moves, hits, strict=True)
+            for move in there[hit]
         ]
-        largest = {name: max(each[name] for each in loads) for name in (loads[0] if loads else {})}
-        condition = float(np.linalg.cond(two).max()) if (sizes > 0).all() else np.inf
-        angle = float(np.arccos(np.minimum(cosines, 1)).mean())
-        yield KnobPair(first, second, angle, condition, float(1 - hits.mean()), largest)
+        yield KnobPair(
+            *chosen,
+            angle=float(np.arccos(np.minimum(cosines, 1)).mean()),
+            condition=float(np.linalg.cond(two).max()) if (sizes > 0).all() else np.inf,
+            missed=float(1 - hits.mean()) if hits.size else np.nan,
+            loads={name: max(each[name] for each in loads) for name in (loads[0] if loads else {})},
+        )
+
+
+def _moves(study: KnobStudy, scaled: Array, commands: Array, pair: list[int]) -> Array:
+    """Changes of all knobs [ranges] with which a pair alone, as the command, makes the wanted steps, by linear effects.
+
+    The other coordinates of the command go to the middle of their bounds, so the pair holds the gaits instead of them.
+
+    Returns:
+        Shape (gaits, wanted changes, k).
+    """
+    others = [number for number in range(commands.shape[1]) if number not in pair]
+    rest = (study.space.command_centre - commands) / study.space.command_scale
+    wanted = WANTED * np.concatenate([np.zeros((1, 2)), np.eye(2), -np.eye(2)])
+    missing = wanted - np.einsum("gnk,gk->gn", scaled[:, :, others], rest[:, others])[:, None]
+    moves = np.zeros((len(commands), len(wanted), scaled.shape[2]))
+    moves[:, :, pair] = np.swapaxes(np.linalg.pinv(scaled[:, :, pair], rcond=1e-9) @ np.swapaxes(missing, 1, 2), 1, 2)
+    moves[:, :, others] = rest[:, None, others]
+    return moves
 
 
 def _loads(robot: Robot, changes: dict[str, float], state: Array, command: Array) -> dict[str, float]:
@@ -173,5 +200,5 @@ def _loads(robot: Robot, changes: dict[str, float], state: Array, command: Array
 
 def largest_effect(study: KnobStudy) -> Array:
     """Mean size of the effect of each knob over the gaits, in errors that count as one; shape (k,)."""
-    tracked: Sequence[bool] = study.space.tracked
+    tracked = study.space.tracked
     return np.linalg.norm(study.effects[:, tracked] / study.space.error_scale[tracked, None], axis=1).mean(axis=0)

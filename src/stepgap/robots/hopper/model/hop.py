@@ -195,9 +195,7 @@ def to_midstance(masses, laws, tolerances, speed, height, trace, retracing):
     state = (state[0], state[1], rate_1, rate_2)
     if speed_y >= 0.0:
         return OK, state
-    compression = Stance(
-        masses=masses, law=laws.landing, side=-1.0, force_x=0.0, force_y=0.0, mode_1=0.0, mode_2=0.0
-    )
+    compression = Stance(masses=masses, law=laws.landing, side=-1.0, force_x=0.0, force_y=0.0, mode_1=0.0, mode_2=0.0)
     status, event, _, state = _run_phase(compression, state, STANCE_LIMIT, tolerances.stance, trace, retracing)
     if status == NO_APEX or event == CONTACT:
         status = NO_TAKE_OFF

@@ -158,9 +158,7 @@ def _integrate_stance(masses, laws, state, pending, tick, tolerance, trace):
     Returns:
         (event, state, pending): CONTACT at take-off, or another event that ended the stance.
     """
-    stance = Stance(
-        masses=masses, law=laws.landing, side=-1.0, force_x=0.0, force_y=0.0, mode_1=0.0, mode_2=0.0
-    )
+    stance = Stance(masses=masses, law=laws.landing, side=-1.0, force_x=0.0, force_y=0.0, mode_1=0.0, mode_2=0.0)
     if stance_motion(stance, state)[1].speed_y >= 0.0:
         stance = _thrust(masses, laws)
     time, (remaining, torque_1, torque_2), limit = 0.0, pending, laws.apex.torque_limit

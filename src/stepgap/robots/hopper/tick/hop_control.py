@@ -154,7 +154,9 @@ class HopControl(TickControl):
         """The hop that was interrupted after the last tick."""
         command_1, command_2, *lost = interrupted_hop(self._settings, self._memory, *(applied or (np.nan, np.nan)))
         context = self._context(nan) if self._uneven else ()
-        return FinishedStep(np.full(2 + self._footholds, np.nan), np.array([command_1, command_2]), np.array(lost), context)
+        return FinishedStep(
+            np.full(2 + self._footholds, np.nan), np.array([command_1, command_2]), np.array(lost), context
+        )
 
     @property
     def status(self) -> StepStatus:
