@@ -73,10 +73,7 @@ class KnobStudy:
     pairs: tuple[KnobPair, ...]
 
 
-def study_knobs(settings: Experiment, on_gait: TINY = 1e-300
-"""Least divisor, where a knob has no effect."""
-
-OnGait = lambda done, total: None) -> KnobStudy:
+def study_knobs(settings: Experiment, on_gait: OnGait = lambda done, total: None) -> KnobStudy:
     """Compares what could be the step command of a robot, by the nominal map with other settings.
 
     Args:
@@ -156,7 +153,9 @@ def _pairs(robot: Robot, study: KnobStudy, commands: Array) -> Iterator[KnobPair
         two = scaled[:, :, chosen]
         sizes = np.linalg.norm(two, axis=1)
         cosines = np.abs((two[:, :, 0] * two[:, :, 1]).sum(axis=1)) / np.maximum(sizes.prod(axis=1), TINY)
-        moves = _moves(study, scaled, commands, chosen) if tracked.sum() == 2 else np.empty((len(commands), 0, len(keys)))
+        moves = (
+            _moves(study, scaled, commands, chosen) if tracked.sum() == 2 else np.empty((len(commands), 0, len(keys)))
+        )
         hits = np.abs(moves[:, :, chosen]).max(axis=2) <= 1
         loads = [
             _loads(robot, dict(zip(keys, move * [knob.reach for knob in study.knobs], strict=True)), *place)

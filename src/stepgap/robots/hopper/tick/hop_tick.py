@@ -188,7 +188,7 @@ def _new_hop(deadline, status):
 
 @as_written
 def _takes_command(law, phase, left_ground):
-    """Whether a command that comes now acts in full, because mid-stance or, if it acts earlier, touchdown is to come."""
+    """Whether a command that comes now acts in full, as mid-stance or, if it acts earlier, touchdown is to come."""
     in_time = phase == Phase.DESCENT or (phase == Phase.COMPRESSION and acts_late(law))
     return in_time and left_ground == 0
 
