@@ -58,7 +58,7 @@ class Difference:
         exact: Value with which the simulated robot is exactly its model; None if the value is no difference by itself.
         rules: Conditions on the value.
         drawn: Range of the number that random robots draw; None if they have the default.
-        whole: Value of which the number is a share, where it is a share.
+        whole: Usual value, of which a share may be drawn; signatures of `stepgap explain` begin with it.
     """
 
     exact: float | None

@@ -21,7 +21,7 @@ class MjcfGap(Gap):
     mass_scale: float = difference(1.06, POSITIVE, exact=1.0, drawn=Drawn(0.9, 1.15))
     """Factor on all masses and inertias."""
 
-    payload: float = difference(0.0, NOT_NEGATIVE, exact=0.0)
+    payload: float = difference(0.0, NOT_NEGATIVE, exact=0.0, whole=0.5)
     """Mass added to the first body [kg]."""
 
     friction_scale: float = difference(0.8, POSITIVE, exact=1.0, drawn=Drawn(0.6, 1.2))
@@ -30,23 +30,25 @@ class MjcfGap(Gap):
     damping_scale: float = difference(1.5, POSITIVE, exact=1.0, drawn=Drawn(0.7, 2.0))
     """Factor on the damping of all joints with actuators."""
 
-    joint_friction: float = difference(0.0, NOT_NEGATIVE, exact=0.0)
+    joint_friction: float = difference(0.0, NOT_NEGATIVE, exact=0.0, whole=0.1)
     """Dry friction added to all joints with actuators [N·m or N]."""
 
     gear_scale: float = difference(0.93, POSITIVE, exact=1.0, drawn=Drawn(0.85, 1.05))
     """Factor on the forces of all actuators."""
 
-    slope: float = difference(0.0, within(0.5, "lie between -0.5 and 0.5"), exact=0.0, drawn=Drawn(-0.01, 0.01))
+    slope: float = difference(
+        0.0, within(0.5, "lie between -0.5 and 0.5"), exact=0.0, drawn=Drawn(-0.01, 0.01), whole=0.01
+    )
     """Slope of the ground in the direction of x, uphill positive [rad]."""
 
     delay: float = difference(0.002, NOT_NEGATIVE, exact=0.0, drawn=Drawn(0.0, 0.004))
     """Time by which control signals come later [s]; rounded to ticks."""
 
-    ground_softness: float = difference(1.0, POSITIVE, exact=1.0)
+    ground_softness: float = difference(1.0, POSITIVE, exact=1.0, whole=1.5)
     """Factor on the static sinkage of all contacts, as far as their impedance (solimp) does not vary with it; their
     damping ratio stays."""
 
-    motor_lag: float = difference(0.0, NOT_NEGATIVE, exact=0.0)
+    motor_lag: float = difference(0.0, NOT_NEGATIVE, exact=0.0, whole=0.004)
     """Time constant of the first-order lag of all control signals [s]."""
 
     state_noise: float = difference(0.005, NOT_NEGATIVE, exact=0.0)

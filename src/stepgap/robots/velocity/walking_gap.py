@@ -26,7 +26,7 @@ class WalkingGap(MjcfGap):
     payload: float = difference(1.5, NOT_NEGATIVE, exact=0.0, drawn=Drawn(0.0, 3.0))
     """Mass of a load on the first body [kg]; its own moments of inertia are left out."""
 
-    damping_scale: float = difference(1.0, exact=1.0, drawn=Drawn(0.7, 2.0))
+    damping_scale: float = difference(1.0, exact=1.0, drawn=Drawn(0.7, 2.0), whole=1.5)
     """Factor on the damping of all joints with actuators."""
 
     slope: float = difference(0.03, within(0.5, "lie between -0.5 and 0.5"), exact=0.0, drawn=Drawn(-0.07, 0.07))

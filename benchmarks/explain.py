@@ -1,0 +1,182 @@
+"""`stepgap explain` on hoppers with known differences from their model.
+
+Each robot is a twin with sensors and torque noise of the default one, and one or two planted differences of random
+size, from those in `USUAL`. It tracks the paper's reference once, while it learns. Robots of `outside` have a cause
+that is not in the list of possible causes, and neither is any other of its group.
+
+Printed for each robot: what was planted, and the groups that were found, with the size of the planted one. Then how
+often the first group, or one of two, is right, how often the planted size lies in its 95 % interval, how often the
+single cause comes first in its group, and how often an outside cause is reported as unexplained.
+
+    ./go python -m benchmarks.explain [--robots 20] [--kinds one two outside] [--steps 170]
+"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.disturbed_plant import finished, tracked
+from stepgap.base.blas import one_blas_thread
+from stepgap.base.random_streams import random_stream
+from stepgap.control.reference import Reference
+from stepgap.experiment.explanation import Cause, Explanation, RunError, alike_groups, explain, products
+from stepgap.experiment.settings import Experiment
+from stepgap.experiment.simulated_errors import LEARNING, SimulatedRobots, targets_of
+from stepgap.learning.learner import Learner
+from stepgap.learning.observations import Observations, observe
+from stepgap.learning.steps import Steps
+from stepgap.robots.hopper.paper import paper_reference
+from stepgap.robots.hopper.robot import Hopper
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+
+USUAL = {
+    "body_mass_scale": 1.05,
+    "leg_mass_scale": 1.3,
+    "leg_inertia_scale": 1.5,
+    "boom_inertia_scale": 1.25,
+    "boom_friction": 0.2,
+    "boom_drag": 0.2,
+    "boom_stiffness": 1.5e4,
+    "ground_stiffness": 4e4,
+    "joint_friction": 0.04,
+    "joint_damping": 0.004,
+    "rotor_inertia": 3e-4,
+    "torque_scale": 0.94,
+    "torque_imbalance": 0.02,
+    "torque_lag": 1.5e-3,
+    "delay": 1e-3,
+    "motor_offset_1": 0.004,
+    "motor_offset_2": 0.004,
+}
+"""Usual values of the causes that are planted."""
+
+SENSORS = ("motor_counts", "boom_counts_horizontal", "boom_counts_vertical", "torque_noise", "torque_noise_time")
+"""What all these robots have of the default twin."""
+
+
+class Robot(NamedTuple):
+    """A robot: one, two, or outside; and its number."""
+
+    kind: str
+    number: int
+
+
+class Found(NamedTuple):
+    """What was found: names of the planted causes with their values, the explanation, and the time [s]."""
+
+    planted: dict[str, float]
+    explanation: Explanation
+    seconds: float
+
+
+def planted(robot: Robot, causes: dict[str, Cause]) -> dict[str, float]:
+    """Names and values of the causes of a robot."""
+    rng = random_stream(robot.number, {"one": 1, "two": 2, "outside": 1}[robot.kind])
+    names = [[*USUAL][robot.number % len(USUAL)]]
+    if robot.kind == "two":
+        names.append(str(rng.choice([name for name in USUAL if name not in names])))
+    values = {}
+    for name in names:
+        share = rng.uniform(0.6, 1.5) * (rng.choice([-1, 1]) if causes[name].signed else 1)
+        values[name] = causes[name]._replace(usual=USUAL[name]).value(share)
+    return values
+
+
+def run_of(hopper: Hopper, number: int, steps: int) -> Observations:
+    """Steps of a robot along the reference."""
+    nominal, reference = hopper.apex_map(), paper_reference()
+    simulation = next(iter(hopper.simulations().values()))(random_stream(number, 10))
+    learner = Learner.start(nominal, Steps(nominal.space), LEARNING, 0)
+    plant = simulation.plant(random_stream(number, 11))
+    log = tracked(learner, plant, Reference(reference.names, reference.targets[:steps]), 0)
+    return observe(log.completed(), nominal)
+
+
+def explained(steps: int, robot: Robot) -> Found:
+    """What is found of a robot."""
+    begin, default = perf_counter(), RealityGap()
+    experiment = Experiment(Hopper(gap=default))
+    with one_blas_thread():
+        robots = SimulatedRobots(experiment, np.zeros((0, 2)))
+        values = planted(robot, dict(robots.causes))
+        gap = replace(RealityGap.none(), **{name: getattr(default, name) for name in SENSORS}, **values)
+        run = run_of(Hopper(gap=gap), robot.number, steps)
+        robots = replace(robots, targets=targets_of(run, 0))
+        error = RunError.of(run)
+        causes = [*robots.causes.values()]
+        if robot.kind == "outside":
+            causes = without_group(error, robots, causes, next(iter(values)))
+        found = explain(error, causes, lambda wanted: [robots.surface(shares) for shares in wanted])
+    return Found(values, found, perf_counter() - begin)
+
+
+def without_group(error: RunError, robots: SimulatedRobots, causes: list[Cause], name: str) -> list[Cause]:
+    """The causes that are not in the group of one."""
+    none = robots.surface({})
+    surfaces = {each: robots.surface({each.name: 1.0}) for each in causes}
+    known = [each for each in causes if surfaces[each] is not None]
+    if none is None:
+        raise RuntimeError("the robot without gap falls")
+    changes = [surfaces[each].weights - none.weights for each in known]
+    labels = dict(zip(known, alike_groups(products(error, none, changes), known), strict=True))
+    own = next(labels[each] for each in known if each.name == name)
+    return [each for each in known if labels[each] != own]
+
+
+def describe(robot: Robot, found: Found) -> None:
+    """Prints a robot."""
+    truth = ", ".join(f"{name} {value:.4g}" for name, value in found.planted.items())
+    groups = []
+    for group in found.explanation.groups:
+        members = [
+            f"{each.cause.name} {each.value:.4g} ({each.interval[0]:.4g}–{each.interval[1]:.4g}; {each.log_odds:.1f})"
+            for each in group.members
+        ]
+        groups.append(f"[{group.explained:.0%}, +{group.log_odds:.0f}] " + ", ".join(members))
+    rest = f"rest {found.explanation.rest:.0%} ({found.explanation.rest_log_odds:+.1f})"
+    print(f"{robot.kind} {robot.number}: {truth} | {' | '.join(groups)} | {rest} | {found.seconds:.0f} s", flush=True)
+
+
+def judge(kind: str, found: Sequence[Found]) -> None:
+    """Prints how often robots of a kind were explained rightly."""
+    if kind == "outside":
+        reported = sum(each.explanation.has_rest or not each.explanation.groups for each in found)
+        print(f"outside: reported as unexplained in {reported} of {len(found)}")
+        return
+    first = right = single = inside = sizes = 0
+    for each in found:
+        groups = [{one.cause.name: one for one in group.members} for group in each.explanation.groups]
+        first += bool(groups) and any(name in groups[0] for name in each.planted)
+        right += all(any(name in group for group in groups) for name in each.planted)
+        single += bool(groups) and next(iter(groups[0])) in each.planted
+        for name, value in each.planted.items():
+            for member in (group[name] for group in groups if name in group):
+                sizes += 1
+                inside += member.interval[0] <= value <= member.interval[1]
+    rests = sum(each.explanation.has_rest for each in found)
+    print(f"{kind}: first group right in {first} of {len(found)}, all planted causes in a group in {right}, ", end="")
+    print(f"single cause first in {single}; {inside} of {sizes} sizes in their intervals; rest reported in {rests}")
+
+
+def main() -> None:
+    """Prints all robots."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--robots", type=int, default=20)
+    parser.add_argument("--kinds", nargs="+", default=["one", "two", "outside"])
+    parser.add_argument("--steps", type=int, default=170)
+    given = parser.parse_args()
+    cases = [Robot(kind, number) for kind in given.kinds for number in range(given.robots)]
+    results = dict(finished(partial(explained, given.steps), cases))
+    for case in cases:
+        describe(case, results[case])
+    for kind in given.kinds:
+        judge(kind, [results[case] for case in cases if case.kind == kind])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,118 @@
+"""The verb `stepgap explain`."""
+
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stepgap.base.errors import InputError
+from stepgap.base.files import create
+from stepgap.base.output_files import PICTURE_FORMATS, check_new, format_by_name, writing
+from stepgap.cli.options import Flag, Integer, Names
+from stepgap.cli.terminal import announces_compilation
+
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from stepgap.experiment.explanation import Cause, Explanation
+
+LEAST_STEPS = 15
+"""Number of completed steps from which a run says something about its robot."""
+
+
+@announces_compilation
+def explain(
+    run: Path,
+    /,
+    *,
+    causes: Names | None = None,
+    seed: Integer = 0,
+    out: Path | None = None,
+    quiet: Flag = False,
+) -> None:
+    """Explain the error of a run: which differences from the model the robot may have, of what size, and what is left.
+
+    Some hundred robots that differ from the model in one or a few ways are simulated, on all cores, which takes a
+    minute to some minutes.
+
+    Args:
+        run: Folder of the run.
+        causes: Differences that are possible, as keys of the table gap; by default all.
+        seed: Random seed of the simulations.
+        out: New file: a page (.html), or the figure alone (.png, .pdf or .svg).
+        quiet: Show no progress.
+    """
+    from stepgap.cli.progress import progress_bar
+    from stepgap.experiment.explanation import RunError
+    from stepgap.experiment.explanation import explain as explain_error
+    from stepgap.experiment.run import Run
+    from stepgap.experiment.settings_text import meanings
+    from stepgap.experiment.simulated_errors import (
+        SimulatedRobots,
+        gap_of,
+        most_simulations,
+        simulated_on_all_cores,
+        targets_of,
+    )
+    from stepgap.learning.observations import observe
+    from stepgap.report.explanation import explanation_page, explanation_sentences, explanation_table
+
+    form = _format(out) if out else ""
+    opened = Run(run).checked()
+    settings = opened.needed(opened.settings)
+    gap = gap_of(settings)
+    steps = observe(opened.recorded, opened.needed(opened.nominal))
+    if len(steps) < LEAST_STEPS:
+        raise InputError(f"{run}: {len(steps)} completed steps say too little; {LEAST_STEPS} are needed")
+    robots = SimulatedRobots(settings, targets_of(steps, seed), seed)
+    chosen = _chosen(causes, [*robots.causes.values()])
+    with progress_bar("simulated robots", quiet) as progress:
+        total = most_simulations(len(chosen))
+        with simulated_on_all_cores(robots, lambda done: progress(min(done, total), total)) as simulate:
+            found = explain_error(RunError.of(steps), chosen, simulate)
+    for sentence in explanation_sentences(found):
+        print(sentence)
+    texts = meanings(type(gap))
+    if found.groups:
+        _print_table(*explanation_table(found, texts))
+    if out:
+        content = (
+            explanation_page(opened.folder.resolve().name, found, texts) if form == "html" else _figure(found, form)
+        )
+        with writing(out, "--out"):
+            create(out, content)
+        print(out)
+
+
+def _format(out: Path) -> str:
+    check_new(out, "--out")
+    return format_by_name(out, ("html", *PICTURE_FORMATS))
+
+
+def _chosen(names: str | None, causes: "Sequence[Cause]") -> "list[Cause]":
+    """The causes of these names.
+
+    Raises:
+        InputError: There is no such cause.
+    """
+    known = {each.name: each for each in causes}
+    wanted = [each.strip() for each in names.split(",")] if names is not None else [*known]
+    for name in wanted:
+        if name not in known:
+            raise InputError(f"--causes {name}: no such cause; it must be one of {', '.join(known)}")
+    return [known[name] for name in dict.fromkeys(wanted)]
+
+
+def _figure(found: "Explanation", form: str) -> bytes:
+    from stepgap.report.explanation import explanation_figure
+    from stepgap.report.own_style import own_style
+
+    content = BytesIO()
+    with own_style():
+        explanation_figure(found).savefig(content, dpi=150, format=form)
+    return content.getvalue()
+
+
+def _print_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    widths = [max(len(row[column]) for row in [heads, *rows]) for column in range(len(heads))]
+    print()
+    for row in [heads, *rows]:
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())

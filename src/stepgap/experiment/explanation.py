@@ -1,0 +1,522 @@
+"""What the error of a run says about the robot: groups of differences from its model that explain the error.
+
+The error of the nominal map, over state and command, is a quadratic polynomial for each state coordinate. Its
+*signature* of a difference is how the polynomial of a simulated robot changes when that one difference is set. Causes
+are found one after the other by evidence (marginal likelihood, MacKay, Information Theory, Inference, and Learning
+Algorithms, Ch. 28). As signatures bend with their size, each cause is simulated again at the size found (Gauss–Newton):
+
+    error of the run = error of the simulated robot + signatures · (sizes − those simulated) + rest + noise
+
+The rest is what no cause explains: a polynomial whose weights have an unknown common variance, over which sizes and
+evidence are averaged. So intervals are wider where the causes do not explain everything. Differences whose signatures
+are alike over the steps of the run are a *group*, within which this run cannot tell which one it is.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import inf, isinf
+from typing import Final, NamedTuple, final
+
+import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial.distance import squareform
+
+from stepgap.base.errors import InputError
+from stepgap.base.normal import INTERVAL_95
+from stepgap.learning.observations import Observations
+from stepgap.learning.outliers import improbable_errors
+from stepgap.learning.polynomial import fit_polynomial, monomials
+from stepgap.learning.regression import TrainingData
+from stepgap.robots.gap import Gap, differences
+from stepgap.step import Array
+
+DEGREE: Final = 2
+"""Degree of the polynomials."""
+
+ALIKE: Final = 0.9
+"""Cosine of signatures from which on differences are in one group."""
+
+LEAST_EVIDENCE: Final = 3.0
+"""Logarithm of the odds by which a further cause must make the errors more probable."""
+
+MOST_GROUPS: Final = 3
+"""Largest number of groups that are found."""
+
+MOST_SIMULATED: Final = 6
+"""Number of causes, the most probable by the signatures known so far, that are simulated at the size found."""
+
+VISIBLE: Final = 3.0
+"""Size of a signature from which on a run sees it, in standard deviations of noise and simulation."""
+
+MOST_USUAL: Final = 4.0
+"""Largest size at which a cause is simulated to compare signatures [usual sizes]."""
+
+TOLD_APART: Final = 3.0
+"""Logarithm of the odds from which on causes of a group are told apart."""
+
+LARGEST_SHARE: Final = 12.0
+"""Largest size of a cause that is simulated, in usual sizes."""
+
+RESTS: Final = np.array([0.0, *np.geomspace(1e-3, 0.3, 9)])
+"""Standard deviations of the weights of the rest, of which each is as probable as the others [half ranges]."""
+
+Shares = Mapping[str, float]
+"""Sizes of causes, in usual sizes, by their names."""
+
+
+class Cause(NamedTuple):
+    """A difference of a simulated robot from its model.
+
+    Attributes:
+        name: Its name in the gap.
+        exact: Its value without gap.
+        usual: A usual value.
+        signed: Whether values on the other side of `exact` are valid.
+    """
+
+    name: str
+    exact: float
+    usual: float
+    signed: bool
+
+    def value(self, share: float) -> float:
+        """The value of a size; a stiffness that is infinite without gap is divided by the size."""
+        if isinf(self.exact):
+            return self.usual / share if share > 0 else inf
+        return self.exact + share * (self.usual - self.exact)
+
+
+def causes_of(gap: Gap) -> tuple[Cause, ...]:
+    """The differences of a gap that may be causes: numbers with a usual value."""
+    none, found = type(gap).none(), list[Cause]()
+    for name, known in differences(gap).items():
+        if known.exact is None or isinstance(known.exact, bool) or known.whole == known.exact:
+            continue
+        cause = Cause(name, known.exact, known.whole, signed=False)
+        try:
+            type(gap)(**{**vars(none), name: known.exact - 0.5 * (known.whole - known.exact)})
+        except ValueError:
+            found.append(cause)
+        else:
+            found.append(cause._replace(signed=not isinf(known.exact)))
+    return tuple(found)
+
+
+class Surface(NamedTuple):
+    """The error of a nominal map as polynomials of the scaled state and command.
+
+    Attributes:
+        weights: Weights of the k monomials for each state coordinate; shape (n, k) [half ranges].
+        covariance: Their covariances; shape (n, k, k).
+    """
+
+    weights: Array
+    covariance: Array
+
+
+def fit_surface(steps: Observations) -> tuple[Surface, Array]:
+    """Fits the error of some steps; also returns the standard deviations of the steps about it (n,) [half ranges]."""
+    points = steps.space.scaled_inputs(steps.state, steps.command)
+    centre, scale = np.zeros(points.shape[1]), np.ones(points.shape[1])
+    fits = [
+        fit_polynomial(TrainingData(points, values, centre, scale, 1.0), DEGREE)
+        for values in (steps.error / steps.space.state_scale).T
+    ]
+    surface = Surface(np.array([each.weights for each in fits]), np.array([each.weight_covariance for each in fits]))
+    return surface, np.array([each.noise_std for each in fits])
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class RunError:
+    """The errors of a run, reduced to r ≤ k numbers for each state coordinate, with independent noise of variance 1.
+
+    Attributes:
+        values: Shape (n, r).
+        roots: Matrices that convert weights to such numbers; shape (n, r, k).
+        noise_std: Standard deviation of the noise of a step; shape (n,) [half ranges].
+        steps: Number of steps.
+    """
+
+    values: Array
+    roots: Array
+    noise_std: Array
+    steps: int
+
+    @classmethod
+    def of(cls, steps: Observations) -> "RunError":
+        """Reduces the errors of these steps, without those that are too improbable for the polynomial."""
+        surface, noise_std = fit_surface(steps)
+        left = steps.error / steps.space.state_scale - (
+            monomials(steps.space.scaled_inputs(steps.state, steps.command), DEGREE) @ surface.weights.T
+        )
+        steps = steps.selected(~improbable_errors(left, noise_std).any(axis=1))
+        _, noise_std = fit_surface(steps)
+        basis = monomials(steps.space.scaled_inputs(steps.state, steps.command), DEGREE)
+        q, r = np.linalg.qr(basis)
+        values = q.T @ (steps.error / steps.space.state_scale / noise_std)
+        return cls(values.T, r / noise_std[:, None, None], noise_std, len(steps))
+
+    def seen(self, weights: Array) -> Array:
+        """The numbers of weights (n, k); shape (n, r)."""
+        return np.einsum("nrk,nk->nr", self.roots, weights)
+
+    def squares(self, weights: Array) -> float:
+        """Sum of squares of what weights (n, k) leave, less what noise makes of it."""
+        return float(np.sum((self.values - self.seen(weights)) ** 2)) - self.values.size
+
+
+class SizeFit(NamedTuple):
+    """Sizes of p causes.
+
+    Attributes:
+        log_evidence: Logarithm of the probability density of the errors.
+        sizes: Expected sizes; shape (p,).
+        covariance: Shape (p, p).
+    """
+
+    log_evidence: float
+    sizes: Array
+    covariance: Array
+
+
+def fit_sizes(error: RunError, origin: Surface, sizes: Array, slopes: Array, rests: Array = RESTS) -> SizeFit:
+    """Sizes of causes about a simulated robot, by Bayesian linear regression averaged over the size of the rest.
+
+    A priori the effect of each cause may be as large as the whole error of the run.
+
+    Args:
+        error: Errors of the run.
+        origin: Error of the robot that was simulated with some sizes.
+        sizes: These sizes; shape (p,).
+        slopes: Change of the error by a change of each size; shape (p, n, k).
+        rests: Possible standard deviations of the weights of the rest.
+    """
+    left = error.values - error.seen(origin.weights)
+    h = np.array([error.seen(slope) for slope in slopes]).reshape(len(slopes), *left.shape)
+    whole = max(float(np.sum(error.values**2)), 1.0)
+    prior = np.maximum(np.sum(h**2, axis=(1, 2)), 1e-12) / whole
+    found = list[SizeFit]()
+    for rest in rests:
+        information, projection, log = np.diag(prior), -prior * sizes, 0.5 * float(np.sum(np.log(prior)))
+        log -= 0.5 * float(sizes @ (prior * sizes))
+        for root, spread, value, columns in zip(error.roots, origin.covariance, left, h.swapaxes(0, 1), strict=True):
+            total = np.eye(len(value)) + root @ (spread + rest**2 * np.eye(len(spread))) @ root.T
+            factor = cho_factor(total, lower=True)
+            solved = cho_solve(factor, np.column_stack([value, columns.T]))
+            log -= 0.5 * float(value @ solved[:, 0]) + float(np.sum(np.log(np.diag(factor[0]))))
+            information = information + columns @ solved[:, 1:]
+            projection = projection + columns @ solved[:, 0]
+        covariance = np.linalg.inv(information)
+        change = covariance @ projection
+        log += 0.5 * float(projection @ change) - 0.5 * float(np.linalg.slogdet(information)[1])
+        found.append(SizeFit(log, sizes + change, covariance))
+    logs = np.array([each.log_evidence for each in found])
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    mean = sum((w * each.sizes for w, each in zip(weights, found, strict=True)), np.zeros(len(sizes)))
+    spread = [
+        w * (each.covariance + np.outer(each.sizes - mean, each.sizes - mean))
+        for w, each in zip(weights, found, strict=True)
+    ]
+    evidence = float(logs.max() + np.log(np.mean(np.exp(logs - logs.max()))))
+    return SizeFit(evidence, mean, np.sum(spread, axis=0))
+
+
+class Member(NamedTuple):
+    """A cause of a group, with the size that it would have.
+
+    Attributes:
+        cause: The cause.
+        share: Its size, in usual sizes.
+        std: Standard deviation of that.
+        log_odds: Logarithm of the probability density of the errors with it, less that with the first of the group.
+    """
+
+    cause: Cause
+    share: float
+    std: float
+    log_odds: float
+
+    @property
+    def value(self) -> float:
+        """Its value."""
+        return self.cause.value(self.share)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Ends of the 95 % interval of its value."""
+        low, high = (self.share + sign * INTERVAL_95 * self.std for sign in (-1, 1))
+        ends = [self.cause.value(low if self.cause.signed else max(low, 0.0)), self.cause.value(high)]
+        return min(ends), max(ends)
+
+
+class CauseGroup(NamedTuple):
+    """Causes of which one explains a part of the error, and which this run cannot tell apart.
+
+    Attributes:
+        members: The causes, the most probable one first.
+        log_odds: Logarithm of the odds for it, against no such cause.
+        explained: Share of the squared error that it explains beyond the groups before it.
+    """
+
+    members: tuple[Member, ...]
+    log_odds: float
+    explained: float
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """What the error of a run says about the robot.
+
+    Attributes:
+        steps: Number of steps of the run.
+        groups: Groups of causes, as they were found.
+        rest: Share of the squared error, less noise, that none of them explains.
+        rest_log_odds: Logarithm of the odds that there is such a rest, against noise and inaccurate simulation.
+        nominal: Squared error of the nominal map on the simulated robot without gap, relative to the squared error that
+            groups and rest share.
+        alike: Groups of all causes that the run can see.
+        unseen: Causes of usual size that the run does not see.
+        failed: Causes of usual size with which the simulated robot does not walk.
+    """
+
+    steps: int
+    groups: tuple[CauseGroup, ...]
+    rest: float
+    rest_log_odds: float
+    nominal: float
+    alike: tuple[tuple[Cause, ...], ...]
+    unseen: tuple[Cause, ...]
+    failed: tuple[Cause, ...]
+
+    @property
+    def has_rest(self) -> bool:
+        """Whether a part of the error is none of the causes."""
+        return self.rest_log_odds > LEAST_EVIDENCE and self.rest > 0.05
+
+
+Simulate = Callable[[Sequence[Shares]], Sequence[Surface | None]]
+"""Errors of robots with causes of these sizes; None for a robot that fell."""
+
+
+def alike_groups(signatures: Array, causes: Sequence[Cause]) -> list[int]:
+    """Number of the group of each cause, by the cosines of their signatures (complete linkage).
+
+    Args:
+        signatures: Products of signatures over the steps of a run, as `products` gives them; shape (p, p).
+        causes: The p causes.
+    """
+    if len(causes) < 2:
+        return [1] * len(causes)
+    length = np.sqrt(np.maximum(signatures.diagonal(), 1e-12))
+    cosine = np.clip(signatures / np.outer(length, length), -1, 1)
+    signed = np.array([each.signed for each in causes])
+    either = signed[:, None] | signed[None]
+    distance = 1 - np.where(either, np.abs(cosine), cosine)
+    np.fill_diagonal(distance, 0.0)
+    return fcluster(linkage(squareform(distance, checks=False), "complete"), 1 - ALIKE, "distance").tolist()
+
+
+def products(error: RunError, none: Surface, changes: Sequence[Array]) -> Array:
+    """Products of changes of the simulated error, less what the inaccuracy of simulations makes of them; shape (p, p).
+
+    The metric is that of the noise of the run and of two simulations, of which one is the same for all changes.
+    """
+    rows, inaccuracy = [], 0.0
+    for root, spread, weights in zip(error.roots, none.covariance, np.array(changes).swapaxes(0, 1), strict=True):
+        simulated = 2 * root @ spread @ root.T
+        factor = np.linalg.cholesky(np.eye(len(root)) + simulated)
+        rows.append(np.linalg.solve(factor, root @ weights.T))
+        inaccuracy += float(np.trace(np.linalg.solve(factor @ factor.T, simulated)))
+    h = np.concatenate(rows)
+    return h.T @ h - inaccuracy * (0.5 + 0.5 * np.eye(h.shape[1]))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """A simulated robot with sizes of causes, and the sizes that follow from it."""
+
+    shares: Shares
+    surface: Surface
+    fit: SizeFit
+
+    def std(self, name: str) -> float:
+        return float(np.sqrt(self.fit.covariance.diagonal()[list(self.shares).index(name)]))
+
+    @property
+    def next(self) -> Shares:
+        """The sizes found."""
+        return dict(zip(self.shares, self.fit.sizes.tolist(), strict=True))
+
+
+class _Search:
+    """Simulations about a run, and the signatures that are known from them."""
+
+    def __init__(self, error: RunError, causes: Sequence[Cause], simulate: Simulate):
+        self.error, self.simulate = error, simulate
+        self.causes = {each.name: each for each in causes}
+        none = simulate([{}])[0]
+        if none is None:
+            raise InputError("the simulated robot without gap falls, so nothing can be compared with it")
+        self.none = none
+        self.slopes: dict[str, Array] = {}
+        self.changes: dict[str, Array] = {}
+
+    def simulate_usual(self) -> None:
+        """Simulates each cause at its usual size or, where the robot falls, at a third of it."""
+        for share in (1.0, 0.3):
+            self._keep({name: share for name in self.causes if name not in self.slopes})
+
+    def simulate_whole(self) -> None:
+        """Simulates each cause at the size at which its effect is as large as the error that is to be explained."""
+        wanted = dict[str, float]()
+        error = max(self.error.squares(self.none.weights), 0.0)
+        for name, slope in self.slopes.items():
+            share = float(np.sqrt(error / max(np.sum(self.error.seen(slope) ** 2), 1e-12)))
+            backward = self.causes[name].signed and self.fitted({name: 0.0}, self.none).next[name] < 0
+            wanted[name] = (-1 if backward else 1) * float(np.clip(share, 0.3, MOST_USUAL))
+        self._keep(wanted)
+
+    def _keep(self, wanted: Shares) -> None:
+        """Keeps the signatures of causes of some sizes, each alone."""
+        for name, found in zip(wanted, self.simulate([{name: wanted[name]} for name in wanted]), strict=True):
+            if found is not None:
+                self.changes[name] = found.weights - self.none.weights
+                self.slopes[name] = self.changes[name] / wanted[name]
+
+    def fitted(self, shares: Shares, surface: Surface, slopes: Mapping[str, Array] | None = None) -> _Point:
+        """The sizes that follow from a simulated robot."""
+        known, k = slopes or self.slopes, surface.weights.shape
+        rows = np.array([known[name] for name in shares]).reshape(len(shares), *k)
+        return _Point(shares, surface, fit_sizes(self.error, surface, np.array([*shares.values()]), rows))
+
+    def permitted(self, shares: Shares) -> bool:
+        """Whether sizes are valid."""
+        return all(self.causes[name].signed or share > 0 for name, share in shares.items())
+
+    def walked(self, starts: Sequence[tuple[_Point, str]], rounds: int = 2) -> dict[str, _Point]:
+        """Simulates robots with one cause more, at the sizes found, some times; by the name of that cause."""
+        points = {name: self.fitted({**start.next, name: 0.0}, start.surface) for start, name in starts}
+        origins = {name: start for start, name in starts}
+        found = dict[str, _Point]()
+        for _ in range(rounds):
+            points = {name: point for name, point in points.items() if self.permitted(point.next)}
+            wanted = {name: _shortened(point.next) for name, point in points.items()}
+            for name, surface in zip(wanted, self.simulate([*wanted.values()]), strict=True):
+                if surface is None:
+                    points.pop(name)
+                    continue
+                self._learn(name, wanted[name], surface, origins[name])
+                found[name] = points[name] = self.fitted(wanted[name], surface)
+        return {name: point for name, point in found.items() if self.permitted(point.next)}
+
+    def _learn(self, name: str, shares: Shares, surface: Surface, origin: _Point) -> None:
+        """Keeps the signature of a cause at the size simulated, after the signatures of the others were taken off."""
+        others = [self.slopes[each] * (shares[each] - origin.shares.get(each, 0.0)) for each in shares if each != name]
+        change = surface.weights - origin.surface.weights - np.sum(others, axis=0)
+        if abs(shares[name]) > 0.05:
+            self.slopes[name] = change / shares[name]
+
+
+def _shortened(shares: Shares) -> Shares:
+    return {name: float(np.clip(share, -LARGEST_SHARE, LARGEST_SHARE)) for name, share in shares.items()}
+
+
+def explain(error: RunError, causes: Sequence[Cause], simulate: Simulate) -> Explanation:
+    """Finds the causes that explain the errors of a run.
+
+    Args:
+        error: Errors of the run.
+        causes: Causes that are possible.
+        simulate: Simulates robots with some causes.
+
+    Raises:
+        InputError: The simulated robot without gap falls.
+    """
+    search = _Search(error, causes, simulate)
+    search.simulate_usual()
+    search.simulate_whole()
+    walked = [each for each in causes if each.name in search.slopes]
+    signatures = products(error, search.none, [search.changes[each.name] for each in walked])
+    visible = signatures.diagonal() > VISIBLE**2
+    seen = [each for each, one in zip(walked, visible, strict=True) if one]
+    labels = dict(zip(seen, alike_groups(signatures[np.ix_(visible, visible)], seen), strict=True))
+    now = search.fitted({}, search.none)
+    path, gains = [now], list[tuple[str, float]]()
+    while len(gains) < MOST_GROUPS and (more := _with_one_more(search, now, [each.name for each in seen])):
+        name, point = more
+        gains.append((name, point.fit.log_evidence - now.fit.log_evidence))
+        now = point
+        path.append(now)
+    total = max(error.squares(search.none.weights), 1e-9)
+    left = [max(error.squares(each.surface.weights), 0.0) / total for each in path]
+    groups = []
+    for number, (name, gain) in enumerate(gains):
+        members = _members(search, now, name, [each for each in seen if labels[each] == labels[search.causes[name]]])
+        groups.append(CauseGroup(members, gain, max(left[number] - left[number + 1], 0.0)))
+    without = fit_sizes(error, now.surface, *_sizes_of(search, now), rests=RESTS[:1]).log_evidence
+    return Explanation(
+        error.steps,
+        tuple(groups),
+        min(left[-1], 1.0),
+        now.fit.log_evidence - without,
+        float(np.sum(error.seen(search.none.weights) ** 2)) / total,
+        tuple(tuple(each for each in seen if labels[each] == label) for label in dict.fromkeys(labels.values())),
+        tuple(each for each in walked if each not in seen),
+        tuple(each for each in causes if each not in walked),
+    )
+
+
+def _sizes_of(search: _Search, point: _Point) -> tuple[Array, Array]:
+    rows = np.array([search.slopes[name] for name in point.shares])
+    return np.array([*point.shares.values()]), rows.reshape(len(point.shares), *point.surface.weights.shape)
+
+
+def _with_one_more(search: _Search, now: _Point, names: Sequence[str]) -> tuple[str, _Point] | None:
+    """The most probable further cause, simulated at the size found; None if none is probable enough."""
+    points = {name: search.fitted({**now.shares, name: 0.0}, now.surface) for name in names if name not in now.shares}
+    possible = [name for name in points if search.permitted(points[name].next)]
+    possible.sort(key=lambda name: -points[name].fit.log_evidence)
+    found = search.walked([(now, name) for name in possible[:MOST_SIMULATED]])
+    if not found:
+        return None
+    best = max(found, key=lambda name: found[name].fit.log_evidence)
+    if found[best].fit.log_evidence - now.fit.log_evidence < LEAST_EVIDENCE:
+        return None
+    shares = _shortened(found[best].next)
+    surface = search.simulate([shares])[0]
+    return best, found[best] if surface is None else search.fitted(shares, surface)
+
+
+def _members(search: _Search, now: _Point, name: str, group: Sequence[Cause]) -> tuple[Member, ...]:
+    """What each cause of a group would have as its size, in place of the one that was found."""
+    others = {each: share for each, share in now.shares.items() if each != name}
+    base = search.simulate([others])[0] if others else search.none
+    points = {name: now}
+    if base is not None:
+        start = search.fitted(others, base)
+        points |= search.walked([(start, each.name) for each in group if each.name not in now.shares])
+    further = {each: _beside(point.shares, each) for each, point in points.items()}
+    surfaces = search.simulate([*further.values()])
+    members = []
+    for (each, point), surface in zip(points.items(), surfaces, strict=True):
+        slopes = dict(search.slopes)
+        if surface is not None:
+            step = further[each][each] - point.shares[each]
+            slopes[each] = (surface.weights - point.surface.weights) / step
+        local = search.fitted(point.shares, point.surface, slopes)
+        members.append(Member(search.causes[each], local.next[each], local.std(each), local.fit.log_evidence))
+    best = max(each.log_odds for each in members)
+    return tuple(
+        each._replace(log_odds=each.log_odds - best) for each in sorted(members, key=lambda one: -one.log_odds)
+    )
+
+
+def _beside(shares: Shares, name: str) -> Shares:
+    """The same sizes, but one a quarter larger, by which the signature at that size is found."""
+    share = shares[name]
+    return {**shares, name: share + np.copysign(max(0.25 * abs(share), 0.1), share)}

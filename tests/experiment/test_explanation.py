@@ -1,0 +1,131 @@
+"""Explanation of errors: sizes against a dense solution, and causes planted into an analytic robot."""
+
+from collections.abc import Callable, Sequence
+from math import inf
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from stepgap.experiment.explanation import (
+    Cause,
+    Explanation,
+    RunError,
+    Shares,
+    Surface,
+    causes_of,
+    explain,
+    fit_sizes,
+    fit_surface,
+)
+from stepgap.learning.observations import Observations
+from stepgap.robots.hopper.robot import Hopper
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.mjcf.mjcf_gap import MjcfGap
+from stepgap.step import Array
+
+SPACE = Hopper().space
+NOISE = 0.02
+
+EFFECTS: dict[str, Callable[[Array], Array]] = {
+    "mass": lambda x: np.stack([0.1 - 0.1 * x[:, 2], 0.2 + 0.1 * x[:, 3]], axis=1),
+    "torque": lambda x: np.stack([-0.11 + 0.1 * x[:, 2], -0.2 - 0.11 * x[:, 3]], axis=1),
+    "delay": lambda x: np.stack([0.1 * x[:, 0] + 0.1 * x[:, 2] * x[:, 3], 0.05 * x[:, 1]], axis=1),
+    "friction": lambda x: np.stack([0.1 + 0.1 * x[:, 0] ** 2, 0.1 * x[:, 0] * x[:, 2]], axis=1),
+    "sensor": lambda x: np.zeros((len(x), 2)),
+}
+"""Error per size [half ranges]: weaker motors act nearly as a heavier body does."""
+
+CAUSES = tuple(Cause(name, 1.0, 1.1, signed=name in ("mass", "torque")) for name in EFFECTS)
+
+
+def steps_of(shares: Shares, seed: int, noise: float = 0.0, count: int = 60) -> Observations:
+    """Steps of the analytic robot, whose effects bend with their size and are a little cubic."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(-0.8, 0.8, (count, 4))
+    error = 0.05 * x[:, :2] ** 3
+    for name, share in shares.items():
+        error = error + 2 * np.tanh(share / 2) * EFFECTS[name](x) * (1 + 0.05 * share * x[:, :1])
+    error = error + noise * rng.standard_normal(error.shape)
+    state = SPACE.state_centre + x[:, :2] * SPACE.state_scale
+    return Observations(SPACE, state, SPACE.command_at(x[:, 2:]), error * SPACE.state_scale)
+
+
+def simulate(wanted: Sequence[Shares]) -> list[Surface | None]:
+    return [fit_surface(steps_of(shares, 1000 + number))[0] for number, shares in enumerate(wanted)]
+
+
+def explained(shares: Shares, seed: int, causes: Sequence[Cause] = CAUSES) -> Explanation:
+    return explain(RunError.of(steps_of(shares, seed, NOISE, 150)), causes, simulate)
+
+
+def test_sizes_and_evidence_are_those_of_a_dense_normal_distribution() -> None:
+    rng = np.random.default_rng(0)
+    run, none = RunError.of(steps_of({"mass": 0.8}, 1, NOISE)), fit_surface(steps_of({}, 2))[0]
+    slopes, sizes, rest = 0.1 * rng.standard_normal((2, 2, 15)), np.array([0.3, -0.2]), 0.05
+    found = fit_sizes(run, none, sizes, slopes, np.array([rest]))
+    h = np.array([run.seen(slope).ravel() for slope in slopes]).T
+    prior = np.sum(run.values**2) / np.sum(h**2, axis=0)
+    size = run.values.size
+    noise = np.zeros((size, size))
+    for row, (root, spread) in enumerate(zip(run.roots, none.covariance, strict=True)):
+        part = slice(row * len(root), (row + 1) * len(root))
+        noise[part, part] = np.eye(len(root)) + root @ (spread + rest**2 * np.eye(15)) @ root.T
+    total = noise + h @ np.diag(prior) @ h.T
+    value = run.values.ravel() - run.seen(none.weights).ravel() + h @ sizes
+    gain = np.diag(prior) @ h.T @ np.linalg.inv(total)
+    assert found.sizes == pytest.approx(gain @ value, rel=1e-6)
+    assert found.covariance == pytest.approx(np.diag(prior) - gain @ h @ np.diag(prior), rel=1e-5, abs=1e-9)
+    density = multivariate_normal(np.zeros(size), total).logpdf(value) + size / 2 * np.log(2 * np.pi)
+    assert found.log_evidence == pytest.approx(density, rel=1e-6)
+
+
+@pytest.mark.parametrize("planted", [{"mass": 1.2}, {"torque": -1.4}, {"delay": 1.5}, {"friction": 0.8}])
+def test_a_planted_cause_is_found_with_its_size(planted: dict[str, float]) -> None:
+    (name, share), inside = next(iter(planted.items())), 0
+    for seed in range(5):
+        found = explained(planted, seed)
+        members = {each.cause.name: each for each in found.groups[0].members}
+        low, high = members[name].interval
+        inside += low <= members[name].cause.value(share) <= high
+        assert found.groups[0].explained > 0.8
+        assert len(found.groups) == 1
+        assert not found.has_rest
+    assert inside >= 4
+
+
+def test_two_planted_causes_are_found() -> None:
+    for seed in range(5):
+        found = explained({"mass": 1.0, "delay": 1.2}, seed)
+        names = [{each.cause.name for each in group.members} for group in found.groups]
+        assert sorted(len(each) for each in names) == [1, 2]
+        assert {"mass", "torque"} in names
+        assert {"delay"} in names
+
+
+def test_causes_that_act_alike_are_a_group_and_those_without_effect_are_named() -> None:
+    found = explained({"mass": 1.0}, 0)
+    assert [[each.name for each in group] for group in found.alike] == [["mass", "torque"], ["delay"], ["friction"]]
+    assert [each.name for each in found.unseen] == ["sensor"]
+
+
+def test_a_cause_outside_the_list_is_reported_as_unexplained() -> None:
+    for name in ("delay", "friction"):
+        found = explained({name: 1.5, "mass": 0.7}, 0, [each for each in CAUSES if each.name != name])
+        assert found.has_rest
+        assert found.rest > 0.1
+
+
+def test_a_robot_without_a_gap_has_no_cause() -> None:
+    assert not any(explained({}, seed).groups for seed in range(5))
+
+
+def test_what_may_be_a_cause_follows_from_the_gap() -> None:
+    hopper = {each.name: each for each in causes_of(RealityGap())}
+    assert {"body_mass_scale", "torque_scale", "delay", "boom_stiffness"} <= hopper.keys()
+    assert not {"boom_arc", "boom_pivot_height", "ground_damping_ratio"} & hopper.keys()
+    assert hopper["body_mass_scale"].signed
+    assert not hopper["delay"].signed
+    stiffness = hopper["boom_stiffness"]
+    assert (stiffness.value(0), stiffness.value(2), stiffness.signed) == (inf, 1e4, False)
+    assert {"payload", "motor_lag", "ground_softness", "slope"} <= {each.name for each in causes_of(MjcfGap())}
