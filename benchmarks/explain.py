@@ -1,7 +1,7 @@
 """`stepgap explain` on hoppers with known differences from their model.
 
 Each robot is a twin with sensors and torque noise of the default one, and one or two planted differences of random
-size, from those in `USUAL`. It tracks the paper's reference once, while it learns. Robots of `outside` have a cause
+size, from those in `USUAL`, which are also the possible causes. It tracks the paper's reference once, while it learns. Robots of `outside` have a cause
 that is not in the list of possible causes, and neither is any other of its group.
 
 Printed for each robot: what was planted, and the groups that were found, with the size of the planted one. Then how
@@ -14,7 +14,7 @@ single cause comes first in its group, and how often an outside cause is reporte
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from time import perf_counter
 from typing import NamedTuple
 
@@ -24,7 +24,17 @@ from benchmarks.disturbed_plant import finished, tracked
 from stepgap.base.blas import one_blas_thread
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
-from stepgap.experiment.explanation import Cause, Explanation, RunError, alike_groups, explain, products
+from stepgap.experiment.explanation import (
+    Cause,
+    Explanation,
+    RunError,
+    Shares,
+    Simulate,
+    Surface,
+    alike_groups,
+    explain,
+    products,
+)
 from stepgap.experiment.settings import Experiment
 from stepgap.experiment.simulated_errors import LEARNING, SimulatedRobots, targets_of
 from stepgap.learning.learner import Learner
@@ -108,24 +118,28 @@ def explained(steps: int, robot: Robot) -> Found:
         run = run_of(Hopper(gap=gap), robot.number, steps)
         robots = replace(robots, targets=targets_of(run, 0))
         error = RunError.of(run)
-        causes = [*robots.causes.values()]
+        causes = [robots.causes[name] for name in USUAL]
+        surface = cache(lambda shares: robots.surface(dict(shares)))
+
+        def simulate(wanted: Sequence[Shares]) -> list[Surface | None]:
+            return [surface(tuple(shares.items())) for shares in wanted]
+
         if robot.kind == "outside":
-            causes = without_group(error, robots, causes, next(iter(values)))
-        found = explain(error, causes, lambda wanted: [robots.surface(shares) for shares in wanted])
+            causes = without_group(error, simulate, causes, next(iter(values)))
+        found = explain(error, causes, simulate)
     return Found(values, found, perf_counter() - begin)
 
 
-def without_group(error: RunError, robots: SimulatedRobots, causes: list[Cause], name: str) -> list[Cause]:
+def without_group(error: RunError, simulate: Simulate, causes: Sequence[Cause], name: str) -> list[Cause]:
     """The causes that are not in the group of one."""
-    none = robots.surface({})
-    surfaces = {each: robots.surface({each.name: 1.0}) for each in causes}
-    known = [each for each in causes if surfaces[each] is not None]
-    if none is None:
-        raise RuntimeError("the robot without gap falls")
-    changes = [surfaces[each].weights - none.weights for each in known]
-    labels = dict(zip(known, alike_groups(products(error, none, changes), known), strict=True))
-    own = next(labels[each] for each in known if each.name == name)
-    return [each for each in known if labels[each] != own]
+    surfaces = simulate([{}, *({each.name: 1.0} for each in causes)])
+    none, *changed = [each for each in surfaces if each is not None]
+    if len(changed) < len(causes):
+        raise RuntimeError("a robot with a usual difference falls")
+    changes = [each.weights - none.weights for each in changed]
+    labels = dict(zip(causes, alike_groups(products(error, none, changes), causes), strict=True))
+    own = next(label for each, label in labels.items() if each.name == name)
+    return [each for each in causes if labels[each] != own]
 
 
 def describe(robot: Robot, found: Found) -> None:

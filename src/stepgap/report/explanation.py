@@ -51,7 +51,7 @@ def explanation_sentences(explanation: Explanation) -> list[str]:
 
 
 def explanation_table(explanation: Explanation, meanings: Mapping[str, str]) -> tuple[list[str], list[list[str]]]:
-    """Heads and rows of the table of causes: those of the groups, in their order.
+    """Heads and rows of the table of causes: those of the groups that are in question.
 
     Args:
         explanation: What was found.
@@ -69,7 +69,7 @@ def explanation_table(explanation: Explanation, meanings: Mapping[str, str]) -> 
             _first_sentence(meanings.get(each.cause.name, "")),
         ]
         for number, group in enumerate(explanation.groups, 1)
-        for each in group.members
+        for each in members_in_question(group)
     ]
     return heads, rows
 
