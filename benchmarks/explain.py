@@ -1,8 +1,8 @@
 """`stepgap explain` on hoppers with known differences from their model.
 
 Each robot is a twin with sensors and torque noise of the default one, and one or two planted differences of random
-size, from those in `USUAL`, which are also the possible causes. It tracks the paper's reference once, while it learns. Robots of `outside` have a cause
-that is not in the list of possible causes, and neither is any other of its group.
+size, from those in `USUAL`, which are also the possible causes. It tracks the paper's reference once, while it learns.
+Robots of `outside` have a cause that is not in the list of possible causes, and neither is any other of its group.
 
 Printed for each robot: what was planted, and the groups that were found, with the size of the planted one. Then how
 often the first group, or one of two, is right, how often the planted size lies in its 95 % interval, how often the

@@ -14,7 +14,7 @@ from stepgap.cli.terminal import announces_compilation
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.explanation import Cause, Explanation
 
-LEAST_STEPS = 15
+LEAST_EXPLAINED = 15
 """Number of completed steps from which a run says something about its robot."""
 
 
@@ -60,8 +60,8 @@ def explain(
     settings = opened.needed(opened.settings)
     gap = gap_of(settings)
     steps = observe(opened.recorded, opened.needed(opened.nominal))
-    if len(steps) < LEAST_STEPS:
-        raise InputError(f"{run}: {len(steps)} completed steps say too little; {LEAST_STEPS} are needed")
+    if len(steps) < LEAST_EXPLAINED:
+        raise InputError(f"{run}: {len(steps)} completed steps say too little; {LEAST_EXPLAINED} are needed")
     robots = SimulatedRobots(settings, targets_of(steps, seed), seed)
     chosen = _chosen(causes, [*robots.causes.values()])
     with progress_bar("simulated robots", quiet) as progress:

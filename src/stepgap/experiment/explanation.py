@@ -31,13 +31,13 @@ from stepgap.learning.regression import TrainingData
 from stepgap.robots.gap import Gap, differences
 from stepgap.step import Array
 
-DEGREE: Final = 2
+SIGNATURE_DEGREE: Final = 2
 """Degree of the polynomials."""
 
 ALIKE: Final = 0.9
 """Cosine of signatures from which on differences are in one group."""
 
-LEAST_EVIDENCE: Final = 3.0
+CAUSE_LOG_ODDS: Final = 3.0
 """Logarithm of the odds by which a further cause must make the errors more probable."""
 
 MOST_GROUPS: Final = 3
@@ -120,7 +120,7 @@ def fit_surface(steps: Observations) -> tuple[Surface, Array]:
     points = steps.space.scaled_inputs(steps.state, steps.command)
     centre, scale = np.zeros(points.shape[1]), np.ones(points.shape[1])
     fits = [
-        fit_polynomial(TrainingData(points, values, centre, scale, 1.0), DEGREE)
+        fit_polynomial(TrainingData(points, values, centre, scale, 1.0), SIGNATURE_DEGREE)
         for values in (steps.error / steps.space.state_scale).T
     ]
     surface = Surface(np.array([each.weights for each in fits]), np.array([each.weight_covariance for each in fits]))
@@ -149,11 +149,11 @@ class RunError:
         """Reduces the errors of these steps, without those that are too improbable for the polynomial."""
         surface, noise_std = fit_surface(steps)
         left = steps.error / steps.space.state_scale - (
-            monomials(steps.space.scaled_inputs(steps.state, steps.command), DEGREE) @ surface.weights.T
+            monomials(steps.space.scaled_inputs(steps.state, steps.command), SIGNATURE_DEGREE) @ surface.weights.T
         )
-        steps = steps.selected(~improbable_errors(left, noise_std).any(axis=1))
+        steps = steps.selected((improbable_errors(left, noise_std) == 0).all(axis=1))
         _, noise_std = fit_surface(steps)
-        basis = monomials(steps.space.scaled_inputs(steps.state, steps.command), DEGREE)
+        basis = monomials(steps.space.scaled_inputs(steps.state, steps.command), SIGNATURE_DEGREE)
         q, r = np.linalg.qr(basis)
         values = q.T @ (steps.error / steps.space.state_scale / noise_std)
         return cls(values.T, r / noise_std[:, None, None], noise_std, len(steps))
@@ -295,7 +295,7 @@ class Explanation:
     @property
     def has_rest(self) -> bool:
         """Whether a part of the error is none of the causes."""
-        return self.rest_log_odds > LEAST_EVIDENCE and self.rest > 0.05
+        return self.rest_log_odds > CAUSE_LOG_ODDS and self.rest > 0.05
 
 
 Simulate = Callable[[Sequence[Shares]], Sequence[Surface | None]]
@@ -485,7 +485,7 @@ def _with_one_more(search: _Search, now: _Point, names: Sequence[str]) -> tuple[
     if not found:
         return None
     best = max(found, key=lambda name: found[name].fit.log_evidence)
-    if found[best].fit.log_evidence - now.fit.log_evidence < LEAST_EVIDENCE:
+    if found[best].fit.log_evidence - now.fit.log_evidence < CAUSE_LOG_ODDS:
         return None
     shares = _shortened(found[best].next)
     surface = search.simulate([shares])[0]

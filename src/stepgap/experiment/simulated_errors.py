@@ -34,6 +34,7 @@ from stepgap.learning.steps import Steps
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.entry_points import simulations_of
 from stepgap.robots.gap import Gap
+from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap, StepSpace
 
 STEPS_PER_MONOMIAL: Final = 3
@@ -42,7 +43,7 @@ STEPS_PER_MONOMIAL: Final = 3
 MOST_STEPS: Final = 240
 """Largest number of simulated steps of a robot."""
 
-ATTEMPTS: Final = 3
+MOST_STARTS: Final = 3
 """How often a robot that falls starts again."""
 
 LEARNING: Final = LearningSettings(residual="constant", online=True)
@@ -84,12 +85,12 @@ class SimulatedRobots:
             gap = replace(type(gap_of(self.settings)).none(), **values)
         except ValueError:
             return None
-        robot = replace(self.settings.robot, gap=gap)  # pyright: ignore[reportCallIssue]
+        robot = with_gap(self.settings.robot, gap)
         space = self.nominal.space
         log = Steps(space)
         with one_blas_thread():
             simulation = next(iter(simulations_of(robot).values()))(random_stream(self.seed))
-            for attempt in range(ATTEMPTS):
+            for attempt in range(MOST_STARTS):
                 if len(log) >= len(self.targets):
                     break
                 reference = Reference(space.state_names, self.targets[len(log) :]).of(space)
@@ -108,6 +109,12 @@ class SimulatedRobots:
         """The error of such a robot."""
         steps = self.steps(shares)
         return None if steps is None else fit_surface(steps)[0]
+
+
+def with_gap(robot: Robot, gap: Gap) -> Robot:
+    """A robot with another gap."""
+    changed: Any = robot  # a frozen dataclass, which the type of its abstract class does not say
+    return replace(changed, gap=gap)
 
 
 def most_simulations(causes: int) -> int:

@@ -33,7 +33,9 @@ EXPERIMENTS: Final[Mapping[str, str]] = {
 }
 """Experiments without a step that measure a difference, by a word in its name."""
 
-CAPTION: Final = "Share of the squared error, less noise, that each group of causes explains, and what none explains."
+SHARES_CAPTION: Final = (
+    "Share of the squared error, less noise, that each group of causes explains, and what none explains."
+)
 
 METHOD: Final = (
     "Each cause was set alone in the simulated robot, which then tracked states of the run; the change of the error is "
@@ -101,7 +103,9 @@ def explanation_page(name: str, explanation: Explanation, meanings: Mapping[str,
     drawing = draw_figure(lambda: explanation_figure(explanation), "the shares")
     alike = [listed([each.name for each in group]) for group in explanation.alike if len(group) > 1]
     parts = [
-        section("causes", "Causes", bullets(explanation_sentences(explanation)), picture(drawing, "causes-", CAPTION)),
+        section(
+            "causes", "Causes", bullets(explanation_sentences(explanation)), picture(drawing, "causes-", SHARES_CAPTION)
+        ),
         section("sizes", "Sizes", table("", *explanation_table(explanation, meanings)), paragraph(METHOD)),
         section(
             "alike",
