@@ -32,8 +32,8 @@ from stepgap.experiment.explanation import (
     Simulate,
     Surface,
     alike_groups,
-    explain,
-    products,
+    explain_error,
+    signature_products,
 )
 from stepgap.experiment.settings import Experiment
 from stepgap.experiment.simulated_errors import LEARNING, SimulatedRobots, targets_of
@@ -126,7 +126,7 @@ def explained(steps: int, robot: Robot) -> Found:
 
         if robot.kind == "outside":
             causes = without_group(error, simulate, causes, next(iter(values)))
-        found = explain(error, causes, simulate)
+        found = explain_error(error, causes, simulate)
     return Found(values, found, perf_counter() - begin)
 
 
@@ -137,7 +137,7 @@ def without_group(error: RunError, simulate: Simulate, causes: Sequence[Cause], 
     if len(changed) < len(causes):
         raise RuntimeError("a robot with a usual difference falls")
     changes = [each.weights - none.weights for each in changed]
-    labels = dict(zip(causes, alike_groups(products(error, none, changes), causes), strict=True))
+    labels = dict(zip(causes, alike_groups(signature_products(error, none, changes), causes), strict=True))
     own = next(label for each, label in labels.items() if each.name == name)
     return [each for each in causes if labels[each] != own]
 

@@ -14,7 +14,7 @@ from stepgap.experiment.explanation import (
     Shares,
     Surface,
     causes_of,
-    explain,
+    explain_error,
     fit_sizes,
     fit_surface,
 )
@@ -56,7 +56,7 @@ def simulate(wanted: Sequence[Shares]) -> list[Surface | None]:
 
 
 def explained(shares: Shares, seed: int, causes: Sequence[Cause] = CAUSES) -> Explanation:
-    return explain(RunError.of(steps_of(shares, seed, NOISE, 150)), causes, simulate)
+    return explain_error(RunError.of(steps_of(shares, seed, NOISE, 150)), causes, simulate)
 
 
 def test_sizes_and_evidence_are_those_of_a_dense_normal_distribution() -> None:
@@ -76,7 +76,7 @@ def test_sizes_and_evidence_are_those_of_a_dense_normal_distribution() -> None:
     gain = np.diag(prior) @ h.T @ np.linalg.inv(total)
     assert found.sizes == pytest.approx(gain @ value, rel=1e-6)
     assert found.covariance == pytest.approx(np.diag(prior) - gain @ h @ np.diag(prior), rel=1e-5, abs=1e-9)
-    density = multivariate_normal.logpdf(value, np.zeros(size), total) + size / 2 * np.log(2 * np.pi)
+    density = multivariate_normal(np.zeros(size), total).logpdf(value)  # pyright: ignore[reportArgumentType] + size / 2 * np.log(2 * np.pi)
     assert found.log_evidence == pytest.approx(density, rel=1e-6)
 
 

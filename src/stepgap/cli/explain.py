@@ -41,8 +41,7 @@ def explain(
         quiet: Show no progress.
     """
     from stepgap.cli.progress import progress_bar
-    from stepgap.experiment.explanation import RunError
-    from stepgap.experiment.explanation import explain as explain_error
+    from stepgap.experiment.explanation import RunError, explain_error
     from stepgap.experiment.run import Run
     from stepgap.experiment.settings_text import meanings
     from stepgap.experiment.simulated_errors import (

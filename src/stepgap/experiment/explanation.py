@@ -46,7 +46,7 @@ MOST_GROUPS: Final = 3
 MOST_SIMULATED: Final = 6
 """Number of causes, the most probable by the signatures known so far, that are simulated at the size found."""
 
-VISIBLE: Final = 3.0
+LEAST_SIGNATURE: Final = 3.0
 """Size of a signature from which on a run sees it, in standard deviations of noise and simulation."""
 
 MOST_USUAL: Final = 4.0
@@ -306,7 +306,7 @@ def alike_groups(signatures: Array, causes: Sequence[Cause]) -> list[int]:
     """Number of the group of each cause, by the cosines of their signatures (complete linkage).
 
     Args:
-        signatures: Products of signatures over the steps of a run, as `products` gives them; shape (p, p).
+        signatures: Products of signatures over the steps of a run, as `signature_products` gives them; shape (p, p).
         causes: The p causes.
     """
     if len(causes) < 2:
@@ -320,7 +320,7 @@ def alike_groups(signatures: Array, causes: Sequence[Cause]) -> list[int]:
     return fcluster(linkage(squareform(distance, checks=False), "complete"), 1 - ALIKE, "distance").tolist()
 
 
-def products(error: RunError, none: Surface, changes: Sequence[Array]) -> Array:
+def signature_products(error: RunError, none: Surface, changes: Sequence[Array]) -> Array:
     """Products of changes of the simulated error, less what the inaccuracy of simulations makes of them; shape (p, p).
 
     The metric is that of the noise of the run and of two simulations, of which one is the same for all changes.
@@ -426,7 +426,7 @@ def _shortened(shares: Shares) -> Shares:
     return {name: float(np.clip(share, -LARGEST_SHARE, LARGEST_SHARE)) for name, share in shares.items()}
 
 
-def explain(error: RunError, causes: Sequence[Cause], simulate: Simulate) -> Explanation:
+def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) -> Explanation:
     """Finds the causes that explain the errors of a run.
 
     Args:
@@ -441,8 +441,8 @@ def explain(error: RunError, causes: Sequence[Cause], simulate: Simulate) -> Exp
     search.simulate_usual()
     search.simulate_whole()
     walked = [each for each in causes if each.name in search.slopes]
-    signatures = products(error, search.none, [search.changes[each.name] for each in walked])
-    visible = signatures.diagonal() > VISIBLE**2
+    signatures = signature_products(error, search.none, [search.changes[each.name] for each in walked])
+    visible = signatures.diagonal() > LEAST_SIGNATURE**2
     seen = [each for each, one in zip(walked, visible, strict=True) if one]
     labels = dict(zip(seen, alike_groups(signatures[np.ix_(visible, visible)], seen), strict=True))
     now = search.fitted({}, search.none)

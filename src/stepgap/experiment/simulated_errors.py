@@ -40,10 +40,10 @@ from stepgap.step import Array, StepMap, StepSpace
 STEPS_PER_MONOMIAL: Final = 3
 """Number of simulated steps for each monomial of the polynomials."""
 
-MOST_STEPS: Final = 240
+MOST_SIMULATED_STEPS: Final = 240
 """Largest number of simulated steps of a robot."""
 
-MOST_STARTS: Final = 3
+MOST_FALLS: Final = 3
 """How often a robot that falls starts again."""
 
 LEARNING: Final = LearningSettings(residual="constant", online=True)
@@ -90,7 +90,7 @@ class SimulatedRobots:
         log = Steps(space)
         with one_blas_thread():
             simulation = next(iter(simulations_of(robot).values()))(random_stream(self.seed))
-            for attempt in range(MOST_STARTS):
+            for attempt in range(MOST_FALLS):
                 if len(log) >= len(self.targets):
                     break
                 reference = Reference(space.state_names, self.targets[len(log) :]).of(space)
@@ -140,7 +140,7 @@ def gap_of(settings: Experiment) -> Gap:
 def targets_of(run: Observations, seed: int) -> Array:
     """States of a run, in their order, that simulated robots track; NaN where they are not tracked; shape (N, n)."""
     space, inputs = run.space, len(run.space.names)
-    wanted = min(STEPS_PER_MONOMIAL * (1 + inputs + inputs * (inputs + 1) // 2), MOST_STEPS)
+    wanted = min(STEPS_PER_MONOMIAL * (1 + inputs + inputs * (inputs + 1) // 2), MOST_SIMULATED_STEPS)
     rows = np.linspace(0, len(run) - 1, wanted).round().astype(int)
     return np.where(space.tracked, _near(run.state[rows], space, random_stream(seed, 3)), np.nan)
 
