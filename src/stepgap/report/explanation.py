@@ -1,7 +1,10 @@
 """What explains the error of a run: sentences, a table and a figure."""
 
 from collections.abc import Mapping
+from math import exp, isinf
 from typing import TYPE_CHECKING, Final
+
+import numpy as np
 
 from stepgap.base.ranges import format_value
 from stepgap.experiment.explanation import TOLD_APART, Cause, CauseGroup, Explanation, Member
@@ -63,8 +66,8 @@ def explanation_table(explanation: Explanation, meanings: Mapping[str, str]) -> 
     rows = [
         [
             each.cause.name,
-            decimal(each.value),
-            " to ".join(decimal(end) if abs(end) < 1e300 else "∞" for end in each.interval),
+            _in_interval(each, each.value),
+            " to ".join(_in_interval(each, end) for end in each.interval),
             format_value(each.cause.exact),
             str(number),
             f"1 : {_odds(-each.log_odds)}",
@@ -131,13 +134,22 @@ def _group_sentence(group: CauseGroup) -> str:
 
 def _size(member: Member) -> str:
     low, high = member.interval
-    if high > 1e300:
-        return f"{decimal(member.value)} (at least {decimal(low)})"
+    if isinf(high):
+        return f"{_in_interval(member, member.value)} (at least {_in_interval(member, low)})"
     half = (high - low) / 2
     lopsided = max(high - member.value, member.value - low) > 1.2 * half
-    return f"{decimal(member.value)} " + (
-        f"({decimal(low, 2)} to {decimal(high, 2)})" if lopsided else f"± {decimal(half, 1)}"
-    )
+    ends = f"({_in_interval(member, low)} to {_in_interval(member, high)})" if lopsided else f"± {decimal(half, 1)}"
+    return f"{_in_interval(member, member.value)} {ends}"
+
+
+def _in_interval(member: Member, value: float) -> str:
+    """A value with two digits of the half width of the interval of a cause, at least three of its own."""
+    low, high = member.interval
+    if isinf(value):
+        return "∞"
+    half = high - member.value if not isinf(high) else member.value - low
+    ratio = abs(value) / half if half > 0 else 1.0
+    return decimal(value, min(max(3, 2 + int(np.floor(np.log10(max(ratio, 1.0))))), 8))
 
 
 def _rest_sentence(explanation: Explanation) -> str:
@@ -183,7 +195,7 @@ def _named(group: CauseGroup) -> str:
 
 
 def _odds(log: float) -> str:
-    return decimal(float(2.718281828 ** min(log, 20.0)), 2) if log < 20 else "many"
+    return decimal(exp(log), 2)
 
 
 def _first_sentence(text: str) -> str:
