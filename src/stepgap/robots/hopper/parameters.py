@@ -236,7 +236,8 @@ class CommandBounds:
                 try:
                     replace(gains, **{name: getattr(gains, name) + change}).check(robot)
                 except ValueError as error:
-                    raise ValueError(f"{name} = {getattr(self, name):g}, but with this change gains.{error}") from None
+                    largest = f"{name} = {getattr(self, name):g}"
+                    raise ValueError(f"{largest}, but with this change gains.{error}") from None
 
     def _quantity(self, name: str) -> Quantity:
         if name in PAPER_PAIR:
@@ -269,6 +270,10 @@ class CommandBounds:
             context=(ContextQuantity("yaw", "rad", period=tau), *(found if above else ())),
             advice=ADVICE_ON_HOPS,
         )
+
+
+PAPER_COMMAND = CommandBounds()
+"""The command of the paper with its default bounds."""
 
 
 def parameters_of(robot: Robot) -> RobotParameters:

@@ -98,7 +98,13 @@ class Hopper(Robot):
         from stepgap.robots.hopper.model.loads import hop_loads
 
         law = joint_law(self.parameters, self.gains, self.command)
-        return dict(zip(("torque [N·m]", "friction"), hop_loads(masses_of(self.parameters), law, *state[:2], *command)))
+        return dict(
+            zip(
+                ("torque [N·m]", "friction"),
+                hop_loads(masses_of(self.parameters), law, *state[:2], *command),
+                strict=True,
+            )
+        )
 
     @property
     def _of_apexes(self) -> UnevenGround:
@@ -165,7 +171,7 @@ class Hopper(Robot):
         return HopperControl(self.parameters, self.gains, self.command, ground=self.ground)
 
     def prior(self) -> Path | None:
-        """That of 76 random twins that hopped to random targets (`benchmarks/priors.py`); for the paper's command alone."""
+        """That of 76 random twins with random targets (`benchmarks/priors.py`); for the command of the paper alone."""
         return Path(__file__).with_name("prior.json") if self.command.pair == PAPER_PAIR else None
 
     def kinematics(self, sensors: SensorModel | None = None) -> "HopperKinematics":

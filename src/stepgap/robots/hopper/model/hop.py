@@ -177,7 +177,7 @@ def to_midstance(masses, laws, tolerances, speed, height, trace, retracing):
         (status, state): `StepStatus` as an integer, and leg angles and rates at mid-stance.
     """
     rewind(trace)
-    alpha_1, alpha_2 = landing_posture(laws.apex, speed)
+    alpha_1, alpha_2 = landing_posture(laws.landing, speed)
     state = (alpha_1, alpha_2, 0.0, 0.0)
     if not np.isfinite(speed + height):
         return INVALID, state

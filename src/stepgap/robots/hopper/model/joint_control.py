@@ -8,7 +8,14 @@ from typing import NamedTuple
 
 from stepgap.base.compiled import compiled
 from stepgap.robots.hopper.model.leg import Leg, four_bar, knee_angle, leg_of
-from stepgap.robots.hopper.parameters import FIRST_EARLY, KNOB_UNITS, CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.parameters import (
+    FIRST_EARLY,
+    KNOB_UNITS,
+    PAPER_COMMAND,
+    CommandBounds,
+    Gains,
+    RobotParameters,
+)
 
 (
     FX,
@@ -45,7 +52,7 @@ class JointLaw(NamedTuple):
     knob_2: float
 
 
-def joint_law(robot: RobotParameters, gains: Gains, bounds: CommandBounds = CommandBounds()) -> JointLaw:
+def joint_law(robot: RobotParameters, gains: Gains, bounds: CommandBounds = PAPER_COMMAND) -> JointLaw:
     """Constants of the torque laws, with what the command is.
 
     Raises:
@@ -74,8 +81,9 @@ class HopLaws(NamedTuple):
     """The torque laws of one hop under its command.
 
     Attributes:
-        apex: The law without the command: in the ascent, and of the posture at the apex.
-        landing: In the descent and before mid-stance.
+        apex: The law without the command, in the ascent.
+        landing: In the descent, which begins in its landing posture, and before mid-stance. A robot turns to this posture
+            while it falls.
         thrust: From mid-stance to take-off.
         force_x: Forward command force in the thrust [N].
         force_y: Upward command force in the thrust [N].

@@ -30,7 +30,7 @@ def hop_loads(masses, law, speed, height, command_1, command_2):
         Both; NaN if the hop has no take-off.
     """
     laws = commanded(law, command_1, command_2)
-    alpha_1, alpha_2 = landing_posture(laws.apex, speed)
+    alpha_1, alpha_2 = landing_posture(laws.landing, speed)
     state, time = (alpha_1, alpha_2, 0.0, 0.0), 0.0
     flight = flight_of(masses, laws.landing, -1.0, 0.0, Hip(height, speed, 0.0), state)
     while flight_motion(flight, time, state)[2] > 0.0 and time < FLIGHT_LIMIT:

@@ -196,7 +196,7 @@ def sampled_hop(masses, law, tick, tolerance, speed, height, command_1, command_
     if not np.isfinite(speed + height + command_1 + command_2):
         return INVALID, *no_apex
     laws = commanded(law, command_1, command_2)
-    alpha_1, alpha_2 = landing_posture(law, speed)
+    alpha_1, alpha_2 = landing_posture(laws.landing, speed)
     state = (alpha_1, alpha_2, 0.0, 0.0)
     flight = flight_of(masses, laws.landing, -1.0, 0.0, Hip(height, speed, 0.0), state)
     if flight_motion(flight, 0.0, state)[2] <= 0.0:

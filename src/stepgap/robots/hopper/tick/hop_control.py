@@ -18,7 +18,7 @@ from stepgap.robots.ground import FLAT_GROUND, UnevenGround
 from stepgap.robots.hopper.model.dynamics import masses_of
 from stepgap.robots.hopper.model.joint_control import joint_law
 from stepgap.robots.hopper.model.leg import foot, four_bar, leg_of
-from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.parameters import PAPER_COMMAND, CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.tick.hop_state import Apex, HopState, Landing, TickSettings
 from stepgap.robots.hopper.tick.hop_tick import interrupted_hop, tick
 from stepgap.robots.hopper.tick.limits import SafetyLimits
@@ -73,7 +73,7 @@ class HopControl(TickControl):
         gains: Gains,
         limits: SafetyLimits,
         ground: UnevenGround = FLAT_GROUND,
-        bounds: CommandBounds = CommandBounds(),
+        bounds: CommandBounds = PAPER_COMMAND,
     ):
         law, uneven = joint_law(robot, gains, bounds), ground.is_measured
         self._uneven, self._footholds = uneven, ground.has_footholds
