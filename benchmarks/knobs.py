@@ -30,8 +30,8 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.robots.hopper.model.dynamics import masses_of
 from stepgap.robots.hopper.model.leg import foot, four_bar, leg_of
-from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.robots.hopper.paper import paper_reference
+from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.tick.sensors import hopper_sensors
 from stepgap.robots.hopper.tick.tick_row import TICK_COLUMN

@@ -12,7 +12,7 @@ from stepgap.cli.terminal import announces_compilation, warn
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.prior import RobotSteps
 
-LEAST_STEPS = 15
+_LEAST_STEPS = 15
 """Number of completed steps from which a run says something about its robot."""
 
 
@@ -37,9 +37,9 @@ def prior(*runs: Path, out: Path, quiet: Flag = False) -> None:
         for number, folder in enumerate(folders, 1):
             found.append(steps_of_robot(folder))
             progress(number, len(folders))
-    poor = [each.folder for each in found if len(each.observations) < LEAST_STEPS]
+    poor = [each.folder for each in found if len(each.observations) < _LEAST_STEPS]
     if poor:
-        warn(f"left out, since it has fewer than {LEAST_STEPS} completed steps: {', '.join(map(str, poor))}")
+        warn(f"left out, since it has fewer than {_LEAST_STEPS} completed steps: {', '.join(map(str, poor))}")
     made = find_prior([each for each in found if each.folder not in poor])
     write_new(out, "--out", made.text())
     if not quiet:

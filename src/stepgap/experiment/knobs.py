@@ -87,8 +87,8 @@ def study_knobs(settings: Experiment, on_gait: OnGait = lambda done, total: None
     if kind not in robot.nominal_maps():
         known = ", ".join(robot.nominal_maps()) or "none"
         raise InputError(
-            f"nominal.kind = {kind}: robot '{robot.name}' does not make it from its settings, so they have no effect on "
-            f"it; it must be one of {known}"
+            f"nominal.kind = {kind}: robot '{robot.name}' does not make it from its settings, so they have no "
+            f"effect on it; it must be one of {known}"
         )
     space = robot.space
     commands = (Knob(each.name, each.unit, (each.upper - each.lower) / 2) for each in space.command)

@@ -30,7 +30,7 @@ LEAST_ROBOTS = 5
 NOISE_COUNT = 5.0
 """Number of values that the noise of other robots is worth for a new one."""
 
-ROUNDS = 60
+_ROUNDS = 60
 """Number of rounds of expectation maximisation; later ones change no weight by more than a hundredth of its spread."""
 
 LEAST_SPREAD = 1e-4
@@ -126,7 +126,7 @@ def _fitted(basis: Sequence[Array], values: Sequence[Array]) -> CoordinatePrior:
     mean, covariance, noise = np.zeros(size), 0.1 * np.eye(size), np.full(count, 0.05**2)
     grams = [each.T @ each for each in basis]
     sums = [each.T @ value for each, value in zip(basis, values, strict=True)]
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         prior = np.linalg.inv(covariance)
         spreads = [np.linalg.inv(prior + gram / one) for gram, one in zip(grams, noise, strict=True)]
         weights = np.array(

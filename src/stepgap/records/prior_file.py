@@ -18,10 +18,10 @@ from stepgap.step import Array, StepSpace
 LARGEST_PRIOR = 2**24
 """Largest file of a prior that is read [bytes]."""
 
-FORMAT = "stepgap prior 1"
+_FORMAT = "stepgap prior 1"
 """Value of the key `format`."""
 
-DIGITS = 8
+_DIGITS = 8
 """Significant digits of the numbers."""
 
 
@@ -47,7 +47,7 @@ class PriorFile:
         prior = self.prior
         ranges = zip(prior.names, prior.centre, prior.scale, strict=True)
         content = {
-            "format": FORMAT,
+            "format": _FORMAT,
             "robot": self.robot,
             "nominal": self.nominal,
             "provenance": dict(self.provenance),
@@ -75,8 +75,8 @@ def read_prior(path: Path, space: StepSpace) -> PriorFile:
     """
     try:
         data = as_object(parse_json(read_bounded_text(path, LARGEST_PRIOR)), "a prior")
-        if data.get("format") != FORMAT:
-            raise ValueError(f"format must be {FORMAT!r}; `stepgap prior` writes such a file")
+        if data.get("format") != _FORMAT:
+            raise ValueError(f"format must be {_FORMAT!r}; `stepgap prior` writes such a file")
         return _restored(data, space)
     except ValueError as error:
         raise ValueError(f"{path}: {message_of(error).removeprefix(f'{path}: ')}") from None
@@ -126,5 +126,5 @@ def _names_of_monomials(names: tuple[str, ...]) -> list[str]:
 
 
 def _rounded(values: Array | float) -> Any:
-    """Numbers with `DIGITS` significant digits, as JSON data."""
-    return np.vectorize(lambda value: float(f"{value:.{DIGITS}g}"))(np.asarray(values, float)).tolist()
+    """Numbers with `_DIGITS` significant digits, as JSON data."""
+    return np.vectorize(lambda value: float(f"{value:.{_DIGITS}g}"))(np.asarray(values, float)).tolist()

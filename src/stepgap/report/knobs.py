@@ -21,8 +21,8 @@ def describe_knobs(study: KnobStudy) -> str:
     tracked = np.flatnonzero(space.tracked)
     left_out = f"; {study.left_out} other states are not held" if study.left_out else ""
     lines = [
-        f"{len(study.states)} gaits all over the ranges of use{left_out}. Change of the next state by the whole range of "
-        "a setting: mean (least … largest)"
+        f"{len(study.states)} gaits all over the ranges of use{left_out}. Change of the next state by the whole "
+        "range of a setting: mean (least … largest)"
     ]
     rows = [["setting", "range ±", *(f"{space.state[row].name}{unit_suffix(space.state[row])}" for row in tracked)]]
     for number in np.argsort(-largest_effect(study)):
@@ -37,7 +37,7 @@ def describe_knobs(study: KnobStudy) -> str:
     lines += [
         *_aligned(rows),
         "",
-        "Pairs as the whole step command, the least coupled first; loads of gaits and of steps by a quarter of a range",
+        "Pairs as the whole step command, the best balanced first; loads of gaits and of steps by a quarter of a range",
     ]
     pairs = study.pairs[:SHOWN_PAIRS]
     own = [each for each in study.pairs if {names[each.first], names[each.second]} <= set(space.command_names)]

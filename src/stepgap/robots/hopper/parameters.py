@@ -245,7 +245,7 @@ class CommandBounds:
         return Quantity(name, KNOB_UNITS[name], -getattr(self, name), getattr(self, name))
 
     def space(self, ground: UnevenGround = FLAT_GROUND) -> StepSpace:
-        """State [speed, height] and command, such as [fx, fy], of the hopper (Eq. 10), and the yaw of its boom at the apex.
+        """State [speed, height] and command [fx, fy] or others of the hopper (Eq. 10), and the boom's yaw at the apex.
 
         With footholds, the state also has the stride from the foothold of the hop to the next one, as it follows from
         the apex between them; it counts more than the height, since a miss is a fall, and the speed hardly: it follows.

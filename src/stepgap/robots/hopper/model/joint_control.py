@@ -82,8 +82,8 @@ class HopLaws(NamedTuple):
 
     Attributes:
         apex: The law without the command, in the ascent.
-        landing: In the descent, which begins in its landing posture, and before mid-stance. A robot turns to this posture
-            while it falls.
+        landing: In the descent, which begins in its landing posture, and before mid-stance. A robot turns to this
+            posture while it falls.
         thrust: From mid-stance to take-off.
         force_x: Forward command force in the thrust [N].
         force_y: Upward command force in the thrust [N].
@@ -150,7 +150,8 @@ def commanded(law, command_1, command_2):
 def _with_spring(law, stiffer, longer, landing_angle, more_gain, more_speed):
     """`JointLaw` with changes of spring and landing; a copy, since compiled code cannot return a record."""
     return JointLaw(
-        leg=Leg(law.leg.top, law.leg.bottom, law.leg.foot), stiffness=law.stiffness + stiffer, rest_length=law.rest_length + longer,
+        leg=Leg(law.leg.top, law.leg.bottom, law.leg.foot),
+        stiffness=law.stiffness + stiffer, rest_length=law.rest_length + longer,
         landing_angle=landing_angle, speed_gain=law.speed_gain + more_gain,
         speed_setpoint=law.speed_setpoint + more_speed, position_gain=law.position_gain, damping_gain=law.damping_gain,
         torque_limit=law.torque_limit, thrust_rest_length=law.thrust_rest_length,

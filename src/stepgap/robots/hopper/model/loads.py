@@ -16,7 +16,9 @@ TIME_STEP = 2e-4
 
 @compiled
 def hop_loads(masses, law, speed, height, command_1, command_2):
-    """Largest torque that the law asks for in stance [N·m], and the largest ratio |P_x|/P_y of a ground force that carries the robot.
+    """Largest torque that the law asks for in stance [N·m], and the largest |P_x|/P_y of a ground force.
+
+    Only ground forces that carry the robot's weight count: just before take-off, little force moves the foot little.
 
     Args:
         masses: `Masses`.

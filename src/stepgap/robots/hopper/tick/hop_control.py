@@ -54,7 +54,7 @@ def _prepare(settings: Record, memory: Record, row: Array) -> None:
 
 
 class HopControl(TickControl):
-    """Control of the hopper tick by tick; a hop lasts from apex to apex, that of the paper acts from mid-stance to take-off.
+    """Control of the hopper tick by tick; a hop lasts from apex to apex.
 
     Args:
         sensor_model: Sensor model of the rig.
