@@ -107,8 +107,8 @@ def test_a_prior_of_another_robot_or_map_is_refused(family: Path, stepgap: Comma
     ("old", "new", "parts"),
     [
         ('"stepgap prior 1"', '"stepgap prior 9"', ["format must be 'stepgap prior 1'"]),
-        ('"noise_std": 0', '"noise_std": -0', ["noise_std must be positive"]),
-        ('"scale": ', '"scale": -', ["scale must be positive"]),
+        ('"noise_std": 0', '"noise_std": -0', ["noise_std must lie between"]),
+        ('"scale": ', '"scale": -', ["scale must lie between"]),
         ('"mean": [', '"mean": [1.0,', ["15 numbers"]),
         ('"covariance": [', '"covariance": [[NaN],', ["NaN"]),
         ("{", "", ["not JSON"]),

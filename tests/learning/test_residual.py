@@ -307,7 +307,7 @@ def test_join_broadcasts_leading_axes() -> None:
 
 class TestRefused:
     def test_the_error_of_an_unknown_kind_lists_the_known_ones(self) -> None:
-        names = "constant, fitrgp, gp, gp_on_linear, linear, none, quadratic$"
+        names = "constant, fitrgp, gp, gp_on_linear, linear, none, prior, quadratic$"
         with pytest.raises(InputError, match=f"^residual 'neural': unknown; the residuals installed here are {names}"):
             fit_residual("neural", steps())
         with pytest.raises(InputError, match=r"^residual 'gp_on_line': unknown; did you mean gp_on_linear\?"):

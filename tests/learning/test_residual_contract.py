@@ -17,5 +17,5 @@ class TestInstalled(ResidualContract):
 
 
 def test_they_are_sorted_from_simple_to_complex() -> None:
-    assert list(MODELS) == ["none", "constant", "linear", "quadratic", "gp", "gp_on_linear", "fitrgp"]
-    assert [name for name, model in MODELS.items() if not model.candidate] == ["fitrgp"]
+    assert list(MODELS) == ["none", "constant", "linear", "quadratic", "prior", "gp", "gp_on_linear", "fitrgp"]
+    assert [name for name, model in MODELS.items() if not model.candidate] == ["prior", "fitrgp"]

@@ -18,6 +18,7 @@ PURPOSES = {
     "moteus": "robots with mjbots moteus controllers on a CAN-FD bus",
     "onnx": "stepgap export --to onnx",
     "parquet": "stepgap export --to parquet, and the table of a sweep",
+    "policy": "trained policies in ONNX files, stepgap new --policy",
     "sysid": "method sysid of the learning benchmark",
 }
 """Purposes of the extras."""

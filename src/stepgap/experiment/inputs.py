@@ -10,6 +10,7 @@ from stepgap.base.files import read_bounded_text, write_whole
 from stepgap.control.reference import Reference, read_reference, reference_text
 from stepgap.experiment.settings import LARGEST_NOMINAL_FILE, NO_PRIOR, PRIOR_OF_ROBOT, Experiment, with_files
 from stepgap.experiment.settings_text import experiment_toml
+from stepgap.learning.settings import AUTO, LearningSettings
 from stepgap.learning.steps import Steps, joined
 from stepgap.records.prior_file import PriorFile, read_prior
 from stepgap.records.steps_csv import RecordError, read_step_log, text_of
@@ -88,7 +89,8 @@ def load_prior(experiment: Experiment, space: StepSpace) -> PriorFile | None:
     built_in, path = experiment.prior == PRIOR_OF_ROBOT, Path(experiment.prior)
     if built_in:
         shipped = experiment.robot.prior()
-        if shipped is None or not experiment.learning.online or linear:
+        usual = experiment.learning.residual in (AUTO, LearningSettings().residual)
+        if shipped is None or not (experiment.learning.online and usual) or linear:
             return None
         path = shipped
     elif experiment.prior == NO_PRIOR:

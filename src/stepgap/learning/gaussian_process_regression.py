@@ -141,7 +141,7 @@ GP: Final = gaussian_process_model(
     f"a Gaussian process with a constant and the kernel {MATERN_52.name}",
     "constant",
     candidate=True,
-    complexity=4,
+    complexity=5,
 )
 """The residual `gp`."""
 
@@ -150,7 +150,7 @@ GP_ON_LINEAR: Final = gaussian_process_model(
     f"a Gaussian process with a constant, slopes and the kernel {MATERN_52.name}",
     "linear",
     candidate=True,
-    complexity=5,
+    complexity=6,
 )
 """The residual `gp_on_linear`."""
 
@@ -159,6 +159,6 @@ FITRGP: Final = ResidualModel(
     f"the Gaussian process that MATLAB's fitrgp finds, with a constant and the kernel {MATERN_52.name}",
     _fit_like_fitrgp,
     _fitrgp_from_dict,
-    complexity=6,
+    complexity=7,
 )
 """The residual `fitrgp`."""

@@ -145,6 +145,6 @@ PRIOR: Final = ResidualModel(
     "a quadratic polynomial with a prior learned from other robots",
     lambda data, start: fit_polynomial(data, DEGREE),
     QUADRATIC.from_dict,
-    complexity=3,
+    complexity=4,
 )
 """The residual `prior`: without one, it is `quadratic`."""

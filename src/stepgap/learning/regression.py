@@ -100,10 +100,11 @@ class TrainingData:
     @staticmethod
     def from_dict(saved: Mapping[str, Any]) -> "TrainingData":
         """Restores the data that `to_dict` saved; a ValueError names the wrong key."""
+        centre = numbers(saved, "centre", 1)
         return TrainingData(
-            numbers(saved, "points", 2),
+            numbers(saved, "points", 2) if saved.get("points") else np.empty((0, len(centre))),
             numbers(saved, "values", 1),
-            numbers(saved, "centre", 1),
+            centre,
             numbers(saved, "scale", 1),
             number(saved, "value_scale"),
             boolean(saved, "timed"),
@@ -229,7 +230,8 @@ class ResidualModel:
         from_dict: Restores the regression that `Regression.to_dict` saved; its ValueError names the wrong key.
         lagged_inputs: Inputs from the step before that it always has; settings may add others.
         candidate: Whether `auto` may choose it.
-        complexity: Rank from simple to complex: 0 none, 1 constant, 2 linear, 3 quadratic, 4 to 6 Gaussian processes.
+        complexity: Rank from simple to complex: 0 none, 1 constant, 2 linear, 3 quadratic, 4 quadratic with a prior, 5
+            to 7 Gaussian processes.
             Residuals are listed in this order, and among equally good ones the simplest is chosen.
     """
 

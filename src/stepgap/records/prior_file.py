@@ -1,7 +1,7 @@
 """Files of priors over robots: readable JSON, with what the prior was found from."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -10,7 +10,7 @@ import numpy as np
 
 from stepgap.base.errors import message_of
 from stepgap.base.files import read_bounded_text
-from stepgap.base.json_data import as_object, number, numbers, parse_json
+from stepgap.base.json_data import LARGEST_NUMBER, as_object, number, numbers, parse_json
 from stepgap.learning.polynomial import monomials
 from stepgap.learning.prior import DEGREE, CoordinatePrior, Prior
 from stepgap.step import Array, StepSpace
@@ -20,6 +20,9 @@ LARGEST_PRIOR = 2**24
 
 _FORMAT = "stepgap prior 1"
 """Value of the key `format`."""
+
+_LEAST_SCALE = 1e-9
+"""Smallest scale of an input and smallest noise that is read."""
 
 _DIGITS = 8
 """Significant digits of the numbers."""
@@ -84,16 +87,19 @@ def read_prior(path: Path, space: StepSpace) -> PriorFile:
 
 def _restored(data: Mapping[str, Any], space: StepSpace) -> PriorFile:
     inputs = [as_object(each, "inputs") for each in _items(data, "inputs")]
-    names = tuple(str(each.get("name")) for each in inputs)
+    saved = [as_object(each, "coordinates") for each in _items(data, "coordinates")]
+    names, of_state = _names_in(inputs), _names_in(saved)
     if names != space.names:
-        raise ValueError(f"it is for {', '.join(names)}, but this robot has {', '.join(space.names)}")
+        raise ValueError(f"it is for {', '.join(names):.200}, but this robot has {', '.join(space.names)}")
+    if of_state != space.state_names:
+        raise ValueError(f"coordinates must have the names {', '.join(space.state_names)}, in this order")
+    monomial_names = _names_of_monomials(names)
+    if data.get("monomials") != monomial_names:
+        raise ValueError(f"monomials must be {', '.join(monomial_names):.200}, in this order")
     centre, scale = (np.array([number(each, key) for each in inputs]) for key in ("centre", "scale"))
-    if not (scale > 0).all():
-        raise ValueError("inputs: scale must be positive")
-    size = len(_names_of_monomials(names))
-    coordinates = tuple(_coordinate(as_object(each, "coordinates"), size) for each in _items(data, "coordinates"))
-    if len(coordinates) != len(space.state):
-        raise ValueError(f"coordinates must have {len(space.state)} entries, one for each state coordinate")
+    _check_size(centre, "inputs: centre")
+    _check_size(scale, "inputs: scale", least=_LEAST_SCALE)
+    coordinates = tuple(_coordinate(each, len(monomial_names)) for each in saved)
     robot, nominal = (str(data.get(key, "")) for key in ("robot", "nominal"))
     provenance = as_object(data.get("provenance", {}), "provenance")
     return PriorFile(Prior(names, centre, scale, coordinates), robot, nominal, provenance)
@@ -106,9 +112,21 @@ def _coordinate(data: Mapping[str, Any], size: int) -> CoordinatePrior:
         raise ValueError(f"coordinates: mean and covariance must have {size} numbers and rows, one for each monomial")
     if not np.array_equal(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] <= 0:
         raise ValueError("coordinates: covariance must be symmetric and positive definite")
-    if found.noise_std <= 0:
-        raise ValueError("coordinates: noise_std must be positive")
+    _check_size(found.mean, "coordinates: mean")
+    _check_size(covariance, "coordinates: covariance")
+    _check_size(np.array(found.noise_std), "coordinates: noise_std", least=_LEAST_SCALE)
     return found
+
+
+def _check_size(values: Array, name: str, least: float = -LARGEST_NUMBER) -> None:
+    """Raises ValueError if a number is so large or small that products of such numbers are none."""
+    if not ((least <= values) & (np.abs(values) <= LARGEST_NUMBER)).all():
+        raise ValueError(f"{name} must lie between {least:g} and {LARGEST_NUMBER:g}")
+
+
+def _names_in(items: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Names of the entries of a list, as far as they can be printed."""
+    return tuple("".join(filter(str.isprintable, str(each.get("name")))) for each in items)
 
 
 def _items(data: Mapping[str, Any], key: str) -> list[Any]:

@@ -9,7 +9,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.files import create, new_folder
 from stepgap.base.output_files import check_new, free_name, write_new, write_together, writing
 from stepgap.base.versions import optional_package
-from stepgap.cli.options import Integer
+from stepgap.cli.options import Integer, Name
 from stepgap.cli.terminal import announces_compilation
 from stepgap.export.cli.export_controller import CONTROLLER_FILES, controller_file
 
@@ -31,7 +31,7 @@ def export(
     ] = None,
     fmi: Literal[2, 3] = 2,
     real: Literal["double", "float"] = "double",
-    name: str = "",
+    name: Name = "",
     out: Path | None = None,
 ) -> None:
     """Convert a run for other programs: MATLAB, data frames, players of tick logs, viewers, controllers.
