@@ -103,6 +103,7 @@ def test_a_bag_gives_the_steps_that_text_gives(stamped: bool, tmp_path: Path, st
         ((*EVERY, "--pose", "x,y,cx", "--state", "mean(rate(left))"), ("column 'cx': its times are not those of 'x'",)),
         ((*EVERY, "--state", "mean(vx)", "--command", "mean(cx)"), ("only coordinates of the state may be",)),
         (("--every", "300", "--state", "mean(vx)", "--command", "cx"), ("no command holds for 300 s",)),
+        (("--every", "1e-9", "--state", "mean(vx)", "--command", "cx"), ("makes more than 1,000,000 steps",)),
     ],
 )
 def test_wrong_input_is_refused(

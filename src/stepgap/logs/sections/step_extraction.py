@@ -25,6 +25,9 @@ from stepgap.logs.sections.tops import hop_faults
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
 
+MOST_REGULAR: Final = 1_000_000
+"""Largest number of steps at equal intervals."""
+
 LONGEST_GAP: Final = 0.2
 """A step is left out if a signal has no samples for this part of a typical step: a section could be hidden."""
 
@@ -197,6 +200,9 @@ def _regular(held: HeldCommands, log: SignalLog, settings: SectionSettings) -> l
     """Sections at equal intervals, while all signals of the state have samples."""
     signals = [log.signal(each.column) for each in settings.coordinates("state")]
     first, last = max(signal.time[0] for signal in signals), min(signal.time[-1] for signal in signals)
+    known = np.isfinite(held.values[:-1]).all(axis=1)
+    if np.diff(held.begin)[known].sum() > MOST_REGULAR * settings.every:
+        raise RecordError(f"{log.source}: every = {settings.every:g} s makes more than {MOST_REGULAR:,} steps of it")
     found = regular_sections(held, settings.every, float(first), float(last))
     if len(found) < 2:
         raise RecordError(
