@@ -97,7 +97,7 @@ def test_the_twin_without_differences_moves_as_the_map(name: str) -> None:
         found.append((record.next_state, apex_map(record.state, record.command)))
     (low, low_map), (high, high_map) = found
     scale = apex_map.space.state_scale
-    np.testing.assert_allclose((high - low) / scale, (high_map - low_map) / scale, atol=0.04)
+    np.testing.assert_allclose((high - low) / scale, (high_map - low_map) / scale, atol=0.05 if name in STANCE else 0.1)
     assert np.abs((high - low) / scale).max() > 0.05
 
 
@@ -156,3 +156,13 @@ def test_on_uneven_ground_the_command_must_act_late() -> None:
     Hopper(command=with_command("thrust_stiffness"), ground=UnevenGround(measured_heights=True)).check()
     assert Hopper(command=bounds).prior() is None
     assert Hopper(command=bounds).published() is None
+
+
+def test_a_landing_angle_needs_less_friction_than_a_force() -> None:
+    """The same change of the speed, by either; the floor pulls with P_x, by Eq. 4, which the law does not know."""
+    force, angle = Hopper(), Hopper(command=with_command("speed_setpoint"))
+    by_force, by_angle = (
+        robot.loads(START, np.array([change, -8.0])) for robot, change in ((force, 8.0), (angle, 8.0 * 0.018))
+    )
+    assert by_angle["friction"] < 0.5 * by_force["friction"]
+    assert by_angle["torque [N·m]"] == pytest.approx(by_force["torque [N·m]"], rel=0.1)
