@@ -9,7 +9,7 @@ import numpy as np
 from stepgap.base.ranges import format_value
 from stepgap.experiment.explanation import TOLD_APART, Cause, CauseGroup, Explanation, Member
 from stepgap.report.drawing import BLUE, LIGHT, draw_figure, new_figure, plain
-from stepgap.report.html import bullets, page, paragraph, picture, section, table
+from stepgap.report.html import bullets, page, paragraph, picture, safe, section, table
 from stepgap.report.text import decimal, listed
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -112,12 +112,13 @@ def explanation_page(name: str, explanation: Explanation, meanings: Mapping[str,
         section("sizes", "Sizes", table("", *explanation_table(explanation, meanings)), paragraph(METHOD)),
         section(
             "alike",
-            "What this run could not tell apart",
+            "Causes whose signatures are alike in this run",
             bullets(alike) or paragraph("The signatures of all causes differ."),
         ),
-        section("left-out", "Causes that say nothing here", bullets(_silent(explanation))),
     ]
-    return page("StepGap explanation", [f"<h1>What explains the error of {plain(name)}</h1>", *parts])
+    if silent := _silent(explanation):
+        parts.append(section("left-out", "Causes of which this run says nothing", bullets(silent)))
+    return page("StepGap explanation", [f"<h1>What explains the error of {safe(name)}</h1>", *parts])
 
 
 def members_in_question(group: CauseGroup) -> list[Member]:
