@@ -394,13 +394,18 @@ class _Search:
         rows = np.array([known[name] for name in shares]).reshape(len(shares), *k)
         return _Point(shares, surface, fit_sizes(self.error, surface, np.array([*shares.values()]), rows))
 
+    def predicted(self, point: _Point) -> Array:
+        """Error of the robot with the sizes found; shape (n, k)."""
+        changes = [self.slopes[name] * (share - point.shares[name]) for name, share in point.next.items()]
+        return point.surface.weights + np.sum(changes, axis=0)
+
     def permitted(self, shares: Shares) -> bool:
         """Whether sizes are valid."""
         return all(self.causes[name].signed or share > 0 for name, share in shares.items())
 
     def walked(self, starts: Sequence[tuple[_Point, str]], rounds: int = 2) -> dict[str, _Point]:
         """Simulates robots with one cause more, at the sizes found, some times; by the name of that cause."""
-        points = {name: self.fitted({**start.next, name: 0.0}, start.surface) for start, name in starts}
+        points = {name: self.fitted({**start.shares, name: 0.0}, start.surface) for start, name in starts}
         origins = {name: start for start, name in starts}
         found = dict[str, _Point]()
         for _ in range(rounds):
@@ -453,7 +458,7 @@ def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) 
         now = point
         path.append(now)
     total = max(error.squares(search.none.weights), 1e-9)
-    left = [max(error.squares(each.surface.weights), 0.0) / total for each in path]
+    left = [min(max(error.squares(search.predicted(each)), 0.0) / total, 1.0) for each in path]
     groups = []
     for number, (name, gain) in enumerate(gains):
         members = _members(search, now, name, [each for each in seen if labels[each] == labels[search.causes[name]]])
@@ -462,7 +467,7 @@ def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) 
     return Explanation(
         error.steps,
         tuple(groups),
-        min(left[-1], 1.0),
+        left[-1],
         now.fit.log_evidence - without,
         float(np.sum(error.seen(search.none.weights) ** 2)) / total,
         tuple(tuple(each for each in seen if labels[each] == label) for label in dict.fromkeys(labels.values())),
@@ -487,9 +492,7 @@ def _with_one_more(search: _Search, now: _Point, names: Sequence[str]) -> tuple[
     best = max(found, key=lambda name: found[name].fit.log_evidence)
     if found[best].fit.log_evidence - now.fit.log_evidence < CAUSE_LOG_ODDS:
         return None
-    shares = _shortened(found[best].next)
-    surface = search.simulate([shares])[0]
-    return best, found[best] if surface is None else search.fitted(shares, surface)
+    return best, found[best]
 
 
 def _members(search: _Search, now: _Point, name: str, group: Sequence[Cause]) -> tuple[Member, ...]:

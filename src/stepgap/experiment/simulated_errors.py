@@ -132,7 +132,7 @@ def gap_of(settings: Experiment) -> Gap:
     if not isinstance(gap, Gap) or not causes_of(gap):
         raise InputError(
             f"robot '{settings.robot.name}': its simulated plant has no differences from the model that could be "
-            "causes; declare them as a Gap (docs/own_robot.md)"
+            "causes; its table gap must be a Gap (stepgap.robots.gap)"
         )
     return gap
 
