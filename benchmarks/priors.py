@@ -32,7 +32,7 @@ from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
 from stepgap.learning.learner import Learner
 from stepgap.learning.observations import Observations, observe
-from stepgap.learning.prior import LEAST_ROBOTS, Prior, fit_prior
+from stepgap.learning.prior import LEAST_FOR_PRIOR, Prior, fit_prior
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.plants.plant import Plant
@@ -205,7 +205,7 @@ def main() -> None:
     given = parser.parse_args()
     members = dict(finished(partial(family_member, given.robot), range(given.family)))
     robots = [members[number] for number in sorted(members) if len(members[number]) >= LEAST_STEPS]
-    print(f"{len(robots)} of {given.family} twins with {LEAST_STEPS} hops or more; a prior needs {LEAST_ROBOTS}")
+    print(f"{len(robots)} of {given.family} twins with {LEAST_STEPS} hops or more; a prior needs {LEAST_FOR_PRIOR}")
     priors, seeds = priors_of(robots), range(given.seeds)
     if given.out and (found := priors["prior"]):
         about = {"robots": len(robots), "steps": sum(map(len, robots)), "by": "benchmarks/priors.py"}

@@ -8,7 +8,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.versions import versions_here
 from stepgap.experiment.run import Run
 from stepgap.learning.observations import Observations, observe
-from stepgap.learning.prior import LEAST_ROBOTS, fit_prior
+from stepgap.learning.prior import LEAST_FOR_PRIOR, fit_prior
 from stepgap.records.prior_file import PriorFile
 
 
@@ -55,8 +55,8 @@ def find_prior(robots: Sequence[RobotSteps]) -> PriorFile:
     Raises:
         InputError: There are too few, or they differ in state, command, ranges or nominal map.
     """
-    if len(robots) < LEAST_ROBOTS:
-        raise InputError(f"RUNS: {len(robots)} robots with enough steps, but a prior needs at least {LEAST_ROBOTS}")
+    if len(robots) < LEAST_FOR_PRIOR:
+        raise InputError(f"RUNS: {len(robots)} robots with enough steps, but a prior needs at least {LEAST_FOR_PRIOR}")
     first = robots[0]
     for each in robots:
         if each[1:3] != first[1:3] or each.observations.space != first.observations.space:

@@ -24,7 +24,7 @@ from stepgap.step import Array
 DEGREE = 2
 """Degree of the polynomials."""
 
-LEAST_ROBOTS = 5
+LEAST_FOR_PRIOR = 5
 """Number of robots from which a prior can be found."""
 
 NOISE_COUNT = 5.0
@@ -109,8 +109,8 @@ def fit_prior(robots: Sequence[Observations]) -> Prior:
     Raises:
         ValueError: There are too few robots.
     """
-    if len(robots) < LEAST_ROBOTS:
-        raise ValueError(f"{len(robots)} robots, but a prior needs those of at least {LEAST_ROBOTS}")
+    if len(robots) < LEAST_FOR_PRIOR:
+        raise ValueError(f"{len(robots)} robots, but a prior needs those of at least {LEAST_FOR_PRIOR}")
     space = robots[0].space
     basis = [monomials(space.scaled_inputs(each.state, each.command), DEGREE) for each in robots]
     errors = [each.error / space.state_scale for each in robots]
