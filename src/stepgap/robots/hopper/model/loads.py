@@ -10,7 +10,7 @@ from stepgap.robots.hopper.model.joint_control import commanded, landing_posture
 from stepgap.robots.hopper.model.leg import foot, four_bar
 from stepgap.robots.hopper.model.reduced import Hip, Stance, flight_motion, flight_of, hip_in_flight, stance_motion
 
-TIME_STEP = 2e-4
+_TIME_STEP = 2e-4
 """Step of the integration [s]; peaks of a smooth motion are right to some 1e-4 of their height."""
 
 
@@ -36,13 +36,13 @@ def hop_loads(masses, law, speed, height, command_1, command_2):
     state, time = (alpha_1, alpha_2, 0.0, 0.0), 0.0
     flight = flight_of(masses, laws.landing, -1.0, 0.0, Hip(height, speed, 0.0), state)
     while flight_motion(flight, time, state)[2] > 0.0 and time < FLIGHT_LIMIT:
-        state, time = _runge_kutta(flight, state), time + TIME_STEP
+        state, time = _runge_kutta(flight, state), time + _TIME_STEP
     bar = four_bar(masses.leg, state[1])
     toe, m = foot(masses.leg, bar, state[0]), terms(masses, bar, state[0], state[1], state[2], state[3])
     hip = hip_in_flight(flight, m, time, state)
     _, _, rate_1, rate_2 = impact(m, toe, hip.speed_x, hip.speed_y, state[2], state[3])
     state, torque, friction, thrusts = (state[0], state[1], rate_1, rate_2), 0.0, 0.0, False
-    for _ in range(int(STANCE_LIMIT / TIME_STEP)):
+    for _ in range(int(STANCE_LIMIT / _TIME_STEP)):
         stance = Stance(
             masses=masses, law=laws.thrust if thrusts else laws.landing, side=1.0,
             force_x=laws.force_x if thrusts else 0.0, force_y=laws.force_y if thrusts else 0.0, mode_1=0.0, mode_2=0.0,
@@ -81,9 +81,9 @@ def _moved(state, motion, time):
 def _runge_kutta(system, state):
     """State after a time step by the classical Runge–Kutta method."""
     first = rate(system, state)
-    second = rate(system, _moved(state, first, 0.5 * TIME_STEP))
-    third = rate(system, _moved(state, second, 0.5 * TIME_STEP))
-    fourth = rate(system, _moved(state, third, TIME_STEP))
+    second = rate(system, _moved(state, first, 0.5 * _TIME_STEP))
+    third = rate(system, _moved(state, second, 0.5 * _TIME_STEP))
+    fourth = rate(system, _moved(state, third, _TIME_STEP))
     for motion, share in ((first, 1.0), (second, 2.0), (third, 2.0), (fourth, 1.0)):
-        state = _moved(state, motion, share * TIME_STEP / 6.0)
+        state = _moved(state, motion, share * _TIME_STEP / 6.0)
     return state
