@@ -52,6 +52,10 @@ LEAST_SIGNATURE: Final = 3.0
 MOST_USUAL: Final = 4.0
 """Largest size at which a cause is simulated to compare signatures [usual sizes]."""
 
+LEAST_SLOPE: Final = 0.3
+"""A signature at the size found that is smaller, relative to that from zero on, is not used: the simulation rounds a
+delay, for example, to whole ticks."""
+
 TOLD_APART: Final = 3.0
 """Logarithm of the odds from which on causes of a group are told apart."""
 
@@ -510,9 +514,11 @@ def _members(search: _Search, now: _Point, name: str, group: Sequence[Cause]) ->
         slopes = dict(search.slopes)
         if surface is not None:
             step = further[each][each] - point.shares[each]
-            slopes[each] = (surface.weights - point.surface.weights) / step
-        local = search.fitted(point.shares, point.surface, slopes)
-        members.append(Member(search.causes[each], local.next[each], local.std(each), local.fit.log_evidence))
+            local = (surface.weights - point.surface.weights) / step
+            if np.sum(search.error.seen(local) ** 2) > LEAST_SLOPE**2 * np.sum(search.error.seen(slopes[each]) ** 2):
+                slopes[each] = local
+        found = search.fitted(point.shares, point.surface, slopes)
+        members.append(Member(search.causes[each], found.next[each], found.std(each), found.fit.log_evidence))
     best = max(each.log_odds for each in members)
     return tuple(
         each._replace(log_odds=each.log_odds - best) for each in sorted(members, key=lambda one: -one.log_odds)

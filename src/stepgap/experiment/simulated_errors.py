@@ -37,7 +37,7 @@ from stepgap.robots.gap import Gap
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap, StepSpace
 
-STEPS_PER_MONOMIAL: Final = 3
+STEPS_PER_MONOMIAL: Final = 4
 """Number of simulated steps for each monomial of the polynomials."""
 
 MOST_SIMULATED_STEPS: Final = 240
