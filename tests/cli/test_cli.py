@@ -465,7 +465,7 @@ def test_figures_are_written_on_demand_and_then_with_every_report(finished: Path
     Path("run/figures/gait.pdf").unlink()
     assert stepgap("report", "run").code == 0
     assert Path("run/figures/gait.pdf").exists(), "no file is that of an older report"
-    refused(stepgap("report", "run", "run", "--figures"), "--figures: those of one report")
+    refused(stepgap("report", "run", "run"), "a report is that of one run", "stepgap compare")
 
 
 def test_the_error_of_a_full_disk_names_the_file_of_the_report(

@@ -43,7 +43,7 @@ class Known(Robot):
     def nominal_maps(self) -> Mapping[str, Callable[[], StepMap]]:
         return {"sum": lambda: KnownMap(self.gains)}
 
-    def loads(self, state: Array, command: Array) -> Mapping[str, float]:
+    def loads(self, state: Array, command: Array) -> Mapping[str, float]:  # noqa: ARG002
         return {"push [N]": float(np.abs(command).max())}
 
 
@@ -61,7 +61,7 @@ class KnownMap(StepMap):
         next_state = 0.5 * state + command + more
         return Outcome(next_state, np.zeros(next_state.shape[:-1], int))
 
-    def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
+    def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:  # noqa: ARG002
         return np.broadcast_to(np.hstack([0.5 * np.eye(2), np.eye(2)]), (*np.shape(state)[:-1], 2, 4))
 
 
@@ -90,7 +90,7 @@ def test_effects_angles_and_loads_are_those_of_the_formula() -> None:
 
 
 def test_what_cannot_be_compared_is_said() -> None:
-    with pytest.raises(InputError, match="nominal.kind = log: robot 'known' does not make it"):
+    with pytest.raises(InputError, match="nominal[.]kind = log: robot 'known' does not make it"):
         study_knobs(settings(Known(), "log"))
     far = Known(gains=Slopes(both=50.0))
     with pytest.raises(InputError, match="no command holds any of 9 states"):
@@ -103,7 +103,9 @@ def test_tables_and_figure_name_every_setting() -> None:
     for knob in study.knobs:
         assert knob.key in text
     assert "largest push [N]" in text
-    labels = [each.get_text() for each in knobs_figure(study).axes[0].get_legend().get_texts()]
+    legend = knobs_figure(study).axes[0].get_legend()
+    assert legend is not None
+    labels = [each.get_text() for each in legend.get_texts()]
     assert labels == [knob.key for knob in study.knobs]
 
 

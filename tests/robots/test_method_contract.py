@@ -59,7 +59,7 @@ def test_methods_are_swept_reported_compared_and_exported(stepgap: Command, monk
     for method, folder in zip(METHODS, runs, strict=True):
         settings = load_run(folder).needed(load_run(folder).settings)
         assert (settings.control, settings.nominal.linear) == METHODS[method][1:]
-    assert stepgap("report", *runs, "--out", "compared.html").code == 0
+    assert stepgap("compare", *runs, "--out", "compared.html").code == 0
     assert "nominal.linear" in Path("compared.html").read_text()
     linear = runs[[*METHODS].index("rls")]
     for verb in (

@@ -17,13 +17,13 @@ from stepgap.step import Array, StepFailed, StepMap, StepSpace
 REGION = 0.6
 """Part of the ranges of use over which the gaits are spread."""
 
-DIFFERENCE = 0.1
+_DIFFERENCE = 0.1
 """Step of the differences, as a part of the range of a knob; longer than the effect of a tick of a simulator."""
 
 WANTED = 0.5
 """Wanted change of each state coordinate for which loads are computed [half ranges of use, by their weights]."""
 
-TINY = 1e-300
+_TINY = 1e-300
 """Least divisor, where a knob has no effect."""
 
 OnGait = Callable[[int, int], None]
@@ -131,8 +131,8 @@ def _effect(robot: Robot, kind: str, knob: Knob, state: Array, command: Array) -
         changed, under = _under(robot, {knob.key: change}, command)
         return _map(changed, kind).evaluate(state, under).next_state
 
-    step = DIFFERENCE * knob.reach
-    return (moved(step) - moved(-step)) / (2 * DIFFERENCE)
+    step = _DIFFERENCE * knob.reach
+    return (moved(step) - moved(-step)) / (2 * _DIFFERENCE)
 
 
 def _map(robot: Robot, kind: str) -> StepMap:
@@ -152,7 +152,7 @@ def _pairs(robot: Robot, study: KnobStudy, commands: Array) -> Iterator[KnobPair
     for chosen in map(list, combinations(range(len(keys)), 2)):
         two = scaled[:, :, chosen]
         sizes = np.linalg.norm(two, axis=1)
-        cosines = np.abs((two[:, :, 0] * two[:, :, 1]).sum(axis=1)) / np.maximum(sizes.prod(axis=1), TINY)
+        cosines = np.abs((two[:, :, 0] * two[:, :, 1]).sum(axis=1)) / np.maximum(sizes.prod(axis=1), _TINY)
         moves = (
             _moves(study, scaled, commands, chosen) if tracked.sum() == 2 else np.empty((len(commands), 0, len(keys)))
         )

@@ -213,7 +213,7 @@ def _check(individuals: Sequence[Individual]) -> None:
         if each.residual.kind == "none" or each.residual.history_inputs != HistoryInputs():
             raise InputError(
                 f"{each.name}: residual '{each.residual.name}' is no function of state and command that was learned; "
-                'run with another learning.residual, and learning.lagged_inputs = "none"'
+                "run with another learning.residual, and without inputs from before or of a touchdown"
             )
 
 

@@ -102,7 +102,7 @@ class TrainingData:
         """Restores the data that `to_dict` saved; a ValueError names the wrong key."""
         centre = numbers(saved, "centre", 1)
         return TrainingData(
-            numbers(saved, "points", 2) if saved.get("points") else np.empty((0, len(centre))),
+            np.empty((0, len(centre))) if saved.get("points") == [] else numbers(saved, "points", 2),
             numbers(saved, "values", 1),
             centre,
             numbers(saved, "scale", 1),

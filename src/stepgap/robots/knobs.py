@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, NamedTuple
 
-SHARE = 0.1
+_SHARE = 0.1
 """Range of a gain of which none is known, as a part of the gain."""
 
 
@@ -29,7 +29,7 @@ def gain_knobs(robot: Any) -> tuple[Knob, ...]:
         {field.name: getattr(gains, field.name) for field in fields(gains)} if is_dataclass(gains) else {}
     )
     return tuple(
-        Knob(f"gains.{name}", "", SHARE * abs(value))
+        Knob(f"gains.{name}", "", _SHARE * abs(value))
         for name, value in numbers.items()
         if isinstance(value, float) and value != 0
     )

@@ -66,6 +66,7 @@ def _robot(path: Path, name: str) -> _Robot:
     from stepgap.experiment.run import Run
     from stepgap.export.controller.model_reading import read_portable
     from stepgap.export.controller.passport import passport_of
+    from stepgap.export.controller.portable_controller import without_lagged_inputs
     from stepgap.learning.individuals import Individual
 
     if path.is_file():
@@ -74,7 +75,7 @@ def _robot(path: Path, name: str) -> _Robot:
         return _Robot(name, controller.passport, Individual(name, controller.map.nominal, controller.map.residual))
     run = Run(path).checked()
     try:
-        residual = run.learner().residual
+        residual = without_lagged_inputs(run.learner()).residual
         return _Robot(name, passport_of(run, None), Individual(name, run.needed(run.nominal), residual), run)
     except InputError as error:
         return _Robot(name, {}, str(error), run)

@@ -18,6 +18,7 @@ from typing import Any, final
 
 import numpy as np
 
+from stepgap.base.blas import one_blas_thread
 from stepgap.base.errors import InputError
 from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.settings import ControlSettings
@@ -26,6 +27,7 @@ from stepgap.export.controller.passport import passport_of
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process import GaussianProcess
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
+from stepgap.learning.learner import Learner
 from stepgap.learning.observations import error_of
 from stepgap.learning.polynomial import Polynomial
 from stepgap.learning.regression import Regression
@@ -168,7 +170,8 @@ def portable_controller(
     Raises:
         InputError: There is no such deployment, or its controller has no portable form.
     """
-    learner, settings = run.learner(deployment), run.needed(run.settings)
+    learned, settings = run.learner(deployment), run.needed(run.settings)
+    learner = without_lagged_inputs(learned)
     if learner.nominal.space.adds_up.any():
         raise InputError(f"{run.folder}: its targets are distances that add up, which no exported controller follows")
     residual, learning = learner.residual, settings.learning
@@ -191,16 +194,32 @@ def portable_controller(
         reject_outliers=learning.reject_outliers,
         warm_start=learner.log.has_earlier_runs,
         approximations=(*replaced, *(loss for _, loss in found if loss)),
-        notes=_notes(nominal.space, settings.control, learner.steps_to_learn),
+        notes=(*_notes(nominal.space, settings.control, learner.steps_to_learn), *fitted_again(learned)),
         passport=passport_of(run, deployment, name),
     )
+
+
+def without_lagged_inputs(learner: Learner) -> Learner:
+    """The learner with a residual of state and command alone, which is fitted again if it has inputs from before."""
+    if learner.residual.history_inputs.lagged_inputs == "none":
+        return learner
+    settings = replace(learner.settings, lagged_inputs="none")
+    with one_blas_thread():
+        return Learner.start(learner.nominal, learner.log, settings, learner.iteration, prior=learner.prior)
+
+
+def fitted_again(learner: Learner) -> tuple[str, ...]:
+    """A sentence if `without_lagged_inputs` fits the residual again."""
+    lagged = learner.residual.history_inputs.lagged_inputs
+    text = f"learning.lagged_inputs = {lagged}: the residual was fitted again, to state and command alone"
+    return () if lagged == "none" else (text,)
 
 
 def _check_inputs(residual: Residual) -> None:
     if residual.history_inputs != HistoryInputs():
         raise InputError(
-            f"residual '{residual.name}': lagged inputs, inputs that a touchdown finds and a forgetting time cannot be "
-            'exported; run with learning.lagged_inputs = "none", learning.forgetting_time = inf and, on uneven ground, '
+            f"residual '{residual.name}': inputs from the step before, those that a touchdown finds and a forgetting time cannot be "
+            "exported; run with learning.forgetting_time = inf and, on uneven ground, "
             "ground.inputs = false"
         )
     if residual.feature_map != NO_FEATURE_MAP:
