@@ -90,7 +90,7 @@ def test_effects_angles_and_loads_are_those_of_the_formula() -> None:
 
 
 def test_what_cannot_be_compared_is_said() -> None:
-    with pytest.raises(InputError, match="nominal[.]kind = log: robot 'known' does not make it"):
+    with pytest.raises(InputError, match=r"nominal\.kind = log: robot 'known' does not make it"):
         study_knobs(settings(Known(), "log"))
     far = Known(gains=Slopes(both=50.0))
     with pytest.raises(InputError, match="no command holds any of 9 states"):

@@ -20,7 +20,7 @@ REGION = 0.6
 _DIFFERENCE = 0.1
 """Step of the differences, as a part of the range of a knob; longer than the effect of a tick of a simulator."""
 
-WANTED = 0.5
+_WANTED = 0.5
 """Wanted change of each state coordinate for which loads are computed [half ranges of use, by their weights]."""
 
 _TINY = 1e-300
@@ -181,7 +181,7 @@ def _moves(study: KnobStudy, scaled: Array, commands: Array, pair: list[int]) ->
     """
     others = [number for number in range(commands.shape[1]) if number not in pair]
     rest = (study.space.command_centre - commands) / study.space.command_scale
-    wanted = WANTED * np.concatenate([np.zeros((1, 2)), np.eye(2), -np.eye(2)])
+    wanted = _WANTED * np.concatenate([np.zeros((1, 2)), np.eye(2), -np.eye(2)])
     missing = wanted - np.einsum("gnk,gk->gn", scaled[:, :, others], rest[:, others])[:, None]
     moves = np.zeros((len(commands), len(wanted), scaled.shape[2]))
     moves[:, :, pair] = np.swapaxes(np.linalg.pinv(scaled[:, :, pair], rcond=1e-9) @ np.swapaxes(missing, 1, 2), 1, 2)
