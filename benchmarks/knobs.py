@@ -16,7 +16,7 @@ from contextlib import closing
 from dataclasses import replace
 from itertools import product
 from math import tau
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -92,7 +92,8 @@ def stance_slips(robot: Hopper, rows: Array) -> Iterator[float]:
     """How far the foot moved along the floor in each stance [m]."""
     sensors, leg = hopper_sensors(twin_sensor_model(robot.parameters, robot.gap)), leg_of(robot.parameters)
     alpha_1, alpha_2 = rows[:, TICK_COLUMN.alpha_1], rows[:, TICK_COLUMN.alpha_2]
-    toe = foot.py_func(leg, four_bar.py_func(leg, alpha_2), alpha_1)
+    python = [cast(Any, each).py_func for each in (four_bar, foot)]  # for arrays
+    toe = python[1](leg, python[0](leg, alpha_2), alpha_1)
     travel = sensors.boom_length * tau * rows[:, TICK_COLUMN.boom_horizontal] / sensors.boom_counts_horizontal + toe.x
     loaded = rows[:, TICK_COLUMN.contact_force] > masses_of(robot.parameters).weight
     for stance in np.split(travel, np.flatnonzero(np.diff(loaded.astype(int))) + 1)[int(not loaded[0]) :: 2]:
