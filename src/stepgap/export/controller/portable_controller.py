@@ -218,8 +218,8 @@ def fitted_again(learner: Learner) -> tuple[str, ...]:
 def _check_inputs(residual: Residual) -> None:
     if residual.history_inputs != HistoryInputs():
         raise InputError(
-            f"residual '{residual.name}': inputs from the step before, those that a touchdown finds and a forgetting time cannot be "
-            "exported; run with learning.forgetting_time = inf and, on uneven ground, "
+            f"residual '{residual.name}': inputs from the step before, inputs that a touchdown finds and a forgetting "
+            "time cannot be exported; run with learning.forgetting_time = inf and, on uneven ground, "
             "ground.inputs = false"
         )
     if residual.feature_map != NO_FEATURE_MAP:

@@ -177,9 +177,6 @@ class CommandBounds:
     With the default bounds the robot can hop at every apex of the reference (0–0.4 m/s, 0.52–0.64 m).
 
     Attributes:
-        pair: Names of the two coordinates of the command: fx, fy, or that of another key here, which is then added to
-            the gain of this name for one step. Those of the landing and of the whole stance act from the apex on, so
-            they must be known before touchdown. `stepgap gait knobs` compares them.
         fx_lower: Smallest horizontal force [N].
         fx_upper: Largest horizontal force [N].
         fy_lower: Smallest vertical force [N].
@@ -192,9 +189,11 @@ class CommandBounds:
         speed_setpoint: Largest change of the speed at which the leg lands vertically [m/s]; turns the landing leg by
             speed_gain times this.
         speed_gain: Largest change of the landing angle per speed error [rad·s/m].
+        pair: Names of the two coordinates of the command: fx, fy, or that of a key above, which is then added to
+            the gain of this name for one step. Those of the landing and of the whole stance act from the apex on, so
+            they must be known before touchdown. `stepgap gait knobs` compares them.
     """
 
-    pair: tuple[str, ...] = PAPER_PAIR
     fx_lower: float = -30.0
     fx_upper: float = 30.0
     fy_lower: float = -20.0
@@ -206,6 +205,7 @@ class CommandBounds:
     landing_length: float = 0.02
     speed_setpoint: float = 0.5
     speed_gain: float = 0.1
+    pair: tuple[str, ...] = PAPER_PAIR
 
     def __post_init__(self) -> None:
         two = len(self.pair) == 2 and len(set(self.pair)) == 2 and set(self.pair) <= KNOB_UNITS.keys()
