@@ -111,6 +111,7 @@ def test_a_prior_of_another_robot_or_map_is_refused(family: Path, stepgap: Comma
         ('"scale": ', '"scale": -', ["scale must lie between"]),
         ('"mean": [', '"mean": [1.0,', ["15 numbers"]),
         ('"covariance": [', '"covariance": [[NaN],', ["NaN"]),
+        ('"robot": "hopper"', '"robot": "monopod"', ["it is of robot 'monopod'", "'hopper'"]),
         ("{", "", ["not JSON"]),
     ],
 )

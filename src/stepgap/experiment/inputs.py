@@ -101,6 +101,8 @@ def load_prior(experiment: Experiment, space: StepSpace) -> PriorFile | None:
         raise InputError(f"{path}: {error.strerror}; prior must be robot, none or a file of `stepgap prior`") from None
     except ValueError as error:
         raise InputError(str(error)) from None
+    if found.robot != experiment.robot.name:
+        raise InputError(f"{path}: it is of robot '{found.robot}', but this one is '{experiment.robot.name}'")
     if found.nominal == nominal and not linear:
         return found
     if built_in:
