@@ -23,8 +23,10 @@ class LegMount(NamedTuple):
     y: float
 
 
-HIP_X, THIGH_Y = 0.1934, 0.0465 + 0.0955
-"""Distances of a hip from the middle of the trunk, and of a thigh from its middle plane [m]."""
+HIP_X, HIP_Y, THIGH_OFFSET = 0.1934, 0.0465, 0.0955
+"""Distances of a hip from the middle of the trunk and from its middle plane, and of a thigh from the hip [m]."""
+THIGH_Y = HIP_Y + THIGH_OFFSET
+"""Distance of a thigh from the middle plane [m]."""
 LEGS = tuple(
     LegMount(end + side, HIP_X * (1 if end == "F" else -1), THIGH_Y * (1 if side == "L" else -1))
     for end in "FR"
@@ -41,7 +43,7 @@ TOTAL_MASS = TRUNK_MASS + 4 * (HIP_MASS + THIGH_MASS + CALF_MASS)
 
 def quadruped_xml() -> str:
     """The model; its joints are `x`, `z`, `pitch` (nose down positive), and `LEG_thigh` and `LEG_calf` of each leg."""
-    legs = "".join(_leg(*leg) for leg in LEGS)
+    legs = "".join(map(leg_xml, LEGS))
     motors = "".join(
         f'<motor name="{leg.name}_{link}" joint="{leg.name}_{link}" ctrllimited="true" ctrlrange="-{most} {most}"/>'
         for leg in LEGS
@@ -53,7 +55,7 @@ def quadruped_xml() -> str:
   <option timestep="0.001" integrator="implicitfast" cone="elliptic"/>
   <default>
     <geom contype="0" conaffinity="0" mass="0"/>
-    <default class="motor"><joint axis="0 1 0" damping="0.1" armature="0.01" frictionloss="0.2"/></default>
+    <default class="leg"><joint axis="0 1 0" damping="0.1" armature="0.01" frictionloss="0.2"/></default>
   </default>
   <worldbody>
     <geom name="floor" type="plane" size="100 2 0.1" contype="1" conaffinity="1" friction="0.8" solref="0.01 1"/>
@@ -72,20 +74,28 @@ def quadruped_xml() -> str:
 """
 
 
-def _leg(name: str, x: float, y: float) -> str:
-    front, left = (1 if x > 0 else -1), (1 if y > 0 else -1)
+def leg_xml(leg: LegMount, hip_joint: str = "", thigh_y: float = 0.0) -> str:
+    """A leg, whose joints have the default class `leg`.
+
+    Args:
+        leg: Where it is mounted.
+        hip_joint: The joint about which it moves sideways; none if that is locked.
+        thigh_y: Place of the thigh's centre of mass, outward [m].
+    """
+    front, left = (1 if leg.x > 0 else -1), (1 if leg.y > 0 else -1)
     return f"""
-      <body name="{name}_hip" pos="{x} {left * 0.0465} 0">
+      <body name="{leg.name}_hip" pos="{leg.x} {left * HIP_Y} 0">
+        {hip_joint}
         <inertial pos="{-0.0054 * front} 0 -0.000105" mass="{HIP_MASS}" diaginertia="0.00048 0.000884 0.000596"/>
-        <body name="{name}_thigh" pos="0 {left * 0.0955} 0">
-          <joint name="{name}_thigh" class="motor"/>
-          <inertial pos="-0.00374 0 -0.0327" mass="{THIGH_MASS}" diaginertia="0.00584 0.0058 0.00103"/>
-          <geom name="{name}_thigh" type="capsule" fromto="0 0 0 0 0 -{LINK}" size="0.02"/>
-          <body name="{name}_calf" pos="0 0 -{LINK}">
-            <joint name="{name}_calf" class="motor"/>
+        <body name="{leg.name}_thigh" pos="0 {left * THIGH_OFFSET} 0">
+          <joint name="{leg.name}_thigh" class="leg"/>
+          <inertial pos="-0.00374 {left * thigh_y} -0.0327" mass="{THIGH_MASS}" diaginertia="0.00584 0.0058 0.00103"/>
+          <geom name="{leg.name}_thigh" type="capsule" fromto="0 0 0 0 0 -{LINK}" size="0.02"/>
+          <body name="{leg.name}_calf" pos="0 0 -{LINK}">
+            <joint name="{leg.name}_calf" class="leg"/>
             <inertial pos="0.00629595 0 -0.141417" mass="{CALF_MASS}" diaginertia="0.0014901 0.00146356 0.0000531"/>
-            <geom name="{name}_calf" type="capsule" fromto="0 0 0 0 0 -{LINK}" size="0.012"/>
-            <geom name="{name}_foot" type="sphere" pos="0 0 -{LINK}" size="{TOE_RADIUS}" contype="1" conaffinity="1"
+            <geom name="{leg.name}_calf" type="capsule" fromto="0 0 0 0 0 -{LINK}" size="0.012"/>
+            <geom name="{leg.name}_foot" type="sphere" pos="0 0 -{LINK}" size="{TOE_RADIUS}" contype="1" conaffinity="1"
               friction="0.8" condim="3"/>
           </body>
         </body>

@@ -1,22 +1,7 @@
 """MuJoCo model of a walking quadruped: the machine of `robots/quadruped/model.py`, free, with twelve servos."""
 
-from stepgap.robots.quadruped.model import (
-    CALF_MASS,
-    CALF_TORQUE,
-    HIP_MASS,
-    LEGS,
-    LINK,
-    THIGH_MASS,
-    THIGH_TORQUE,
-    THIGH_Y,
-    TOE_RADIUS,
-    TRUNK_MASS,
-)
+from stepgap.robots.quadruped.model import CALF_TORQUE, LEGS, THIGH_TORQUE, TRUNK_MASS, leg_xml
 
-THIGH_OFFSET = 0.0955
-"""Distance of a thigh from the axis about which its leg moves sideways [m]."""
-HIP_Y = THIGH_Y - THIGH_OFFSET
-"""Distance of this axis from the middle plane [m]."""
 _TORQUES = {"hip": THIGH_TORQUE, "thigh": THIGH_TORQUE, "calf": CALF_TORQUE}
 
 
@@ -27,7 +12,9 @@ def walker_xml(stiffness: float, damping: float) -> str:
         stiffness: Stiffness of the position servos [N·m/rad].
         damping: Their damping [N·m·s/rad].
     """
-    legs = "".join(_leg(*leg) for leg in LEGS)
+    legs = "".join(
+        leg_xml(leg, f'<joint name="{leg.name}_hip" class="leg" axis="1 0 0"/>', thigh_y=-0.0223) for leg in LEGS
+    )
     servos = "".join(
         f'<position name="{leg.name}_{link}" joint="{leg.name}_{link}" kp="{stiffness}" kv="{damping}"'
         f' forcerange="-{most} {most}"/>'
@@ -40,7 +27,7 @@ def walker_xml(stiffness: float, damping: float) -> str:
   <option timestep="0.002" integrator="implicitfast" cone="elliptic" impratio="10"/>
   <default>
     <geom contype="0" conaffinity="0" mass="0"/>
-    <default class="leg"><joint damping="0.1" armature="0.01" frictionloss="0.2"/></default>
+    <default class="leg"><joint axis="0 1 0" damping="0.1" armature="0.01" frictionloss="0.2"/></default>
   </default>
   <worldbody>
     <geom name="floor" type="plane" size="100 100 0.1" contype="1" conaffinity="1" friction="0.8" solref="0.01 1"/>
@@ -55,24 +42,3 @@ def walker_xml(stiffness: float, damping: float) -> str:
   <actuator>{servos}</actuator>
 </mujoco>
 """
-
-
-def _leg(name: str, x: float, y: float) -> str:
-    front, left = (1 if x > 0 else -1), (1 if y > 0 else -1)
-    return f"""
-      <body name="{name}_hip" pos="{x} {left * HIP_Y} 0">
-        <joint name="{name}_hip" class="leg" axis="1 0 0"/>
-        <inertial pos="{-0.0054 * front} 0 -0.000105" mass="{HIP_MASS}" diaginertia="0.00048 0.000884 0.000596"/>
-        <body name="{name}_thigh" pos="0 {left * THIGH_OFFSET} 0">
-          <joint name="{name}_thigh" class="leg" axis="0 1 0"/>
-          <inertial pos="-0.00374 {-0.0223 * left} -0.0327" mass="{THIGH_MASS}" diaginertia="0.00584 0.0058 0.00103"/>
-          <geom name="{name}_thigh" type="capsule" fromto="0 0 0 0 0 -{LINK}" size="0.02"/>
-          <body name="{name}_calf" pos="0 0 -{LINK}">
-            <joint name="{name}_calf" class="leg" axis="0 1 0"/>
-            <inertial pos="0.00629595 0 -0.141417" mass="{CALF_MASS}" diaginertia="0.0014901 0.00146356 0.0000531"/>
-            <geom name="{name}_calf" type="capsule" fromto="0 0 0 0 0 -{LINK}" size="0.012"/>
-            <geom name="{name}_foot" type="sphere" pos="0 0 -{LINK}" size="{TOE_RADIUS}" contype="1" conaffinity="1"
-              friction="0.8" condim="3"/>
-          </body>
-        </body>
-      </body>"""

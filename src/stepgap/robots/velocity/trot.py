@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.base.ranges import require
-from stepgap.robots.quadruped.model import LEGS, LINK
-from stepgap.robots.velocity.model import HIP_Y, THIGH_OFFSET
+from stepgap.robots.quadruped.model import HIP_Y, LEGS, LINK, THIGH_OFFSET
 from stepgap.robots.velocity.walking_control import WalkingControl
 from stepgap.robots.velocity.walking_robot import body_velocity
 from stepgap.step import Array
