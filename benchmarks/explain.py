@@ -24,13 +24,10 @@ from benchmarks.disturbed_plant import finished, tracked
 from stepgap.base.blas import one_blas_thread
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
+from stepgap.experiment.cause_sizes import Cause, RunError, Shares, Surface
 from stepgap.experiment.explanation import (
-    Cause,
     Explanation,
-    RunError,
-    Shares,
     Simulate,
-    Surface,
     alike_groups,
     explain_error,
     signature_products,

@@ -104,8 +104,8 @@ class Quantity:
         above: Quantity of the context above which it is measured, such as the height of the ground at the touchdown of
             the step; empty if it is measured from a fixed zero.
         adds_up: Whether it is a distance from there, such as that from a foothold to the next one. Then targets add up:
-            what a step falls short of is added to the target of the next one. It begins anew with each step, so it is
-            0 at its start, and a map does not depend on it.
+            what a step falls short of is added to the target of the next one. It is 0 at the start of each step, and a
+            map does not depend on it.
 
     Raises:
         ValueError: The name is no identifier, the unit has a character that no unit has, the range is empty, or the
@@ -237,7 +237,7 @@ class StepSpace:
         return np.array([each.adds_up for each in self.state], bool)
 
     def onward(self, state: Array) -> Array:
-        """Ends of steps as starts of the next ones: distances that add up begin anew; shape (…, n)."""
+        """Ends of steps as starts of the next ones: distances that add up begin at zero; shape (…, n)."""
         return np.where(self.adds_up, 0.0, state) if self.adds_up.any() else state
 
     def start(self, measured: Array, context: Sequence[float]) -> Array:

@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from stepgap.experiment.explanation import (
+from stepgap.experiment.cause_sizes import (
     Cause,
-    Explanation,
     RunError,
     Shares,
     Surface,
     causes_of,
-    explain_error,
     fit_sizes,
     fit_surface,
 )
+from stepgap.experiment.explanation import Explanation, explain_error
 from stepgap.learning.observations import Observations
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.reality_gap import RealityGap

@@ -12,7 +12,8 @@ from stepgap.cli.options import Flag, Integer, Names
 from stepgap.cli.terminal import announces_compilation
 
 if TYPE_CHECKING:  # slow imports are made where they are used
-    from stepgap.experiment.explanation import Cause, Explanation
+    from stepgap.experiment.cause_sizes import Cause
+    from stepgap.experiment.explanation import Explanation
 
 LEAST_EXPLAINED = 15
 """Number of completed steps from which a run says something about its robot."""
@@ -41,7 +42,8 @@ def explain(
         quiet: Show no progress.
     """
     from stepgap.cli.progress import progress_bar
-    from stepgap.experiment.explanation import RunError, explain_error
+    from stepgap.experiment.cause_sizes import RunError
+    from stepgap.experiment.explanation import explain_error
     from stepgap.experiment.run import Run
     from stepgap.experiment.settings_text import meanings
     from stepgap.experiment.simulated_errors import (

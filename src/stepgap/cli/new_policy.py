@@ -57,7 +57,7 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> list[str]
         height = standing_height(joints, positions, model)
         if not missing:
             robot = PolicyRobot(policy=PolicyFile(str(folder / POLICY_FILE)))
-            robot.model_spec().compile()
+            robot.mjcf_spec().compile()
             robot.walking_control()
     except ValueError as error:
         raise InputError(f"--policy {policy}, --mjcf {mjcf}: {str(error).replace(f'{folder}/', '')}") from None

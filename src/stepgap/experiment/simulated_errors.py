@@ -15,16 +15,9 @@ from stepgap.base.errors import InputError
 from stepgap.base.random_streams import random_stream
 from stepgap.base.start_method import process_context, usable_cores
 from stepgap.control.reference import Reference
+from stepgap.experiment.cause_sizes import Cause, Shares, Surface, causes_of, fit_surface
 from stepgap.experiment.deployment import deploy
-from stepgap.experiment.explanation import (
-    MOST_GROUPS,
-    MOST_SIMULATED,
-    Cause,
-    Shares,
-    Surface,
-    causes_of,
-    fit_surface,
-)
+from stepgap.experiment.explanation import MOST_GROUPS, MOST_SIMULATED
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.learner import Learner

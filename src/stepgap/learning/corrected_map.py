@@ -81,11 +81,11 @@ class CorrectedMap(StepMap):
 
     @cached_property
     def _acting(self) -> Array:
-        """1 for each state and command coordinate that has an effect, 0 for distances that begin anew; (n + m,)."""
+        """1 for each state and command coordinate that has an effect, 0 for distances that begin at zero; (n + m,)."""
         return np.append(np.where(self.space.adds_up, 0.0, 1.0), np.ones(len(self.space.command)))
 
     def _points(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """Points at which the residual is learned: distances begin anew with each step; shape (…, n + m)."""
+        """Points at which the residual is learned: distances begin at zero with each step; shape (…, n + m)."""
         return join_points(self.space.onward(np.asarray(state, float)), command)
 
     @property

@@ -1,7 +1,7 @@
 """A prior over robots: what the errors of a nominal map have in common on many robots of a kind.
 
 The error of each state coordinate is a quadratic polynomial of the scaled state and command, whose weights are drawn
-anew for each robot from one normal distribution. `fit_prior` finds that distribution from the steps of many robots, by
+for each robot from one normal distribution. `fit_prior` finds that distribution from the steps of many robots, by
 expectation maximisation (Gelman et al., Bayesian Data Analysis, Sec. 15.5). The noise is that of each robot, so that a
 bad one has little weight.
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from stepgap.base.ranges import format_value
-from stepgap.experiment.explanation import TOLD_APART, Cause, CauseGroup, Explanation, Member
+from stepgap.experiment.cause_sizes import Cause
+from stepgap.experiment.explanation import TOLD_APART, CauseGroup, Explanation, Member
 from stepgap.report.drawing import BLUE, LIGHT, draw_figure, new_figure, plain
 from stepgap.report.html import bullets, page, paragraph, picture, safe, section, table
 from stepgap.report.text import decimal, listed

@@ -101,7 +101,7 @@ class UnevenGround:
         patch_length: Length of a patch [m].
         footholds: Whether the place of the next touchdown is tracked instead of the speed, as it always is on stones.
         measured_heights: Whether a robot without a simulation, too, measures heights above the ground that its foot
-            finds at touchdown, and chooses the command anew there; on uneven ground it always does.
+            finds at touchdown, and chooses the command again there; on uneven ground it always does.
         inputs: Whether the slope and the yielding that a touchdown finds are inputs of the residual; `false` for a
             controller that will be exported.
     """

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Self
 import mujoco
 import numpy as np
 
+from stepgap.base.errors import InputError
 from stepgap.plants.plant import AtTouchdown, RepeatablePlant, StepCommands, Touchdown
 from stepgap.plants.ticks.stream import OnTicks
 from stepgap.rigs.rig import SensorModel
@@ -58,7 +59,7 @@ class MjcfRobot(Robot):
 
     def mjcf_spec(self) -> Any:
         """The model as a `mujoco.MjSpec`, whose geom `floor` is replaced; only for a robot with a table `ground`."""
-        raise NotImplementedError
+        raise InputError(f"robot '{self.name}': a robot with a table [ground] also needs the method mjcf_spec")
 
     @abstractmethod
     def controller(self) -> ControlLaw:

@@ -26,7 +26,7 @@ class TrottingRobot(WalkingRobot):
 
     name = "velocity"
 
-    def model_spec(self) -> Any:
+    def mjcf_spec(self) -> Any:
         """The quadruped with position servos."""
         return mujoco.MjSpec.from_string(walker_xml(self.gait.stiffness, self.gait.damping))
 

@@ -139,7 +139,7 @@ class WalkingRobot(MjcfRobot):
     walk: Walk = field(default_factory=Walk)
 
     @abstractmethod
-    def model_spec(self) -> Any:
+    def mjcf_spec(self) -> Any:
         """The model, a new `mujoco.MjSpec`; its first body has a free joint, its ground is a plane at height 0."""
 
     @abstractmethod
@@ -180,8 +180,8 @@ class WalkingRobot(MjcfRobot):
 
     @final
     def mjcf_model(self) -> Any:
-        """The model of `model_spec`."""
-        spec = self.model_spec()
+        """The model of `mjcf_spec`."""
+        spec = self.mjcf_spec()
         spec.nuserdata = _USERDATA
         spec.worldbody.first_body().simple = 0  # a load may move its centre of mass
         return spec.compile()

@@ -168,7 +168,7 @@ def test_what_does_not_fit_is_refused_with_file_and_key(tmp_path: Path, changes:
         file.write_text(file.read_text().replace('"model.xml"', f'"{text}"'))
     robot = robot_of(file)
     with pytest.raises(InputError) as found:
-        _ = robot.model_spec(), robot.walking_control()
+        _ = robot.mjcf_spec(), robot.walking_control()
     assert str(found.value).startswith(str(tmp_path)), found.value
     assert words in str(found.value)
 

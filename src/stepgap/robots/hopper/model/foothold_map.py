@@ -1,6 +1,6 @@
 """The hopper's map with one more output: the stride, from the foothold of a hop to the next one.
 
-It follows from the apexes before and after the hop, so the equations of motion are not solved anew. From touchdown to
+It follows from the apexes before and after the hop, so the equations of motion are not solved again. From touchdown to
 take-off the hip moves over the foot, then it flies to the next touchdown, at which the leg is in the landing posture:
 
     stride = −r(v) + T (v + v′)/2 + v′ (t_up + t_down) + r(v′)

@@ -68,7 +68,7 @@ class OnnxNetwork:
             raise StepGapError(f"{self._path}: onnxruntime cannot run it: {_in_short(error)}") from None
         output = np.asarray(found, float).ravel()
         if output.shape != (self.output_size,) or not np.isfinite(output).all():
-            raise StepGapError(f"{self._path}: its output is not {self.output_size} finite numbers; train it anew")
+            raise StepGapError(f"{self._path}: its output is not {self.output_size} finite numbers; train it again")
         return output
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:

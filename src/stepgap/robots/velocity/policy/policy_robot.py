@@ -59,7 +59,7 @@ class PolicyRobot(WalkingRobot):
         check_network(self._settings, network.input_size, network.output_size, file)
         return network
 
-    def model_spec(self) -> Any:
+    def mjcf_spec(self) -> Any:
         """The model of the policy."""
         return policy_spec(self._settings, Path(self.policy.file))
 

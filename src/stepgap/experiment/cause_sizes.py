@@ -1,0 +1,184 @@
+"""Possible causes of the error of a run, errors as polynomials, and sizes of causes by Bayesian linear regression."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf, isinf
+from typing import Final, NamedTuple, final
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from stepgap.learning.observations import Observations
+from stepgap.learning.outliers import improbable_errors
+from stepgap.learning.polynomial import fit_polynomial, monomials
+from stepgap.learning.regression import TrainingData
+from stepgap.robots.gap import Gap, differences
+from stepgap.step import Array
+
+SIGNATURE_DEGREE: Final = 2
+"""Degree of the polynomials."""
+
+RESTS: Final = np.array([0.0, *np.geomspace(1e-3, 0.3, 9)])
+"""Standard deviations of the weights of the rest, of which each is as probable as the others [half ranges]."""
+
+Shares = Mapping[str, float]
+"""Sizes of causes, in usual sizes, by their names."""
+
+
+class Cause(NamedTuple):
+    """A difference of a simulated robot from its model.
+
+    Attributes:
+        name: Its name in the gap.
+        exact: Its value without gap.
+        usual: A usual value.
+        signed: Whether values on the other side of `exact` are valid.
+    """
+
+    name: str
+    exact: float
+    usual: float
+    signed: bool
+
+    def value(self, share: float) -> float:
+        """The value of a size; a stiffness that is infinite without gap is divided by the size."""
+        if isinf(self.exact):
+            return self.usual / share if share > 0 else inf
+        return self.exact + share * (self.usual - self.exact)
+
+
+def causes_of(gap: Gap) -> tuple[Cause, ...]:
+    """The differences of a gap that may be causes: numbers with a usual value."""
+    none, found = type(gap).none(), list[Cause]()
+    for name, known in differences(gap).items():
+        if known.exact is None or isinstance(known.exact, bool) or known.whole == known.exact:
+            continue
+        cause = Cause(name, known.exact, known.whole, signed=False)
+        try:
+            type(gap)(**{**vars(none), name: known.exact - 0.5 * (known.whole - known.exact)})
+        except ValueError:
+            found.append(cause)
+        else:
+            found.append(cause._replace(signed=not isinf(known.exact)))
+    return tuple(found)
+
+
+class Surface(NamedTuple):
+    """The error of a nominal map as polynomials of the scaled state and command.
+
+    Attributes:
+        weights: Weights of the k monomials for each state coordinate; shape (n, k) [half ranges].
+        covariance: Their covariances; shape (n, k, k).
+    """
+
+    weights: Array
+    covariance: Array
+
+
+def fit_surface(steps: Observations) -> tuple[Surface, Array]:
+    """Fits the error of some steps; also returns the standard deviations of the steps about it (n,) [half ranges]."""
+    points = steps.space.scaled_inputs(steps.state, steps.command)
+    centre, scale = np.zeros(points.shape[1]), np.ones(points.shape[1])
+    fits = [
+        fit_polynomial(TrainingData(points, values, centre, scale, 1.0), SIGNATURE_DEGREE)
+        for values in (steps.error / steps.space.state_scale).T
+    ]
+    surface = Surface(np.array([each.weights for each in fits]), np.array([each.weight_covariance for each in fits]))
+    return surface, np.array([each.noise_std for each in fits])
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class RunError:
+    """The errors of a run, reduced to r ≤ k numbers for each state coordinate, with independent noise of variance 1.
+
+    Attributes:
+        values: Shape (n, r).
+        roots: Matrices that convert weights to such numbers; shape (n, r, k).
+        noise_std: Standard deviation of the noise of a step; shape (n,) [half ranges].
+        steps: Number of steps.
+    """
+
+    values: Array
+    roots: Array
+    noise_std: Array
+    steps: int
+
+    @classmethod
+    def of(cls, steps: Observations) -> "RunError":
+        """Reduces the errors of these steps, without those that are too improbable for the polynomial."""
+        surface, noise_std = fit_surface(steps)
+        left = steps.error / steps.space.state_scale - (
+            monomials(steps.space.scaled_inputs(steps.state, steps.command), SIGNATURE_DEGREE) @ surface.weights.T
+        )
+        steps = steps.selected((improbable_errors(left, noise_std) == 0).all(axis=1))
+        _, noise_std = fit_surface(steps)
+        basis = monomials(steps.space.scaled_inputs(steps.state, steps.command), SIGNATURE_DEGREE)
+        q, r = np.linalg.qr(basis)
+        values = q.T @ (steps.error / steps.space.state_scale / noise_std)
+        return cls(values.T, r / noise_std[:, None, None], noise_std, len(steps))
+
+    def seen(self, weights: Array) -> Array:
+        """The numbers of weights (n, k); shape (n, r)."""
+        return np.einsum("nrk,nk->nr", self.roots, weights)
+
+    def squares(self, weights: Array) -> float:
+        """Sum of squares of what weights (n, k) leave, less what noise makes of it."""
+        return float(np.sum((self.values - self.seen(weights)) ** 2)) - self.values.size
+
+
+class SizeFit(NamedTuple):
+    """Sizes of p causes.
+
+    Attributes:
+        log_evidence: Logarithm of the probability density of the errors.
+        sizes: Expected sizes; shape (p,).
+        covariance: Shape (p, p).
+    """
+
+    log_evidence: float
+    sizes: Array
+    covariance: Array
+
+
+def fit_sizes(error: RunError, origin: Surface, sizes: Array, slopes: Array, rests: Array = RESTS) -> SizeFit:
+    """Sizes of causes about a simulated robot, by Bayesian linear regression averaged over the size of the rest.
+
+    A priori the effect of each cause may be as large as the whole error of the run.
+
+    Args:
+        error: Errors of the run.
+        origin: Error of the robot that was simulated with some sizes.
+        sizes: These sizes; shape (p,).
+        slopes: Change of the error by a change of each size; shape (p, n, k).
+        rests: Possible standard deviations of the weights of the rest.
+    """
+    left = error.values - error.seen(origin.weights)
+    h = np.array([error.seen(slope) for slope in slopes]).reshape(len(slopes), *left.shape)
+    whole = max(float(np.sum(error.values**2)), 1.0)
+    prior = np.maximum(np.sum(h**2, axis=(1, 2)), 1e-12) / whole
+    found = list[SizeFit]()
+    for rest in rests:
+        information, projection, log = np.diag(prior), -prior * sizes, 0.5 * float(np.sum(np.log(prior)))
+        log -= 0.5 * float(sizes @ (prior * sizes))
+        for root, spread, value, columns in zip(error.roots, origin.covariance, left, h.swapaxes(0, 1), strict=True):
+            total = np.eye(len(value)) + root @ (spread + rest**2 * np.eye(len(spread))) @ root.T
+            factor = cho_factor(total, lower=True)
+            solved = cho_solve(factor, np.column_stack([value, columns.T]))
+            log -= 0.5 * float(value @ solved[:, 0]) + float(np.sum(np.log(np.diag(factor[0]))))
+            information = information + columns @ solved[:, 1:]
+            projection = projection + columns @ solved[:, 0]
+        covariance = np.linalg.inv(information)
+        change = covariance @ projection
+        log += 0.5 * float(projection @ change) - 0.5 * float(np.linalg.slogdet(information)[1])
+        found.append(SizeFit(log, sizes + change, covariance))
+    logs = np.array([each.log_evidence for each in found])
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    mean = sum((w * each.sizes for w, each in zip(weights, found, strict=True)), np.zeros(len(sizes)))
+    spread = [
+        w * (each.covariance + np.outer(each.sizes - mean, each.sizes - mean))
+        for w, each in zip(weights, found, strict=True)
+    ]
+    evidence = float(logs.max() + np.log(np.mean(np.exp(logs - logs.max()))))
+    return SizeFit(evidence, mean, np.sum(spread, axis=0))
