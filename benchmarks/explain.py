@@ -1,12 +1,16 @@
 """`stepgap explain` on hoppers with known differences from their model.
 
 Each robot is a twin with sensors and torque noise of the default one, and one or two planted differences of random
-size, from those in `USUAL`, which are also the possible causes. It tracks the paper's reference once, while it learns.
+size, from those in `USUAL`, which are also the possible causes. It steps to random targets, while it learns. What its
+sensors are is known.
 Robots of `outside` have a cause that is not in the list of possible causes, and neither is any other of its group.
 
 Printed for each robot: what was planted, and the groups that were found, with the size of the planted one. Then how
 often the first group, or one of two, is right, how often the planted size lies in its 95 % interval, how often the
 single cause comes first in its group, and how often an outside cause is reported as unexplained.
+
+All simulated robots track the same states, those of another robot with random targets, so that a process simulates
+each robot once; `stepgap explain` takes those of the run.
 
     ./go python -m benchmarks.explain [--robots 20] [--kinds one two outside] [--steps 170]
 """
@@ -37,9 +41,9 @@ from stepgap.experiment.simulated_errors import LEARNING, SimulatedRobots, targe
 from stepgap.learning.learner import Learner
 from stepgap.learning.observations import Observations, observe
 from stepgap.learning.steps import Steps
-from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.step import Array, StepSpace
 
 USUAL = {
     "body_mass_scale": 1.05,
@@ -98,38 +102,66 @@ def planted(robot: Robot, causes: Mapping[str, Cause], draw: int) -> dict[str, f
     return values
 
 
+def random_targets(space: StepSpace, number: int, steps: int) -> Reference:
+    """Targets within 0.9 of the ranges of use that change every one to three steps."""
+    rng, rows = random_stream(number, 12), list[Array]()
+    while len(rows) < steps:
+        target = space.state_centre + 0.9 * space.state_scale * rng.uniform(-1, 1, len(space.state))
+        rows += [target] * int(rng.integers(1, 4))
+    return Reference(space.state_names, np.array(rows[:steps]))
+
+
 def run_of(hopper: Hopper, number: int, steps: int) -> Observations:
     """Steps of a robot along the reference."""
-    nominal, reference = hopper.apex_map(), paper_reference()
+    nominal = hopper.apex_map()
     simulation = next(iter(hopper.simulations().values()))(random_stream(number, 10))
     learner = Learner.start(nominal, Steps(nominal.space), LEARNING, 0)
     plant = simulation.plant(random_stream(number, 11))
-    log = tracked(learner, plant, Reference(reference.names, reference.targets[:steps]), 0)
+    log = tracked(learner, plant, random_targets(nominal.space, number, steps), 0)
     return observe(log.completed(), nominal)
+
+
+def sensors() -> dict[str, float]:
+    """What all robots have, and is known."""
+    return {name: getattr(RealityGap(), name) for name in SENSORS}
+
+
+def hopper_with(values: Mapping[str, float]) -> Hopper:
+    """A hopper with some differences, and sensors of the default one."""
+    return Hopper(gap=replace(RealityGap.none(), **sensors(), **values))
+
+
+@cache
+def simulated_robots(steps: int) -> SimulatedRobots:
+    """The robots that are simulated for runs of this length."""
+    with one_blas_thread():
+        run = run_of(hopper_with({}), 0, steps)
+    return SimulatedRobots(Experiment(Hopper(gap=RealityGap())), targets_of(run, 0), known=sensors())
+
+
+@cache
+def surface_of(steps: int, shares: tuple[tuple[str, float], ...]) -> Surface | None:
+    """The error of a robot with causes of some sizes."""
+    return simulated_robots(steps).surface(dict(shares))
 
 
 def explained(steps: int, robot: Robot) -> Found:
     """What is found of a robot."""
-    begin, default = perf_counter(), RealityGap()
-    experiment = Experiment(Hopper(gap=default))
+    begin, robots = perf_counter(), simulated_robots(steps)
+
+    def simulate(wanted: Sequence[Shares]) -> list[Surface | None]:
+        return [surface_of(steps, tuple(shares.items())) for shares in wanted]
+
     with one_blas_thread():
-        robots = SimulatedRobots(experiment, np.zeros((0, 2)))
         for draw in range(DRAWS):
             values = planted(robot, robots.causes, draw)
-            gap = replace(RealityGap.none(), **{name: getattr(default, name) for name in SENSORS}, **values)
-            run = run_of(Hopper(gap=gap), robot.number, steps)
+            run = run_of(hopper_with(values), robot.number, steps)
             if 2 * len(run) > steps:
                 break
         else:
             raise RuntimeError(f"{robot}: no draw hops")
-        robots = replace(robots, targets=targets_of(run, 0))
         error = RunError.of(run)
         causes = [robots.causes[name] for name in USUAL]
-        surface = cache(lambda shares: robots.surface(dict(shares)))
-
-        def simulate(wanted: Sequence[Shares]) -> list[Surface | None]:
-            return [surface(tuple(shares.items())) for shares in wanted]
-
         if robot.kind == "outside":
             causes = without_group(error, simulate, causes, next(iter(values)))
         found = explain_error(error, causes, simulate)
@@ -191,9 +223,10 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=170)
     given = parser.parse_args()
     cases = [Robot(kind, number) for kind in given.kinds for number in range(given.robots)]
-    results = dict(finished(partial(explained, given.steps), cases))
-    for case in cases:
-        describe(case, results[case])
+    results = dict[Robot, Found]()
+    for case, found in finished(partial(explained, given.steps), cases):
+        describe(case, found)
+        results[case] = found
     for kind in given.kinds:
         judge(kind, [results[case] for case in cases if case.kind == kind])
 

@@ -29,10 +29,15 @@ import numpy as np
 from benchmarks.disturbed_plant import finished, tracked, uncorrected
 from stepgap.base.blas import one_blas_thread
 from stepgap.base.random_streams import random_stream
+from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.reference import Reference
+from stepgap.control.step_controller import StepController
+from stepgap.experiment.exploration import exploration_plan, goals_of
+from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.learner import Learner
 from stepgap.learning.observations import Observations, observe
 from stepgap.learning.prior import LEAST_FOR_PRIOR, Prior, fit_prior
+from stepgap.learning.prior_evidence import residual_with
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.plants.plant import Plant
@@ -47,6 +52,9 @@ BAND = np.array([0.0179, 0.0052])
 
 STEPS, LAST = 100, 20
 """Hops of a run, and how many of them are the last."""
+
+BOUND_STEPS = (0, 1, 2, 3, 5, 10, 20)
+"""Numbers of steps after which it is printed what can be known."""
 
 LEAST_STEPS = 15
 """Hops from which a twin of the family says something."""
@@ -143,6 +151,33 @@ def errors_of(priors: Mapping[str, Prior | None], run: Run) -> Array:
         return np.stack([made.tracking_errors(), made.std])
 
 
+def print_bound(kind: str, priors: Mapping[str, Prior | None]) -> None:
+    """Prints what can be known after a number of steps."""
+    robot = load_robot(kind)
+    nominal, reference = nominal_of(robot), next(iter(robot.references().values()))().of(robot.space)
+    for name in ("none", "prior"):
+        start = residual_with(priors[name], observe(Steps(nominal.space), nominal))
+        goals = goals_of(reference, CorrectedMap(nominal, start))
+        for way in ("best", "reference"):
+            residual, state, cells = start, nominal.space.state_centre, list[str]()
+            for count in range(max(BOUND_STEPS) + 1):
+                if count in BOUND_STEPS:
+                    variance = goals.weights @ residual.std(goals.points) ** 2 / goals.weights.sum()
+                    noise = start.noise_std / residual.noise_std  # predicted values make it seem smaller
+                    cells.append(f"{count}: {_pair(np.sqrt(variance) * noise)}")
+                if way == "best":
+                    step_map = CorrectedMap(nominal, residual)
+                    controller = CautiousController(step_map, nominal, np.empty((0, goals.points.shape[1])))
+                    plan = exploration_plan(controller, residual, state, goals)
+                    point, state = np.append(state, plan.command), plan.predicted
+                else:
+                    before, target = reference.targets[max(count - 1, 0)], reference.targets[count]
+                    command = StepController(CorrectedMap(nominal, start))(before, target).command
+                    point = np.append(before, command)
+                residual = residual.append(point, residual.mean(point))
+            print(f"can be known: {name:6}{way:10} noise {_pair(start.noise_std)} | {' | '.join(cells)}", flush=True)
+
+
 def part(errors: Array, first: int, last: int) -> Array:
     """Root-mean-square error of steps `first` to `last`, NaN if the robot did not make them; shape (n,)."""
     chosen = errors[first - 1 : last]
@@ -222,6 +257,7 @@ def main() -> None:
     found = dict(finished(partial(errors_of, priors), [run for runs in groups.values() for run in runs]))
     left_out = unable([*found], found)
     print(f"left out: {', '.join(map(str, sorted(left_out, key=str))) or 'none'}")
+    print_bound(given.robot, priors)
     for name, runs in groups.items():
         print_group(name, [run for run in runs if run.robot not in left_out], found)
 

@@ -48,7 +48,7 @@ from stepgap.step import Array
 PLANTED = ("none", "change", "pushes", "measurements", "warm start")
 """What is planted; case N has the one at N modulo their number."""
 
-WRONG = tuple(source for source in SOURCES if source not in ("right", "offset"))
+WRONG = tuple(source for source in SOURCES if source not in ("right", "fleet", "offset"))
 """Sources of warm starts, used in turn."""
 
 REDEPLOYMENTS = 2

@@ -3,6 +3,7 @@
 The steps that are known before the first deployment are those of deployment 0, without correction, of some source:
 
 - `right`: the same twin with another noise, to count false alarms;
+- `fleet`: runs of four other random twins, and one of the same;
 - `other`: another random twin;
 - `inverted`: the twin itself, but what the commands did is recorded with the wrong sign;
 - `swapped`: the twin itself, with the two recorded commands exchanged, in half ranges;
@@ -10,13 +11,15 @@ The steps that are known before the first deployment are those of deployment 0, 
 
 Printed are the ratios of the error of hops 2–5 [half ranges], and of all hops, to those of the same deployment without
 a warm start, median and 90 % quantile over the twins, in how many twins a ratio exceeds 1.2, and in how many the
-learner raised an alarm by hop 2, and at any hop. Falls are counted, and not in the ratios.
+learner raised an alarm by hop 2, and at any hop. Falls are counted, and not in the ratios. The method `prior` is
+`online` with the prior over robots of the hopper, with a warm start and without.
 
-    ./go python -m benchmarks.wrong_warm_start [--twins 30] [--first-twin 500] [--methods default,online]
+    ./go python -m benchmarks.wrong_warm_start [--twins 30] [--first-twin 500] [--methods default,online,prior]
 """
 
 import argparse
 from collections.abc import Callable, Mapping
+from functools import cache
 from itertools import product
 from typing import NamedTuple
 
@@ -28,7 +31,10 @@ from stepgap.base.blas import one_blas_thread
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
 from stepgap.learning.learner import Learner
-from stepgap.learning.steps import Steps, as_past
+from stepgap.learning.prior import Prior
+from stepgap.learning.steps import Steps, as_past, joined
+from stepgap.records.prior_file import read_prior
+from stepgap.robots.hopper.robot import Hopper
 
 STEPS = 30
 """Number of hops of a deployment."""
@@ -84,12 +90,16 @@ def as_recorded(steps: Steps, robot: TrustRobot) -> Steps:
 
 SOURCES: Mapping[str, Callable[[Steps, TrustRobot], Steps]] = {
     "right": as_recorded,
+    "fleet": as_recorded,
     "other": as_recorded,
     "inverted": inverted,
     "swapped": swapped,
     "offset": wrong_heights,
 }
-"""What is done to the steps of a source; `other` is another robot."""
+"""What is done to the steps of a source; `other` is another robot, and so are most of `fleet`."""
+
+FLEET = 4
+"""Number of other robots in the fleet."""
 
 
 def known_steps(
@@ -103,15 +113,28 @@ def known_steps(
         number: Number of the robot.
         shorten: Applied to its reference.
     """
-    robot = make(number + OTHER if source == "other" else number)
-    live = robot.live(random_stream(number, 3))
-    steps = tracked(uncorrected(robot.nominal), live.plant, shorten(robot.reference), 0)
-    return as_past(SOURCES[source](steps, robot))
+    others = range(number + OTHER, number + OTHER + (FLEET if source == "fleet" else source == "other"))
+    runs = list[Steps]()
+    for each in (*others, *(() if source == "other" else (number,))):
+        robot = make(each)
+        live = robot.live(random_stream(each, 3))
+        steps = tracked(uncorrected(robot.nominal), live.plant, shorten(robot.reference), 0)
+        runs.append(SOURCES[source](steps, robot))
+    return as_past(joined(runs))
 
 
 def beginning(reference: Reference) -> Reference:
     """The first `STEPS` targets of a reference."""
     return Reference(reference.names, reference.targets[:STEPS])
+
+
+@cache
+def prior_of_hopper() -> Prior:
+    """The prior over robots that the hopper has."""
+    robot, path = Hopper(), Hopper().prior()
+    if path is None:
+        raise ValueError("the hopper has no prior")
+    return read_prior(path, robot.space).prior
 
 
 def measure(case: tuple[int, str]) -> list[tuple[str, str, Outcome]]:
@@ -120,7 +143,8 @@ def measure(case: tuple[int, str]) -> list[tuple[str, str, Outcome]]:
     robot = hopper(twin)
 
     def deployment(known: Steps) -> tuple[Steps, tuple[int, ...]]:
-        learner = Learner.start(robot.nominal, known, METHODS[method], 0)
+        prior = prior_of_hopper() if method == "prior" else None
+        learner = Learner.start(robot.nominal, known, METHODS["online" if prior else method], 0, prior=prior)
         steps = tracked(learner, robot.live(random_stream(twin, 4)).plant, beginning(robot.reference), 0)
         return steps, alarms_after(learner, steps)
 
@@ -145,7 +169,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--twins", type=int, default=30)
     parser.add_argument("--first-twin", type=int, default=500)
-    parser.add_argument("--methods", default=",".join(METHODS))
+    parser.add_argument("--methods", default="default,online,prior")
     given = parser.parse_args()
     methods = given.methods.split(",")
     twins = range(given.first_twin, given.first_twin + given.twins)

@@ -24,7 +24,8 @@ def weak(tmp_path: Path, stepgap: Command) -> Path:
 
 def test_a_weak_motor_is_found(weak: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(simulated_errors, "STEPS_PER_MONOMIAL", 2)
-    found = stepgap("explain", weak, "--causes", "torque_scale, boom_drag", "--out", "page.html", "--quiet")
+    known = ["--known", "motor_counts=200000, torque_noise=0.01"]
+    found = stepgap("explain", weak, *known, "--causes", "torque_scale, boom_drag", "--out", "page.html", "--quiet")
     assert found.code == 0, found.err
     sentence, *_, path = found.out.splitlines()
     name, size, *_ = sentence.split()
@@ -38,6 +39,10 @@ def test_a_weak_motor_is_found(weak: Path, stepgap: Command, monkeypatch: pytest
 
 def test_wrong_input_is_refused(weak: Path, stepgap: Command) -> None:
     refused(stepgap("explain", weak, "--causes", "weight"), "--causes weight", "body_mass_scale")
+    refused(stepgap("explain", weak, "--known", "weight=1"), "--known weight=1", "body_mass_scale")
+    refused(stepgap("explain", weak, "--known", "torque_scale"), "--known torque_scale", "NAME=VALUE")
+    refused(stepgap("explain", weak, "--known", "torque_scale=-1"), "--known torque_scale=-1", "torque_scale")
+    refused(stepgap("explain", weak, "--known", "boom_drag=0.1", "--causes", "boom_drag"), "--causes boom_drag")
     refused(stepgap("explain", weak, "--out", "page.txt"), "page.txt", ".html")
     (weak / "steps.csv").write_text("".join((weak / "steps.csv").read_text().splitlines(keepends=True)[:9]))
     (weak / "summary.json").unlink()

@@ -1,6 +1,7 @@
 """`stepgap run --warm-start` and `--json`: the steps taken from another run, and the events for programs."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +71,7 @@ def test_known_steps_of_the_other_run_are_passed_on(cold: Path, stepgap: Command
     known = Path("third/warm_start.csv").read_text().splitlines()
     own = Path("second/steps.csv").read_text().splitlines()[1:]
     assert known[:-2] == (cold / "run" / "steps.csv").read_text().splitlines()
-    assert known[-2:] == ["2" + row[1:] for row in own], "the deployments are numbered consecutively"
+    assert known[-2:] == ["3" + row[1:] for row in own], "a number is left out between the runs"
 
 
 @pytest.mark.parametrize(
@@ -111,3 +112,17 @@ def test_events_are_printed_as_json_lines(stepgap: Command) -> None:
     assert [",".join(map(str, step.values())).replace("None", "nan") for step in steps] == rows
     assert ",".join(steps[0]) == header
     assert [line.split(" (")[0] for line in result.err.splitlines()] == ["deployment 0 of 1", "deployment 1 of 1"]
+
+
+def test_of_many_runs_each_is_known(cold: Path, stepgap: Command) -> None:
+    fleet = Path("fleet")
+    for name in ("first", "second"):
+        shutil.copytree(cold / "run", fleet / name)
+    (fleet / "latest").symlink_to("second")
+    short = Path("short.csv")
+    short.write_text("speed,height\n0.1,0.56\n")
+    stepgap("run", "--reference", short, "--iterations", 0, "--quiet", "--out", "warm", "--warm-start", fleet)
+    header, *rows = (cold / "run" / "steps.csv").read_text().splitlines()
+    count = 1 + max(int(row.split(",")[0]) for row in rows)
+    again = [f"{int(row.split(',')[0]) + count + 1}," + row.split(",", 1)[1] for row in rows]
+    assert Path("warm/warm_start.csv").read_text().splitlines() == [header, *rows, *again]

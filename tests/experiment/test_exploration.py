@@ -1,13 +1,18 @@
 """Exploratory hops: each reduces the uncertainty that matters for the reference more than other hops would."""
 
 import numpy as np
+import pytest
 
 from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.reference import Reference
 from stepgap.experiment.deployment import deploy
-from stepgap.experiment.exploration import exploration_plan, goals_of
+from stepgap.experiment.exploration import LEAST_WORTH, exploration_plan, goals_of, worth_of_steps
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.learner import Learner
+from stepgap.learning.observations import observe
+from stepgap.learning.polynomial import monomials
+from stepgap.learning.prior import DEGREE, Prior, fit_prior
+from stepgap.learning.prior_evidence import residual_with
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.plants.model_plant import ModelPlant
@@ -62,3 +67,45 @@ def tracked_error(exploration: int) -> np.ndarray:
 def test_exploration_reduces_the_error_of_the_first_deployment() -> None:
     assert isinstance(REALITY, LossyHopper)
     assert (tracked_error(12) < 0.5 * tracked_error(0)).all()
+
+
+# With a prior
+
+
+@pytest.fixture(scope="module")
+def prior() -> Prior:
+    """That of 30 hoppers that lose more or less, and drift."""
+    rng, robots = np.random.default_rng(0), []
+    for seed in range(30):
+        hopper = LossyHopper(loss=rng.uniform(0.3, 0.6), keep=rng.uniform(0.5, 0.9), drift=rng.uniform(-0.1, 0.1))
+        robots.append(observe(log_of(hops(hopper, 20, seed)), NOMINAL))
+    return fit_prior(robots)
+
+
+def test_the_expected_loss_is_that_of_linear_regression(prior: Prior) -> None:
+    residual = residual_with(prior, observe(log_of([]), NOMINAL))
+    goals, space = goals_of(REFERENCE, CorrectedMap(NOMINAL, residual)), NOMINAL.space
+    expected, noise = 0.0, np.array([each.noise_std for each in prior.coordinates])
+    for each in prior.coordinates:
+        covariance = each.covariance.copy()
+        for phi in monomials(space.scaled_inputs(goals.points[:, :2], goals.points[:, 2:]), DEGREE):
+            variance = phi @ covariance @ phi
+            expected += variance
+            covariance -= np.outer(covariance @ phi, phi @ covariance) / (variance + each.noise_std**2)
+    loss = goals.expected_loss(residual, residual.noise_std)
+    assert loss == pytest.approx(expected / np.sum(noise**2), rel=1e-6)
+
+
+def test_steps_are_worth_less_and_less_until_one_is_not_worth_it(prior: Prior) -> None:
+    residual = residual_with(prior, observe(log_of([]), NOMINAL))
+    worths = worth_of_steps(NOMINAL, residual, NO_FAILURES, REFERENCE, most=20)
+    assert 1 < len(worths) < 20
+    assert all(each >= LEAST_WORTH for each in worths[:-1])
+    assert worths[-1] < LEAST_WORTH
+    assert worths[0] == max(worths)
+    assert worth_of_steps(NOMINAL, residual, NO_FAILURES, REFERENCE, most=1) == worths[:1]
+
+
+def test_what_is_known_is_not_explored(prior: Prior) -> None:
+    residual = residual_with(prior, observe(log_of(hops(REALITY, 60, seed=1)), NOMINAL))
+    assert worth_of_steps(NOMINAL, residual, NO_FAILURES, REFERENCE, most=20)[0] < LEAST_WORTH

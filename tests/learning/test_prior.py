@@ -11,7 +11,7 @@ from stepgap.learning.polynomial import QUADRATIC, Moments, fit_polynomial, mono
 from stepgap.learning.prior import DEGREE, PRIOR, Prior, fit_prior
 from stepgap.learning.regression import TrainingData
 from stepgap.learning.residual import HistoryInputs
-from stepgap.learning.residual_fit import learned_residual, residual_from_dict, training_data
+from stepgap.learning.residual_fit import learned_residual, residual_from_dict
 from stepgap.learning.settings import LearningSettings
 from stepgap.step import Array, Quantity, StepSpace
 
@@ -81,7 +81,7 @@ def test_other_ranges_and_more_inputs_change_nothing(prior: Prior) -> None:
     """The same function of state and command, where ranges are others and inputs of a touchdown are added."""
     points = robot(MEAN, 9, np.random.default_rng(2))
     inputs = np.hstack([points.state, points.command])
-    plain = training_data(points, HistoryInputs(), 0)
+    plain = points.training_data(HistoryInputs(), 0)
     wider = TrainingData(
         np.hstack([inputs, np.zeros((9, 1))]),
         plain.values,
@@ -185,7 +185,7 @@ def test_too_few_robots_have_no_prior() -> None:
 
 
 def test_without_a_prior_the_model_is_quadratic() -> None:
-    known = training_data(robot(MEAN, 8, np.random.default_rng(1)), HistoryInputs(), 0)
+    known = robot(MEAN, 8, np.random.default_rng(1)).training_data(HistoryInputs(), 0)
     np.testing.assert_array_equal(
         PRIOR.fit(known, None).mean(known.points), QUADRATIC.fit(known, None).mean(known.points)
     )

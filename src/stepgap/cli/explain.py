@@ -1,6 +1,7 @@
 """The verb `stepgap explain`."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,8 +9,9 @@ from typing import TYPE_CHECKING
 from stepgap.base.errors import InputError
 from stepgap.base.files import create
 from stepgap.base.output_files import PICTURE_FORMATS, check_new, format_by_name, writing
-from stepgap.cli.options import Flag, Integer, Names
+from stepgap.cli.options import Flag, Integer, NamedValues, Names
 from stepgap.cli.terminal import announces_compilation
+from stepgap.robots.gap import Gap, differences
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.cause_sizes import Cause
@@ -25,6 +27,7 @@ def explain(
     /,
     *,
     causes: Names | None = None,
+    known: NamedValues | None = None,
     seed: Integer = 0,
     out: Path | None = None,
     quiet: Flag = False,
@@ -36,7 +39,9 @@ def explain(
 
     Args:
         run: Folder of the run.
-        causes: Differences that are possible, as keys of the table gap; by default all.
+        causes: Differences that are possible, as keys of the table gap; by default all that are not known.
+        known: Differences that the robot certainly has, as keys of the table gap with their values, such as the
+            resolution of its encoders.
         seed: Random seed of the simulations.
         out: New file: a page (.html), or the figure alone (.png, .pdf or .svg).
         quiet: Show no progress.
@@ -63,8 +68,8 @@ def explain(
     steps = observe(opened.recorded, opened.needed(opened.nominal))
     if len(steps) < LEAST_EXPLAINED:
         raise InputError(f"{run}: {len(steps)} completed steps say too little; {LEAST_EXPLAINED} are needed")
-    robots = SimulatedRobots(settings, targets_of(steps, seed), seed)
-    chosen = _chosen(causes, [*robots.causes.values()])
+    robots = SimulatedRobots(settings, targets_of(steps, seed), seed, _known(known, gap))
+    chosen = _chosen(causes, [each for each in robots.causes.values() if each.name not in robots.known])
     with progress_bar("simulated robots", quiet) as progress:
         total = most_simulations(len(chosen))
         with simulated_on_all_cores(robots, lambda done: progress(min(done, total), total)) as simulate:
@@ -100,6 +105,24 @@ def _chosen(names: str | None, causes: "Sequence[Cause]") -> "list[Cause]":
         if name not in known:
             raise InputError(f"--causes {name}: no such cause; it must be one of {', '.join(known)}")
     return [known[name] for name in dict.fromkeys(wanted)]
+
+
+def _known(text: str | None, gap: Gap) -> dict[str, float]:
+    """Values of known differences.
+
+    Raises:
+        InputError: There is no such difference, or it cannot have this value.
+    """
+    found = dict[str, float]()
+    for part in text.split(",") if text is not None else ():
+        name, _, number = part.strip().partition("=")
+        try:
+            found[name] = float(number)
+            replace(type(gap).none(), **found)
+        except (TypeError, ValueError) as error:
+            keys = ", ".join(differences(gap))
+            raise InputError(f"--known {part}: {error}; give NAME=VALUE, where NAME is one of {keys}") from None
+    return found
 
 
 def _figure(found: "Explanation", form: str) -> bytes:

@@ -26,10 +26,11 @@ def prior(*runs: Path, out: Path, quiet: Flag = False) -> None:
         quiet: Print only the path of the file.
     """
     from stepgap.cli.progress import progress_bar
-    from stepgap.experiment.prior import find_prior, folders_of, steps_of_robot
+    from stepgap.experiment.inputs import run_folders
+    from stepgap.experiment.prior import find_prior, steps_of_robot
 
     check_new(out, "--out")
-    folders = folders_of(runs)
+    folders = [folder for each in runs for folder in run_folders(each)]
     if not folders:
         raise InputError("RUNS: give the folders of runs, one for each robot, or of a sweep over random twins")
     found: list[RobotSteps] = []

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Self
@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from stepgap.cli.terminal import warn
+from stepgap.experiment.exploration import LEAST_WORTH
 from stepgap.experiment.loop import Observer, fails_no_later
 from stepgap.experiment.state_ranges import COMPARED_STEPS, far_states
 from stepgap.learning.residual import Residual
@@ -20,7 +21,7 @@ from stepgap.learning.trust import Alarm
 from stepgap.records.steps_csv import values_of
 from stepgap.records.summary import Deployment, deployment_entry
 from stepgap.report.diagnosis_sentences import offset_sentences
-from stepgap.report.text import decimal, unit_suffix
+from stepgap.report.text import decimal, listed, unit_suffix
 from stepgap.report.trust_sentences import alarm_sentence
 from stepgap.step import StepSpace, StepStatus, ending_of
 
@@ -72,7 +73,7 @@ class RunProgress:
         """Observer whose callbacks update the display."""
         return Observer(
             self._on_step, self._on_deployment, self._on_fault, self._show, self._on_learned, self._on_alarm,
-            on_warning=self._on_warning,
+            on_warning=self._on_warning, on_exploration=self._on_exploration,
         )  # fmt: skip
 
     def __enter__(self) -> Self:
@@ -146,6 +147,16 @@ class RunProgress:
     def _on_warning(self, sentence: str) -> None:
         if not self._quiet:
             warn(sentence)
+
+    def _on_exploration(self, worths: Sequence[float]) -> None:
+        if self._quiet:
+            return
+        worth = listed([f"{each:.1f}" for each in worths])
+        made = sum(each >= LEAST_WORTH for each in worths)
+        sentence = f"exploration: the next steps are worth {worth} squared errors of a step by noise"
+        if made < len(worths):
+            sentence += f", so {made or 'none'} {'is' if made < 2 else 'are'} made"
+        self._console.print(sentence, soft_wrap=True)
 
     def _on_fault(self, message: str) -> None:
         if not self._quiet:

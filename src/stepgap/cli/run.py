@@ -42,9 +42,10 @@ class Shorthand:
             a simple one to compare with, integral, rls (recursive least squares) or affine (a linear map).
         seed: Random seed. [default: 0]
         iterations: Largest number of redeployments. [default: 4]
-        explore: Number of exploratory steps before the first deployment. [default: 0]
+        explore: Number of exploratory steps before the first deployment; with a prior at most that number. [default: 0]
         online: Learn after every step, from the first one on.
-        warm_start: Folder of an earlier run, whose steps are learned from before the first deployment.
+        warm_start: Folder of an earlier run, or of many, whose steps are learned from before the first deployment;
+            a run that proves to be of another robot is left out.
         prior: What learning expects before the first step: robot (of many robots of this kind, where there is such a
             prior and --online is given), none, or a file that `stepgap prior` wrote. [default: robot]
     """

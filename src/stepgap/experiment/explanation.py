@@ -341,7 +341,11 @@ def _members(search: _Search, now: _Point, name: str, group: Sequence[Cause]) ->
         if surface is not None:
             step = further[each][each] - point.shares[each]
             local = (surface.weights - point.surface.weights) / step
-            if np.sum(search.error.seen(local) ** 2) > LEAST_SLOPE**2 * np.sum(search.error.seen(slopes[each]) ** 2):
+            bend = signature_products(search.error, point.surface, [step * (local - slopes[each])])
+            steep = np.sum(search.error.seen(local) ** 2) > LEAST_SLOPE**2 * np.sum(
+                search.error.seen(slopes[each]) ** 2
+            )
+            if steep and bend[0, 0] > LEAST_SIGNATURE**2:  # else it differs by the inaccuracy of simulations alone
                 slopes[each] = local
         found = search.fitted(point.shares, point.surface, slopes)
         members.append(Member(search.causes[each], found.next[each], found.std(each), found.fit.log_evidence))

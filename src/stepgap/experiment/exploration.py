@@ -3,6 +3,10 @@
 The value of a step is the reduction of the map's variance at the points that the reference needs (I-optimal design of
 experiments; Atkinson, Donev, Tobias, Optimum Experimental Designs, ch. 10). The variance of a residual hardly depends
 on the measured value, so it can be computed before the step: the step is appended with its predicted value.
+
+With a prior over robots it is known beforehand what further steps are worth: by how much they lower the expected error
+of the reference, each of whose different steps is also learned from when it occurs first. The unit is the squared error
+that one step has by noise alone, so that a step that is worth less than one costs more than it saves.
 """
 
 from dataclasses import dataclass
@@ -14,6 +18,7 @@ from stepgap.control.cautious_controller import CautiousController, CautiousPlan
 from stepgap.control.reach import whole_states
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
+from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.residual import Residual
 from stepgap.step import Array, StepFailed, StepMap
 
@@ -21,6 +26,8 @@ TRIED, SECOND = 25, 13
 """Numbers of commands that are compared for the next step, and of those with which each is followed."""
 MARGIN = 0.1
 """Distance by which an exploratory step may leave the range of the targets [half ranges]."""
+LEAST_WORTH = 1.0
+"""What an exploratory step must be worth [squared errors of a step by noise]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +35,7 @@ class Goals:
     """Points at which the map must be known.
 
     Attributes:
-        points: States and commands, concatenated; shape (G, n + m).
+        points: States and commands, concatenated, in the order in which they occur first; shape (G, n + m).
         weights: Number of times that each is needed; shape (G,).
         scale: Scales by which the errors of the state coordinates are divided; shape (n,).
     """
@@ -44,21 +51,64 @@ class Goals:
         variance = np.sum((residual.std(self.points) / self.scale) ** 2, axis=-1)
         return float(self.weights @ variance / self.weights.sum())
 
+    def expected_loss(self, residual: Residual, noise_std: Array) -> float:
+        """Sum of the variances of the residual when each step occurs first [squared errors of a step by noise].
+
+        Args:
+            residual: The residual, which may have been conditioned on predicted values. As these have no errors, its
+                noise seems smaller than it is, and the variances in proportion.
+            noise_std: Standard deviation of the noise of a step before that; shape (n,).
+        """
+        noise, loss = float(np.sum((noise_std / self.scale) ** 2)), 0.0
+        for point in self.points:
+            std = residual.std(point) * noise_std / residual.noise_std
+            loss += float(np.sum((std / self.scale) ** 2))
+            residual = residual.append(point, residual.mean(point))
+        return loss / noise
+
 
 def goals_of(reference: Reference, step_map: StepMap) -> Goals:
     """Steps that the reference needs, each from target to target, with their commands by the map."""
     first, number = reference.distinct
     targets = whole_states(step_map, reference.targets[first])[number]
     before = np.concatenate([targets[:1], targets[:-1]])
-    steps, counts = np.unique(np.stack([before, targets], axis=1), axis=0, return_counts=True)
-    points, weights, controller = [], [], StepController(step_map)
-    for (state, target), count in zip(steps, counts, strict=True):
+    steps, at, counts = np.unique(np.stack([before, targets], axis=1), axis=0, return_index=True, return_counts=True)
+    points, weights, controller, order = [], [], StepController(step_map), np.argsort(at)
+    for (state, target), count in zip(steps[order], counts[order], strict=True):
         try:
             points.append(np.append(state, controller(state, target).command))
             weights.append(count)
         except StepFailed:
             continue
     return Goals(np.array(points), np.array(weights, float), step_map.space.state_scale)
+
+
+def worth_of_steps(
+    nominal: StepMap, residual: Residual, failures: Array, reference: Reference, most: int
+) -> list[float]:
+    """What each exploratory step is expected to be worth, up to the first that is not worth it [`LEAST_WORTH`].
+
+    Args:
+        nominal: The nominal map.
+        residual: Its error with a prior over robots.
+        failures: Points (state, command) of the steps that failed; shape (k, n + m).
+        reference: Its first target is where the first step begins.
+        most: Largest number of steps.
+    """
+    worths, before, noise_std = list[float](), 0.0, residual.noise_std
+    state = whole_states(nominal, reference.targets[:1])[0]
+    for number in range(most + 1):
+        step_map = CorrectedMap(nominal, residual)
+        goals = goals_of(reference, step_map)
+        loss = goals.expected_loss(residual, noise_std)
+        if number:
+            worths.append(before - loss)
+        if number == most or (worths and worths[-1] < LEAST_WORTH):
+            break
+        plan = exploration_plan(CautiousController(step_map, nominal, failures), residual, state, goals)
+        point = np.append(state, plan.command)
+        residual, state, before = residual.append(point, residual.mean(point)), plan.predicted, loss
+    return worths
 
 
 def exploration_plan(controller: CautiousController, residual: Residual, state: Array, goals: Goals) -> CautiousPlan:

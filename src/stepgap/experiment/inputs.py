@@ -57,17 +57,27 @@ def _tracked(reference: Reference, experiment: Experiment) -> Reference:
     return replace(reference, targets=targets)
 
 
+def run_folders(path: Path) -> list[Path]:
+    """The folders of the runs in a folder, or of those of a sweep; the folder itself if it is a run or has none."""
+    if (path / "steps.csv").exists():
+        return [path]
+    runs = sorted(each.parent for each in (*path.glob("*/steps.csv"), *path.glob("runs/*/steps.csv")))
+    return [each for each in runs if not each.is_symlink()] or [path]
+
+
 def load_known(experiment: Experiment, space: StepSpace) -> Steps:
-    """Reads the steps known before the first deployment: those of the run to start from, and those it started from.
+    """Reads the steps known before the first deployment: those of the runs to start from, and those they started from.
 
     Raises:
-        InputError: It is not a run, has another state or command, or has no step.
+        InputError: It is not a run or a folder of runs, one has another state or command, or no step.
     """
     if not experiment.warm_start:
         return Steps(space)
-    path, wanted = Path(experiment.warm_start), "a warm start needs the folder of a run, or its steps.csv"
-    earlier = [path / WARM_START] if (path / WARM_START).is_file() else []
-    files = [*earlier, path / "steps.csv"] if path.is_dir() else [path]
+    path, wanted = Path(experiment.warm_start), "a warm start needs the folder of a run, its steps.csv, or many runs"
+    files = [path]
+    if path.is_dir():
+        candidates = [folder / name for folder in run_folders(path) for name in (WARM_START, "steps.csv")]
+        files = [each for each in candidates if each.name != WARM_START or each.is_file()]
     try:
         known = joined([read_step_log(file, space) for file in files])
     except OSError as error:

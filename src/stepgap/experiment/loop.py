@@ -21,10 +21,11 @@ from stepgap.base.versions import versions_here
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.experiment.deployment import AdaptiveMap, ExecutedSteps, deploy
+from stepgap.experiment.exploration import LEAST_WORTH, worth_of_steps
 from stepgap.experiment.outcome import estimate_noise_floor, summarise
 from stepgap.experiment.resume import Recording, warm_start_of
 from stepgap.learning.learner import Learner
-from stepgap.learning.prior import Prior
+from stepgap.learning.prior import PRIOR, Prior
 from stepgap.learning.residual import Residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps, as_past
@@ -64,6 +65,8 @@ class Observer:
         on_time: Called with the number of a deployment, what was computed for it, and how long that took [s]: the `fit`
             before it, the `planning` of each command, and `learning` from each step.
         on_warning: Called before a step whose target is a distance that no command reaches, with a sentence.
+        on_exploration: Called with what each exploratory step is expected to be worth [`worth_of_steps`], where a prior
+            says that; the last one is not made if it is worth too little.
     """
 
     on_step: Callable[[LoggedStep], None] = lambda logged: None
@@ -75,6 +78,7 @@ class Observer:
     on_execution: Callable[[], None] = lambda: None
     on_time: OnTime = lambda iteration, part, seconds: None
     on_warning: Callable[[str], None] = lambda sentence: None
+    on_exploration: Callable[[Sequence[float]], None] = lambda worths: None
 
 
 class Plants(NamedTuple):
@@ -196,6 +200,13 @@ def _execute(
     observer.on_execution()
     plant = setup.plants.make(deployment_generator(setup.seed, iteration))
     exploration = 0 if iteration else setup.learning.exploration
+    if exploration and learner.residual.kind == PRIOR.name:
+        worths = worth_of_steps(
+            learner.nominal, learner.conditioned_residual, learner.failures, setup.reference, exploration
+        )
+        observer.on_exploration(worths)
+        asked, exploration = exploration, sum(each >= LEAST_WORTH for each in worths)
+        learner = replace(learner, steps_to_learn=learner.steps_to_learn - (asked - exploration))
     on_time, on_warning = partial(observer.on_time, iteration), observer.on_warning
     yield from deploy(
         learner, plant, setup.reference, iteration, exploration, setup.control, on_time, on_learner, on_warning

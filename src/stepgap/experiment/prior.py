@@ -28,15 +28,6 @@ class RobotSteps(NamedTuple):
     observations: Observations
 
 
-def folders_of(paths: Sequence[Path]) -> list[Path]:
-    """The folders of runs among these, and those of all runs of a sweep among these."""
-    found = list[Path]()
-    for path in paths:
-        runs = sorted(each.parent for each in (path / "runs").glob("*/steps.csv"))
-        found += runs if runs and not (path / "steps.csv").exists() else [path]
-    return found
-
-
 def steps_of_robot(folder: Path) -> RobotSteps:
     """Reads a run, of which all steps count.
 

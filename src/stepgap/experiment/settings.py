@@ -112,7 +112,8 @@ class Experiment:
         plant: A simulated plant of the robot, `process` (another program), or the name of a rig. Empty: the first
             simulated one.
         rig: File that describes that rig, relative to the experiment's file.
-        warm_start: Folder of a run whose steps are known before the first deployment, or a `steps.csv`, relative to the
+        warm_start: Folder of a run whose steps are known before the first deployment, of many runs, each of which is
+            left out where it proves to be of another robot, or a `steps.csv`, relative to the
             experiment's file; empty: nothing is known.
         prior: Prior over robots that learning begins with: `robot`, that which comes with the robot, when it learns
             online with the default residual or `auto`, and its nominal map is the default one; `none`; or a file that

@@ -4,7 +4,7 @@ import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final, final
 
@@ -30,7 +30,7 @@ from stepgap.robots.gap import Gap
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap, StepSpace
 
-STEPS_PER_MONOMIAL: Final = 4
+STEPS_PER_MONOMIAL: Final = 8
 """Number of simulated steps for each monomial of the polynomials."""
 
 MOST_SIMULATED_STEPS: Final = 240
@@ -54,12 +54,14 @@ class SimulatedRobots:
     Attributes:
         settings: Settings of the experiment, with a robot that has a gap.
         targets: States to track; shape (N, n).
-        seed: Random seed of the simulations, which are without noise unless a cause is noise.
+        seed: Random seed of the simulations, which are without noise unless that is known or a cause.
+        known: Differences that the robot certainly has, such as the resolution of its encoders, with their values.
     """
 
     settings: Experiment
     targets: Array
     seed: int = 0
+    known: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @cached_property
     def nominal(self) -> StepMap:
@@ -75,7 +77,7 @@ class SimulatedRobots:
         """Errors of a robot with causes of some sizes; None if it does not walk, or a size is not valid."""
         values: dict[str, Any] = {name: self.causes[name].value(share) for name, share in shares.items()}
         try:
-            gap = replace(type(gap_of(self.settings)).none(), **values)
+            gap = replace(type(gap_of(self.settings)).none(), **{**self.known, **values})
         except ValueError:
             return None
         robot = with_gap(self.settings.robot, gap)

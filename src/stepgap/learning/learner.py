@@ -12,6 +12,7 @@ from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.observations import context_inputs_of, error_of, history_after, next_history, observe
 from stepgap.learning.outliers import LEAST_KNOWN, improbable_errors
 from stepgap.learning.prior import Prior
+from stepgap.learning.prior_evidence import other_robots
 from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.residual_fit import explains_better, learned_residual
@@ -60,7 +61,8 @@ class Learner:
         nominal: Map of the physics model.
         settings: Which residual model is used, and whether steps of this deployment are learned from.
         iteration: Number of the deployment.
-        log: All steps known.
+        known: All steps known.
+        log: Those of them that may be of this robot, without earlier runs that are probably of another one.
         residual: The fitted residual, which may depend on the history of a step, too.
         history: History of the next step, as `observations` defines it; shape (2n + m + 1 + q,).
         failures: Points (state, command) of the steps that failed; shape (k, n + m).
@@ -77,6 +79,7 @@ class Learner:
     nominal: StepMap
     settings: LearningSettings
     iteration: int
+    known: Steps
     log: Steps
     residual: Residual
     history: Array
@@ -94,7 +97,7 @@ class Learner:
     def start(
         cls,
         nominal: StepMap,
-        log: Steps,
+        known: Steps,
         settings: LearningSettings,
         iteration: int,
         residual: Residual | None = None,
@@ -104,12 +107,13 @@ class Learner:
 
         Args:
             nominal: Map of the physics model.
-            log: Steps known before the deployment.
+            known: Steps known before the deployment.
             settings: Which residual model is used, and whether steps of this deployment are learned from.
             iteration: Number of the deployment.
             residual: The residual that was fitted to these steps; None to fit it.
             prior: A prior over robots, if there is one.
         """
+        log = _of_this_robot(nominal, known, prior)
         failed = ~np.isin(log.status, _NO_FAILURE)
         if residual is None:
             residual = _fitted(nominal, log, settings, iteration, None, prior)
@@ -117,6 +121,7 @@ class Learner:
             nominal=nominal,
             settings=settings,
             iteration=iteration,
+            known=known,
             log=log,
             residual=residual,
             history=next_history(log, nominal, iteration),
@@ -173,7 +178,19 @@ class Learner:
         Raises:
             ResidualError: The residual has no finite prediction of this step, or a new fit failed.
         """
-        return self.found(logged.record.context)._after(logged)
+        return self.found(logged.record.context)._after(logged)._without_other_robots(logged)
+
+    def _without_other_robots(self, logged: LoggedStep) -> "Learner":
+        """Starts again if a step shows that earlier runs are of another robot, or that others are of this one."""
+        if self.steps_to_learn == 0 or not self.known.has_earlier_runs:
+            return self
+        if np.sum(self.known.iteration >= 0) > LEAST_KNOWN:
+            return self
+        if len(_of_this_robot(self.nominal, self.known, self.prior)) == len(self.log):
+            return self
+        started = Learner.start(self.nominal, self.known, self.settings, self.iteration, prior=self.prior)
+        alarms = (*self.alarms, Alarm(logged.step, "other"))
+        return replace(started, steps_to_learn=self.steps_to_learn, outliers=self.outliers, alarms=alarms)
 
     def _after(self, logged: LoggedStep) -> "Learner":
         record, log = logged.record, self.log + [logged]  # noqa: RUF005 they share memory
@@ -181,6 +198,7 @@ class Learner:
         failed = record.status not in _NO_FAILURE
         learner = replace(
             self,
+            known=self.known + [logged],  # noqa: RUF005
             log=log,
             history=history_after(record, error, self.nominal.space, len(log)),
             failures=np.vstack([self.failures, point]) if failed else self.failures,
@@ -243,6 +261,14 @@ class Learner:
             return replace(self, residual=_fitted(*known), refit_from=due)
         refit = Refit(Deferred(lambda: _fitted(*known)), due)
         return replace(self, refit=refit, refit_from=max(REFIT_GROWTH * count, due + 1))
+
+
+def _of_this_robot(nominal: StepMap, known: Steps, prior: Prior | None) -> Steps:
+    """The steps without earlier runs that are probably of another robot."""
+    if not known.has_earlier_runs or known.iteration[-1] < 0:
+        return known
+    others = other_robots(observe(known.planned(), nominal), prior)
+    return known.selected(~np.isin(known.iteration, others)) if others else known
 
 
 def _fitted(

@@ -14,6 +14,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from stepgap.learning.regression import TrainingData
 from stepgap.learning.residual import HistoryInputs
 from stepgap.learning.steps import Labels, Steps
 from stepgap.step import Array, StepMap, StepRecord, StepSpace
@@ -94,6 +95,19 @@ class Observations:
                 )
             history = np.arange(float(len(self)))[:, None] * np.eye(2 * n + m + 1)[-1]
         return np.hstack([self.state, self.command, history_inputs.of(history, n)])
+
+    def training_data(self, history_inputs: HistoryInputs, coordinate: int) -> TrainingData:
+        """Training data of the regression of one state coordinate."""
+        space, points = self.space, self.points(history_inputs)
+        others = points.shape[1] - len(space.state) - len(space.command)
+        return TrainingData(
+            points,
+            self.error[:, coordinate].copy(),
+            np.concatenate([space.state_centre, space.command_centre, np.zeros(others)]),
+            np.concatenate([space.state_scale, space.command_scale, np.ones(others)]),
+            float(space.state_scale[coordinate]),
+            history_inputs.timed,
+        )
 
 
 def observe(log: Steps, nominal: StepMap) -> Observations:

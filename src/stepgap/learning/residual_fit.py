@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import inf
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,9 @@ from stepgap.learning.entry_points import load_feature_model, load_residual_mode
 from stepgap.learning.feature_map import FeatureModel, with_features
 from stepgap.learning.observations import Observations
 from stepgap.learning.outliers import LEAST_KNOWN, MOST_OUTLIERS, outliers_among
-from stepgap.learning.polynomial import Polynomial, fit_polynomial
-from stepgap.learning.prior import DEGREE, PRIOR, Prior
-from stepgap.learning.regression import Regression, ResidualModel, TrainingData
+from stepgap.learning.prior import Prior
+from stepgap.learning.prior_evidence import applies, residual_with
+from stepgap.learning.regression import Regression, ResidualModel
 from stepgap.learning.residual import HistoryInputs, Residual, no_residual
 from stepgap.learning.residual_check import check_regression, failed, naming_model
 from stepgap.learning.settings import AUTO, LAGGED_INPUTS, NO_FEATURE_MAP, LaggedInputs, LearningSettings
@@ -28,9 +28,6 @@ from stepgap.learning.zero import NONE
 
 SELECTION_FOLDS = 5
 """Number of contiguous parts of the record, each predicted from the others, by which `auto` chooses."""
-
-PRIOR_ODDS = 20.0
-"""Odds that a robot is of the kind of its prior, before it has made a step."""
 
 LARGEST_DIMENSION = 100
 """Largest number of state coordinates, of command coordinates, and of inputs of a regression that is read."""
@@ -141,32 +138,13 @@ def _learned_residual(
     used = observations
     if settings.remove_yaw_dependence and len(observations):
         used = without_periodic_part(observations, iteration)
-    expected = _with_prior(prior, used)
-    if not _applies(expected, used):
+    expected = residual_with(prior, used)
+    if not applies(expected, used):
         return residual
     if residual.kind == NONE.name:
         return expected
     gain = len(used) * (held_out_score(residual, used) - held_out_score(expected, used))
     return residual if gain > LEAST_EVIDENCE else expected
-
-
-def _with_prior(prior: Prior, observations: Observations) -> Residual:
-    """The residual with a prior over robots."""
-    inputs = HistoryInputs(context_inputs=observations.context_inputs)
-    data = [training_data(observations, inputs, number) for number in range(len(observations.space.state))]
-    found = [fit_polynomial(each, DEGREE, prior.moments(number, each)) for number, each in enumerate(data)]
-    return Residual(PRIOR, tuple(found), len(observations.space.command), inputs)
-
-
-def _applies(expected: Residual, observations: Observations) -> bool:
-    """Whether the robot is probably of the kind of a prior, by the observations and those odds beforehand."""
-    if not len(observations):
-        return True
-    inputs = expected.history_inputs
-    data = [training_data(observations, inputs, number) for number in range(len(expected.regressions))]
-    weak = sum(fit_polynomial(each, DEGREE).log_evidence for each in data)
-    own = sum(cast("Polynomial", each).log_evidence for each in expected.regressions)
-    return own + math.log(PRIOR_ODDS) > weak
 
 
 def _residual_of_settings(
@@ -327,27 +305,13 @@ def _fit(
         starts: Sequence[Regression | None] = [None] * len(observations.space.state)
     else:
         starts = start.regressions
-    data = [training_data(observations, history_inputs, coordinate) for coordinate in range(len(starts))]
+    data = [observations.training_data(history_inputs, coordinate) for coordinate in range(len(starts))]
     with naming_model(model):
         regressions = tuple(model.fit(*arguments) for arguments in zip(data, starts, strict=True))
         residual = Residual(model, regressions, len(observations.space.command), history_inputs)
         for regression in regressions:
             check_regression(model, regression, data[0].points)
     return residual
-
-
-def training_data(observations: Observations, history_inputs: HistoryInputs, coordinate: int) -> TrainingData:
-    """Training data of the regression of one state coordinate."""
-    space, points = observations.space, observations.points(history_inputs)
-    others = points.shape[1] - len(space.state) - len(space.command)
-    return TrainingData(
-        points,
-        observations.error[:, coordinate].copy(),
-        np.concatenate([space.state_centre, space.command_centre, np.zeros(others)]),
-        np.concatenate([space.state_scale, space.command_scale, np.ones(others)]),
-        float(space.state_scale[coordinate]),
-        history_inputs.timed,
-    )
 
 
 def _regression(model: ResidualModel, saved: object, where: str) -> Regression:

@@ -52,7 +52,8 @@ class LearningSettings:
         monitor: Whether a residual that predicted the latest steps worse than the nominal map is not used, nor one that
             does not explain why the robot does not follow commands near their bounds.
         online: Whether to learn after every step, from the first one on.
-        exploration: Number of steps before the first deployment's tracking whose commands are the most informative.
+        exploration: Number of steps before the first deployment's tracking whose commands are the most informative;
+            with a prior over robots fewer, if a further step would cost more than it saves.
     """
 
     residual: str = "gp_on_linear"

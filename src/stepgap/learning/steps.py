@@ -303,10 +303,10 @@ def _logged(space: StepSpace, row: np.void) -> LoggedStep:
 
 
 def joined(parts: Sequence[Steps]) -> Steps:
-    """Concatenates the steps of one or more records and numbers their deployments consecutively."""
+    """Concatenates the steps of one or more records; a number of a deployment is left out between two of them."""
     merged = Steps(parts[0].space)
     for steps in parts:
-        first = max(merged.iterations, default=-1) + 1
+        first = max(merged.iterations, default=-2) + 2
         merged += steps.with_columns(iteration=steps.iteration + first)
     return merged
 

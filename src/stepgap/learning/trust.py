@@ -105,11 +105,11 @@ class Alarm(NamedTuple):
 
     Attributes:
         step: Number of the step that brought this about.
-        source: What is trusted now; never `current`.
+        source: What is trusted now; never `current`. `other`: earlier runs were of another robot than it seemed.
     """
 
     step: int
-    source: MapSource
+    source: MapSource | Literal["other"]
 
 
 @final

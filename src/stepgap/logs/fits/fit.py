@@ -191,7 +191,7 @@ def _common_experiment(logs: Sequence[Path]) -> Path | None:
 
 
 def _read_runs(logs: Sequence[Path], space: StepSpace) -> FoundSteps:
-    """Reads the steps of runs; their deployments are numbered consecutively over all runs.
+    """Reads the steps of runs; their deployments are numbered as `joined` does.
 
     Their predictions are omitted: they may be those of a corrected map.
     """
