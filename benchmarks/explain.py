@@ -1,8 +1,8 @@
 """`stepgap explain` on hoppers with known differences from their model.
 
 Each robot is a twin with sensors and torque noise of the default one, and one or two planted differences of random
-size, from those in `USUAL`, which are also the possible causes. It steps to random targets, while it learns. What its
-sensors are is known.
+size, from those in `USUAL`, which are also the possible causes. It steps to random targets, while it learns. The
+resolution of its sensors is known.
 Robots of `outside` have a cause that is not in the list of possible causes, and neither is any other of its group.
 
 Printed for each robot: what was planted, and the groups that were found, with the size of the planted one. Then how
@@ -70,6 +70,9 @@ SENSORS = ("motor_counts", "boom_counts_horizontal", "boom_counts_vertical", "to
 """What all these robots have of the default twin."""
 
 
+KNOWN = SENSORS[:3]
+"""What is known of them: noise need not be simulated."""
+
 DRAWS = 10
 """How often the sizes of a robot that falls are drawn again."""
 
@@ -122,7 +125,7 @@ def run_of(hopper: Hopper, number: int, steps: int) -> Observations:
 
 
 def sensors() -> dict[str, float]:
-    """What all robots have, and is known."""
+    """What all robots have."""
     return {name: getattr(RealityGap(), name) for name in SENSORS}
 
 
@@ -136,7 +139,9 @@ def simulated_robots(steps: int) -> SimulatedRobots:
     """The robots that are simulated for runs of this length."""
     with one_blas_thread():
         run = run_of(hopper_with({}), 0, steps)
-    return SimulatedRobots(Experiment(Hopper(gap=RealityGap())), targets_of(run, 0), known=sensors())
+    return SimulatedRobots(
+        Experiment(Hopper(gap=RealityGap())), targets_of(run, 0), known={name: sensors()[name] for name in KNOWN}
+    )
 
 
 @cache

@@ -145,7 +145,9 @@ def errors_of(priors: Mapping[str, Prior | None], run: Run) -> Array:
         reference = next(iter(robot.references().values()))()
         rows = np.resize(reference.targets, (STEPS, len(reference.names)))
         learning = LearningSettings(online=True)
-        learner = Learner.start(nominal, Steps(nominal.space), learning, 0, prior=priors[run.prior])
+        learner = Learner.start(
+            nominal, Steps(nominal.space), learning, 0, priors=[each] if (each := priors[run.prior]) else []
+        )
         steps = tracked(learner, plant, Reference(reference.names, rows), 0)
         made = steps.planned().completed()
         return np.stack([made.tracking_errors(), made.std])

@@ -143,8 +143,8 @@ def measure(case: tuple[int, str]) -> list[tuple[str, str, Outcome]]:
     robot = hopper(twin)
 
     def deployment(known: Steps) -> tuple[Steps, tuple[int, ...]]:
-        prior = prior_of_hopper() if method == "prior" else None
-        learner = Learner.start(robot.nominal, known, METHODS["online" if prior else method], 0, prior=prior)
+        priors = [prior_of_hopper()] if method == "prior" else []
+        learner = Learner.start(robot.nominal, known, METHODS["online" if priors else method], 0, priors=priors)
         steps = tracked(learner, robot.live(random_stream(twin, 4)).plant, beginning(robot.reference), 0)
         return steps, alarms_after(learner, steps)
 

@@ -74,6 +74,31 @@ def test_a_run_begins_with_it_and_can_be_repeated(family: Path, stepgap: Command
     assert Path("again/steps.csv").read_bytes() == Path("first/steps.csv").read_bytes()
 
 
+def test_several_priors_compete_and_are_copied(family: Path, stepgap: Command) -> None:
+    found = json.loads((family / "prior.json").read_text())
+    for coordinate in found["coordinates"]:
+        coordinate["mean"] = [5.0 + each for each in coordinate["mean"]]
+    Path("both").mkdir()
+    Path("both/a_wrong.json").write_text(json.dumps(found))
+    Path("both/right.json").write_bytes((family / "prior.json").read_bytes())
+    arguments = ["--reference", family / "targets.csv", "--iterations", 1, "--seed", 3, "--quiet", "--out"]
+    assert stepgap("run", *arguments, "first", "--prior", "both", "--learning.residual", "quadratic").code == 0
+    assert stepgap("run", *arguments, "one", "--prior", "both/right.json", "--learning.residual", "quadratic").code == 0
+    used = [Path(run, "models/iteration_1.json") for run in ("first", "one")]
+    assert [json.loads(each.read_text())["kind"] for each in used] == ["prior", "prior"]
+    first, one = (json.loads(each.read_text())["regressions"][0]["prior"] for each in used)
+    np.testing.assert_allclose(first["projection"], one["projection"])
+    assert sorted(each.name for each in Path("first/priors").iterdir()) == ["a_wrong.json", "right.json"]
+    assert 'prior = "priors"\n' in Path("first/experiment.toml").read_text()
+
+    lines = Path("first/steps.csv").read_text().splitlines(keepends=True)
+    Path("first/steps.csv").write_text("".join(lines[:6]) + "damaged")
+    assert stepgap("recover", "first", "--out", "recovered").code == 0
+    assert sorted(each.name for each in Path("recovered/priors").iterdir()) == ["a_wrong.json", "right.json"]
+    Path("empty").mkdir()
+    refused(stepgap("run", *arguments, "third", "--prior", "empty"), "empty", "no file of `stepgap prior`")
+
+
 def test_online_runs_begin_with_that_of_the_robot(family: Path, stepgap: Command) -> None:
     arguments = ["--reference", family / "targets.csv", "--iterations", 0, "--quiet", "--out"]
     for name, more in {"with": ["--online"], "without": ["--online", "--prior", "none"], "default": []}.items():

@@ -66,7 +66,7 @@ def test_a_bad_robot_changes_little(prior: Prior) -> None:
 
 def test_without_steps_the_polynomial_is_the_prior(prior: Prior) -> None:
     points = robot(MEAN, 7, np.random.default_rng(1))
-    residual = learned_residual(points.selected(np.arange(0)), SETTINGS, 0, prior=prior)
+    residual = learned_residual(points.selected(np.arange(0)), SETTINGS, 0, priors=[prior])
     inputs = np.hstack([points.state, points.command])
     basis = monomials(SPACE.scaled_inputs(points.state, points.command), DEGREE)
     for number, found in enumerate(prior.coordinates):
@@ -104,7 +104,7 @@ def test_three_steps_say_more_with_it(prior: Prior) -> None:
         inputs = np.hstack([others.state, others.command])
         for name, used in (("prior", prior), ("quadratic", None)):
             settings = replace(SETTINGS, residual="quadratic")
-            residual = learned_residual(known, settings, 0, prior=used)
+            residual = learned_residual(known, settings, 0, priors=[used] if used else [])
             assert residual.kind == name
             errors[name] += float(np.sum(((residual.mean(inputs) - others.error) / SPACE.state_scale) ** 2))
     assert errors["prior"] < 0.2 * errors["quadratic"]
@@ -115,27 +115,45 @@ def test_it_is_dropped_where_it_is_wrong(prior: Prior) -> None:
     rng = np.random.default_rng(4)
     for _ in range(20):
         right = robot(weights_of(rng), 25, rng)
-        wrong = replace(right, error=right.error + 0.8 * right.command / 15.0 * SPACE.state_scale)
+        wrong = acting_otherwise(right)
         for steps in (1, 3, 6, 25):
-            assert learned_residual(right.selected(np.arange(steps)), SETTINGS, 0, prior=prior).kind == PRIOR.name
-        assert learned_residual(wrong.selected(np.arange(6)), SETTINGS, 0, prior=prior).kind != PRIOR.name
+            assert learned_residual(right.selected(np.arange(steps)), SETTINGS, 0, priors=[prior]).kind == PRIOR.name
+        assert learned_residual(wrong.selected(np.arange(6)), SETTINGS, 0, priors=[prior]).kind != PRIOR.name
+
+
+def test_of_several_priors_the_right_one_is_used(prior: Prior) -> None:
+    """The other one is of robots whose commands act the other way; the order does not matter."""
+    rng = np.random.default_rng(9)
+    kinds = {"right": prior, "other": fit_prior([acting_otherwise(robot(weights_of(rng), 30, rng)) for _ in range(60)])}
+    for _ in range(10):
+        known = {"right": robot(weights_of(rng), 4, rng)}
+        known["other"] = acting_otherwise(robot(weights_of(rng), 4, rng))
+        for name, steps in known.items():
+            alone = learned_residual(steps, SETTINGS, 0, priors=[kinds[name]])
+            for order in (kinds, reversed(kinds)):
+                chosen = learned_residual(steps, SETTINGS, 0, priors=[kinds[each] for each in order])
+                assert chosen.to_dict() == alone.to_dict()
+
+
+def acting_otherwise(steps: Observations) -> Observations:
+    return replace(steps, error=steps.error + 0.8 * steps.command / 15.0 * SPACE.state_scale)
 
 
 def test_what_is_no_polynomial_is_left_to_the_residual_of_the_settings(prior: Prior) -> None:
     rng = np.random.default_rng(6)
     bent = robot(weights_of(rng), 120, rng)
     bent = replace(bent, error=bent.error + 0.3 * np.sin(6 * bent.command / 15.0) * SPACE.state_scale)
-    assert learned_residual(bent, SETTINGS, 0, prior=prior).kind == "gp_on_linear"
+    assert learned_residual(bent, SETTINGS, 0, priors=[prior]).kind == "gp_on_linear"
 
 
 def test_without_a_residual_there_is_no_prior(prior: Prior) -> None:
     known = robot(MEAN, 3, np.random.default_rng(7))
-    assert learned_residual(known, replace(SETTINGS, residual="none"), 0, prior=prior).kind == "none"
+    assert learned_residual(known, replace(SETTINGS, residual="none"), 0, priors=[prior]).kind == "none"
 
 
 def test_a_saved_residual_is_the_same(prior: Prior) -> None:
     known = robot(MEAN, 4, np.random.default_rng(8))
-    residual = learned_residual(known, SETTINGS, 0, prior=prior)
+    residual = learned_residual(known, SETTINGS, 0, priors=[prior])
     restored = residual_from_dict(residual.to_dict())
     inputs = np.hstack([known.state, known.command])
     for name in ("mean", "std"):
@@ -154,7 +172,7 @@ def test_a_saved_residual_is_the_same(prior: Prior) -> None:
 )
 def test_a_damaged_prior_of_a_saved_polynomial_is_refused(prior: Prior, key: str, value: object) -> None:
     known = robot(MEAN, 4, np.random.default_rng(8))
-    saved = learned_residual(known, SETTINGS, 0, prior=prior).to_dict()
+    saved = learned_residual(known, SETTINGS, 0, priors=[prior]).to_dict()
     saved["regressions"][1]["prior"][key] = value
     with pytest.raises(ValueError, match=key if key != "projection" else "information"):
         residual_from_dict(saved)

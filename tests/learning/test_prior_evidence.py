@@ -1,11 +1,16 @@
 """Earlier runs are learned from as long as they may be of the same robot, and left out when its steps say otherwise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy import stats
 
 from stepgap.learning.learner import Learner
 from stepgap.learning.observations import observe
-from stepgap.learning.prior_evidence import other_robots
+from stepgap.learning.polynomial import NOISE_SCALE, PRIOR_COUNT
+from stepgap.learning.prior import fit_prior
+from stepgap.learning.prior_evidence import applies, log_evidence_of_none, other_robots, residual_with
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
 from tests.control.maps import LossyHopper
@@ -27,7 +32,7 @@ def runs_of(*robots: LossyHopper, steps: int = 30) -> list[LoggedStep]:
 
 def left_out(*robots: LossyHopper, own: int) -> list[int]:
     steps = Steps(NOMINAL.space, [*runs_of(*robots), *hops(REALITY, own, seed=3)])
-    return other_robots(observe(steps, NOMINAL), None)
+    return other_robots(observe(steps, NOMINAL), [])
 
 
 @pytest.mark.parametrize("own", [0, 1, 2, 3, 10, 20])
@@ -58,8 +63,32 @@ def test_seeds_decide_nothing() -> None:
     wrong = 0
     for seed in range(40):
         steps = Steps(NOMINAL.space, [*runs_of(OTHER, REALITY), *hops(REALITY, 4, seed=100 + seed)])
-        wrong += other_robots(observe(steps, NOMINAL), None) != [-3]
+        wrong += other_robots(observe(steps, NOMINAL), []) != [-3]
     assert wrong <= 2
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_evidence_of_noise_is_that_of_the_t_distribution(seed: int) -> None:
+    found = observe(log_of(hops(REALITY, 7, seed=seed)), NOMINAL)
+    shape = NOISE_SCALE**2 * np.eye(len(found))
+    errors = (found.error / NOMINAL.space.state_scale).T
+    expected = sum(stats.multivariate_t(shape=shape, df=PRIOR_COUNT).logpdf(each) for each in errors)
+    units = len(found) * np.sum(np.log(NOMINAL.space.state_scale))
+    assert log_evidence_of_none(found) == pytest.approx(expected - units + found.error.size / 2 * np.log(2 * np.pi))
+
+
+def test_a_prior_is_dropped_where_the_nominal_map_is_right_but_for_noise() -> None:
+    """The weak prior, which expects little noise, is no rival there."""
+    rng, kind = np.random.default_rng(0), []
+    for seed in range(30):
+        hopper = LossyHopper(loss=rng.uniform(0.4, 0.6), keep=rng.uniform(0.5, 0.7), drift=rng.uniform(0.1, 0.2))
+        kind.append(observe(log_of(hops(hopper, 20, seed)), NOMINAL))
+    prior = fit_prior(kind)
+    for each in kind[:10]:
+        found = each.selected(np.arange(4))
+        assert applies(residual_with(prior, found), found)
+        noise = replace(found, error=0.15 * NOMINAL.space.state_scale * rng.standard_normal((4, 2)))
+        assert not applies(residual_with(prior, noise), noise)
 
 
 def test_online_the_learner_starts_again_without_the_other_robot() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from stepgap.records.prior_file import read_prior
 from stepgap.robots.hopper.robot import Hopper
+from stepgap.robots.quadruped.robot import Quadruped
 
 SPACE = Hopper().space
 FILE = Hopper().prior()
@@ -16,9 +17,14 @@ assert FILE is not None
 DATA = json.loads(FILE.read_text("utf-8"))
 
 
-def test_it_is_written_as_it_was_read() -> None:
-    assert FILE is not None
-    assert json.loads(read_prior(FILE, SPACE).text()) == DATA
+@pytest.mark.parametrize("robot", [Hopper(), Quadruped()])
+def test_that_of_a_robot_is_for_it_and_is_written_as_it_was_read(robot: Hopper | Quadruped) -> None:
+    path = robot.prior()
+    assert path is not None
+    found = read_prior(path, robot.space)
+    assert json.loads(found.text()) == json.loads(path.read_text("utf-8"))
+    assert found.robot == robot.name
+    assert found.nominal == next(iter(robot.nominal_maps()))
 
 
 def of_first(**changes: Any) -> Callable[[dict[str, Any]], None]:

@@ -47,7 +47,8 @@ class Shorthand:
         warm_start: Folder of an earlier run, or of many, whose steps are learned from before the first deployment;
             a run that proves to be of another robot is left out.
         prior: What learning expects before the first step: robot (of many robots of this kind, where there is such a
-            prior and --online is given), none, or a file that `stepgap prior` wrote. [default: robot]
+            prior and --online is given), none, or a file that `stepgap prior` wrote, or a folder of such files, which
+            compete. [default: robot]
     """
 
     reference: FileName | None = None

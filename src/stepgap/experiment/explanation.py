@@ -14,6 +14,7 @@ are alike over the steps of the run are a *group*, within which this run cannot 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -46,6 +47,9 @@ MOST_USUAL: Final = 4.0
 LEAST_SLOPE: Final = 0.3
 """A signature at the size found that is smaller, relative to that from zero on, is not used: the simulation rounds a
 delay, for example, to whole ticks."""
+
+HOPELESS: Final = 6.0
+"""Logarithm of the odds by which a cause may be less probable than the best one and still be simulated again."""
 
 TOLD_APART: Final = 3.0
 """Logarithm of the odds from which on causes of a group are told apart."""
@@ -207,6 +211,7 @@ class _Search:
         error = max(self.error.squares(self.none.weights), 0.0)
         for name, slope in self.slopes.items():
             share = float(np.sqrt(error / max(np.sum(self.error.seen(slope) ** 2), 1e-12)))
+            share = 2 ** (round(2 * np.log2(share)) / 2)  # so that runs with similar errors have simulations in common
             backward = self.causes[name].signed and self.fitted({name: 0.0}, self.none).next[name] < 0
             wanted[name] = (-1 if backward else 1) * float(np.clip(share, 0.3, MOST_USUAL))
         self._keep(wanted)
@@ -239,7 +244,12 @@ class _Search:
         origins = {name: start for start, name in starts}
         found = dict[str, _Point]()
         for _ in range(rounds):
-            points = {name: point for name, point in points.items() if self.permitted(point.next)}
+            best = max((point.fit.log_evidence for point in found.values()), default=-inf)
+            points = {
+                name: point
+                for name, point in points.items()
+                if self.permitted(point.next) and point.fit.log_evidence > best - HOPELESS
+            }
             wanted = {name: _shortened(point.next) for name, point in points.items()}
             for name, surface in zip(wanted, self.simulate([*wanted.values()]), strict=True):
                 if surface is None:
@@ -314,7 +324,9 @@ def _sizes_of(search: _Search, point: _Point) -> tuple[Array, Array]:
 def _with_one_more(search: _Search, now: _Point, names: Sequence[str]) -> tuple[str, _Point] | None:
     """The most probable further cause, simulated at the size found; None if none is probable enough."""
     points = {name: search.fitted({**now.shares, name: 0.0}, now.surface) for name in names if name not in now.shares}
-    possible = [name for name in points if search.permitted(points[name].next)]
+    least = now.fit.log_evidence - HOPELESS
+    likely = [name for name, point in points.items() if point.fit.log_evidence > least]
+    possible = [name for name in likely if search.permitted(points[name].next)]
     possible.sort(key=lambda name: -points[name].fit.log_evidence)
     found = search.walked([(now, name) for name in possible[:MOST_SIMULATED]])
     if not found:
@@ -333,12 +345,14 @@ def _members(search: _Search, now: _Point, name: str, group: Sequence[Cause]) ->
     if base is not None:
         start = search.fitted(others, base)
         points |= search.walked([(start, each.name) for each in group if each.name not in now.shares])
-    further = {each: _beside(point.shares, each) for each, point in points.items()}
-    surfaces = search.simulate([*further.values()])
+    best = max(point.fit.log_evidence for point in points.values())
+    near = [each for each, point in points.items() if point.fit.log_evidence > best - HOPELESS]
+    further = {each: _beside(points[each].shares, each) for each in near}
+    surfaces = dict(zip(near, search.simulate([*further.values()]), strict=True))
     members = []
-    for (each, point), surface in zip(points.items(), surfaces, strict=True):
+    for each, point in points.items():
         slopes = dict(search.slopes)
-        if surface is not None:
+        if (surface := surfaces.get(each)) is not None:
             step = further[each][each] - point.shares[each]
             local = (surface.weights - point.surface.weights) / step
             bend = signature_products(search.error, point.surface, [step * (local - slopes[each])])
@@ -349,9 +363,9 @@ def _members(search: _Search, now: _Point, name: str, group: Sequence[Cause]) ->
                 slopes[each] = local
         found = search.fitted(point.shares, point.surface, slopes)
         members.append(Member(search.causes[each], found.next[each], found.std(each), found.fit.log_evidence))
-    best = max(each.log_odds for each in members)
+    most = max(each.log_odds for each in members)
     return tuple(
-        each._replace(log_odds=each.log_odds - best) for each in sorted(members, key=lambda one: -one.log_odds)
+        each._replace(log_odds=each.log_odds - most) for each in sorted(members, key=lambda one: -one.log_odds)
     )
 
 

@@ -22,8 +22,8 @@ SURROGATE = "nominal_map.json"
 WARM_START = "warm_start.csv"
 """File in a run's folder with the steps that were known before its first deployment."""
 
-PRIOR_FILE = "prior.json"
-"""File in a run's folder with the prior that its learning begins with."""
+PRIOR_FILE, PRIOR_FOLDER = "prior.json", "priors"
+"""File in a run's folder with the prior that its learning begins with, and folder with several of them."""
 
 
 def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
@@ -89,11 +89,11 @@ def load_known(experiment: Experiment, space: StepSpace) -> Steps:
     return known
 
 
-def load_prior(experiment: Experiment, space: StepSpace) -> PriorFile | None:
-    """Reads the prior over robots that learning begins with; None if there is none.
+def load_priors(experiment: Experiment, space: StepSpace) -> list[PriorFile]:
+    """Reads the priors over robots that learning begins with, of which a folder holds several.
 
     Raises:
-        InputError: The file does not exist, is not a prior, or is that of another state, command or nominal map.
+        InputError: A file does not exist, is not a prior, or is that of another state, command or nominal map.
     """
     nominal, linear = experiment.nominal.kind, experiment.nominal.linear
     built_in, path = experiment.prior == PRIOR_OF_ROBOT, Path(experiment.prior)
@@ -101,24 +101,41 @@ def load_prior(experiment: Experiment, space: StepSpace) -> PriorFile | None:
         shipped = experiment.robot.prior()
         usual = experiment.learning.residual in (AUTO, LearningSettings().residual)
         if shipped is None or not (experiment.learning.online and usual) or linear:
-            return None
+            return []
         path = shipped
     elif experiment.prior == NO_PRIOR:
-        return None
+        return []
+    found = [_read_prior(each, experiment, space) for each in prior_files(path)]
+    if built_in and any(each.nominal != nominal for each in found):
+        return []
+    for each, file in zip(found, prior_files(path), strict=True):
+        if each.nominal != nominal or linear:
+            kind = f"a linear map of nominal.kind = '{nominal}'" if linear else f"nominal.kind = '{nominal}'"
+            raise InputError(f"{file}: it is for nominal.kind = '{each.nominal}', but this experiment has {kind}")
+    return found
+
+
+def prior_files(path: Path) -> list[Path]:
+    """The file itself, or the files of priors in a folder, by name."""
+    if not path.is_dir():
+        return [path]
+    if not (files := sorted(path.glob("*.json"))):
+        raise InputError(f"{path}: no file of `stepgap prior` (.json) is in this folder")
+    return files
+
+
+def _read_prior(path: Path, experiment: Experiment, space: StepSpace) -> PriorFile:
     try:
         found = read_prior(path, space)
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; prior must be robot, none or a file of `stepgap prior`") from None
+        raise InputError(
+            f"{path}: {error.strerror}; prior must be robot, none or a file of `stepgap prior`, or a folder of them"
+        ) from None
     except ValueError as error:
         raise InputError(str(error)) from None
     if found.robot != experiment.robot.name:
         raise InputError(f"{path}: it is of robot '{found.robot}', but this one is '{experiment.robot.name}'")
-    if found.nominal == nominal and not linear:
-        return found
-    if built_in:
-        return None
-    kind = f"a linear map of nominal.kind = '{nominal}'" if linear else f"nominal.kind = '{nominal}'"
-    raise InputError(f"{path}: it is for nominal.kind = '{found.nominal}', but this experiment has {kind}")
+    return found
 
 
 def experiment_files(
@@ -160,8 +177,13 @@ def experiment_files(
 
     experiment = replace(experiment, robot=with_files(experiment.robot, copied))
     if experiment.prior not in (PRIOR_OF_ROBOT, NO_PRIOR):
-        files[PRIOR_FILE] = _text_of(Path(experiment.prior), "prior")
-        experiment = replace(experiment, prior=PRIOR_FILE)
+        path = Path(experiment.prior)
+        several = path.is_dir()
+        files |= {
+            f"{PRIOR_FOLDER}/{each.name}" if several else PRIOR_FILE: _text_of(each, "prior")
+            for each in prior_files(path)
+        }
+        experiment = replace(experiment, prior=PRIOR_FOLDER if several else PRIOR_FILE)
     if known:
         files[WARM_START] = text_of(known)
         experiment = replace(experiment, warm_start=WARM_START)

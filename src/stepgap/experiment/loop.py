@@ -111,7 +111,7 @@ class Setup:
         seed: Random seed.
         known: Steps with the same state and command, recorded earlier, that are used for learning before the first
             deployment; even if they come from another robot or map, the errors of this nominal map are learned.
-        prior: Prior over robots with which learning begins.
+        priors: Priors over robots with which learning begins.
     """
 
     nominal: StepMap
@@ -121,7 +121,7 @@ class Setup:
     control: ControlSettings = ALL_RULES
     seed: int = 0
     known: Steps | None = None
-    prior: Prior | None = None
+    priors: Sequence[Prior] = ()
 
 
 def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) -> list[Deployment]:
@@ -153,10 +153,10 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
             observer.on_phase("learning", 0, 0)
             begin = perf_counter()
             before = Steps(recording.space) + past + log
-            learner = Learner.start(nominal, before, setup.learning, iteration, prior=setup.prior)
+            learner = Learner.start(nominal, before, setup.learning, iteration, priors=setup.priors)
             seconds = perf_counter() - begin
             observer.on_learned(learner.residual)
-            if iteration > 0 or len(past) or setup.prior:
+            if iteration > 0 or len(past) or setup.priors:
                 observer.on_time(iteration, "fit", seconds)
                 recording.write_model(learner)
             latest = deque[AdaptiveMap]([learner], maxlen=1)

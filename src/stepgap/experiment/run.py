@@ -15,7 +15,7 @@ from stepgap.base.json_data import LARGEST_NUMBER
 from stepgap.base.normal import std_interval_95
 from stepgap.control.reference import mean_of_known
 from stepgap.experiment.deployment import DeploymentController
-from stepgap.experiment.inputs import load_known, load_prior
+from stepgap.experiment.inputs import load_known, load_priors
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import (
     Experiment,
@@ -287,8 +287,8 @@ class Run:
         log = Steps(self.recorded.space) + self.known + self.recorded.before(number)
         if residual is None and number < after and len(log):
             raise InputError(f"{self.folder}: there is no models/iteration_{number}.json, so the model is unknown")
-        prior = load_prior(settings, nominal.space)
-        return Learner.start(nominal, log, settings.learning, number, residual, prior.prior if prior else None)
+        priors = [each.prior for each in load_priors(settings, nominal.space)]
+        return Learner.start(nominal, log, settings.learning, number, residual, priors)
 
     def corrected(self, iteration: int | None = None) -> CorrectedMap:
         """The map with which a deployment began: nominal map and residual.

@@ -117,7 +117,7 @@ class Experiment:
             experiment's file; empty: nothing is known.
         prior: Prior over robots that learning begins with: `robot`, that which comes with the robot, when it learns
             online with the default residual or `auto`, and its nominal map is the default one; `none`; or a file that
-            `stepgap prior` wrote, relative to the experiment's file.
+            `stepgap prior` wrote, or a folder of such files, which compete, relative to the experiment's file.
         weights: By the name of a state coordinate, how much its squared error [half ranges] counts against those of the
             others, instead of the weight that the robot gives it, such as `speed = 0.5`. 0: it is predicted, but not
             tracked.

@@ -30,7 +30,7 @@ from stepgap.robots.gap import Gap
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap, StepSpace
 
-STEPS_PER_MONOMIAL: Final = 8
+STEPS_PER_MONOMIAL: Final = 6
 """Number of simulated steps for each monomial of the polynomials."""
 
 MOST_SIMULATED_STEPS: Final = 240

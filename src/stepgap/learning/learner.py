@@ -1,6 +1,6 @@
 """The state of learning at every step: a residual fitted to a log, trusted or not, and updated online if wanted."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import nan
 from typing import Self, final
@@ -73,7 +73,7 @@ class Learner:
         changes: Row in the log of each step after a change of the robot, and by what it had changed there; shape (n,).
         refit: The fit that is running, if there is one.
         refit_from: Number of known steps from which the next fit may begin.
-        prior: A prior over robots, if there is one.
+        priors: Priors over robots, which compete; none if there are none.
     """
 
     nominal: StepMap
@@ -91,7 +91,7 @@ class Learner:
     changes: tuple[tuple[int, Array], ...]
     refit: Refit | None
     refit_from: float
-    prior: Prior | None = None
+    priors: Sequence[Prior] = ()
 
     @classmethod
     def start(
@@ -101,7 +101,7 @@ class Learner:
         settings: LearningSettings,
         iteration: int,
         residual: Residual | None = None,
-        prior: Prior | None = None,
+        priors: Sequence[Prior] = (),
     ) -> Self:
         """Returns the learner before a deployment.
 
@@ -111,12 +111,12 @@ class Learner:
             settings: Which residual model is used, and whether steps of this deployment are learned from.
             iteration: Number of the deployment.
             residual: The residual that was fitted to these steps; None to fit it.
-            prior: A prior over robots, if there is one.
+            priors: Priors over robots, which compete.
         """
-        log = _of_this_robot(nominal, known, prior)
+        log = _of_this_robot(nominal, known, priors)
         failed = ~np.isin(log.status, _NO_FAILURE)
         if residual is None:
-            residual = _fitted(nominal, log, settings, iteration, None, prior)
+            residual = _fitted(nominal, log, settings, iteration, None, priors)
         return cls(
             nominal=nominal,
             settings=settings,
@@ -140,7 +140,7 @@ class Learner:
             changes=(),
             refit=None,
             refit_from=max(1.0, REFIT_GROWTH * len(log)),
-            prior=prior,
+            priors=priors,
         )
 
     @property
@@ -186,9 +186,9 @@ class Learner:
             return self
         if np.sum(self.known.iteration >= 0) > LEAST_KNOWN:
             return self
-        if len(_of_this_robot(self.nominal, self.known, self.prior)) == len(self.log):
+        if len(_of_this_robot(self.nominal, self.known, self.priors)) == len(self.log):
             return self
-        started = Learner.start(self.nominal, self.known, self.settings, self.iteration, prior=self.prior)
+        started = Learner.start(self.nominal, self.known, self.settings, self.iteration, priors=self.priors)
         alarms = (*self.alarms, Alarm(logged.step, "other"))
         return replace(started, steps_to_learn=self.steps_to_learn, outliers=self.outliers, alarms=alarms)
 
@@ -240,7 +240,7 @@ class Learner:
 
         remaining = self.steps_to_learn - counts
         if remaining == 0:
-            fitted = _fitted(self.nominal, self._lessons, self.settings, self.iteration, self.residual, self.prior)
+            fitted = _fitted(self.nominal, self._lessons, self.settings, self.iteration, self.residual, self.priors)
             return replace(self, steps_to_learn=0, residual=fitted, refit=None)
         learner = replace(self, steps_to_learn=remaining)
         if self.refit is None:
@@ -255,7 +255,7 @@ class Learner:
         count = len(self.log)
         if self.refit or self.steps_to_learn == 0 or count < self.refit_from:
             return self
-        known = self.nominal, self._lessons, self.settings, self.iteration, self.residual, self.prior
+        known = self.nominal, self._lessons, self.settings, self.iteration, self.residual, self.priors
         due = count + 1 + count // FITTED_PER_STEP
         if self.residual.kind == NONE.name and count <= FIRST_STEPS:
             return replace(self, residual=_fitted(*known), refit_from=due)
@@ -263,11 +263,11 @@ class Learner:
         return replace(self, refit=refit, refit_from=max(REFIT_GROWTH * count, due + 1))
 
 
-def _of_this_robot(nominal: StepMap, known: Steps, prior: Prior | None) -> Steps:
+def _of_this_robot(nominal: StepMap, known: Steps, priors: Sequence[Prior]) -> Steps:
     """The steps without earlier runs that are probably of another robot."""
     if not known.has_earlier_runs or known.iteration[-1] < 0:
         return known
-    others = other_robots(observe(known.planned(), nominal), prior)
+    others = other_robots(observe(known.planned(), nominal), priors)
     return known.selected(~np.isin(known.iteration, others)) if others else known
 
 
@@ -277,7 +277,7 @@ def _fitted(
     settings: LearningSettings,
     iteration: int,
     start: Residual | None,
-    prior: Prior | None,
+    priors: Sequence[Prior],
 ) -> Residual:
     """Fits the residual to all known steps, or where these explain the latest deployment worse, to this one alone.
 
@@ -287,7 +287,7 @@ def _fitted(
     planned = log.planned()
     log = planned if len(planned) >= LEAST_KNOWN else log
     observations = observe(log, nominal)
-    residual = learned_residual(observations, settings, iteration, start, prior)
+    residual = learned_residual(observations, settings, iteration, start, priors)
     latest = observations.labels[:, 0] == observations.labels[-1:, 0]
     if residual.kind == "none" or latest.all() or latest.sum() < LEAST_KNOWN or not _is_surprising(log):
         return residual

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.learning.observations import Observations
-from stepgap.learning.polynomial import Polynomial, fit_polynomial
+from stepgap.learning.polynomial import NOISE_SCALE, PRIOR_COUNT, Polynomial, fit_polynomial
 from stepgap.learning.prior import DEGREE, PRIOR, Prior
 from stepgap.learning.residual import HistoryInputs, Residual
 
@@ -31,6 +31,11 @@ def residual_with(prior: Prior | None, observations: Observations) -> Residual:
     return Residual(PRIOR, tuple(found), len(observations.space.command), inputs)
 
 
+def most_probable(priors: Sequence[Prior], observations: Observations) -> Residual:
+    """The residual with the prior that makes the observations most probable; the first of equally probable ones."""
+    return max((residual_with(each, observations) for each in priors), key=_log_evidence)
+
+
 def _log_evidence(residual: Residual) -> float:
     return sum(cast("Polynomial", each).log_evidence for each in residual.regressions)
 
@@ -38,23 +43,39 @@ def _log_evidence(residual: Residual) -> float:
 def applies(expected: Residual, observations: Observations) -> bool:
     """Whether the robot is probably of the kind of a prior, by the observations and those odds beforehand.
 
+    The others are a robot of which nothing is known, and one on which the nominal map is right but for noise.
+
     Args:
         expected: The residual with that prior.
         observations: What it was fitted to.
     """
     if not len(observations):
         return True
-    return _log_evidence(expected) + math.log(PRIOR_ODDS) > _log_evidence(residual_with(None, observations))
+    others = max(_log_evidence(residual_with(None, observations)), log_evidence_of_none(observations))
+    return _log_evidence(expected) + math.log(PRIOR_ODDS) > others
 
 
-def other_robots(observations: Observations, prior: Prior | None) -> list[int]:
+def log_evidence_of_none(observations: Observations) -> float:
+    """Logarithm of the density of errors that are noise of unknown size, without its factor (2π)^(−N/2).
+
+    That of each coordinate is Student's t distribution in N dimensions.
+    """
+    errors, scale, total = observations.error.T, math.sqrt(PRIOR_COUNT) * NOISE_SCALE, 0.0
+    for each, unit in zip(errors, observations.space.state_scale, strict=True):
+        before, after = PRIOR_COUNT / 2, (PRIOR_COUNT + len(each)) / 2
+        rates = (scale * unit) ** 2 / 2, ((scale * unit) ** 2 + float(each @ each)) / 2
+        total += before * math.log(rates[0]) - after * math.log(rates[1]) + math.lgamma(after) - math.lgamma(before)
+    return total
+
+
+def other_robots(observations: Observations, priors: Sequence[Prior]) -> list[int]:
     """Numbers of the deployments of earlier runs that are probably of another robot.
 
     Compared are all earlier runs as one robot, each of them alone, and none; all are kept before the first step.
 
     Args:
         observations: Of this run, and of earlier ones, which have negative numbers of deployments.
-        prior: Prior over robots, which this robot is of in each case.
+        priors: Priors over robots, of which one applies in each case; none for the weak one.
     """
     deployment = observations.labels[:, 0]
     runs = [np.isin(deployment, run) for run in _runs(np.unique(deployment[deployment < 0]).tolist())]
@@ -63,7 +84,8 @@ def other_robots(observations: Observations, prior: Prior | None) -> list[int]:
         return []
 
     def evidence(rows: NDArray[np.bool_]) -> float:
-        return _log_evidence(residual_with(prior, observations.selected(rows)))
+        chosen = observations.selected(rows)
+        return float(np.logaddexp.reduce([_log_evidence(residual_with(each, chosen)) for each in priors or [None]]))
 
     possible = [np.zeros(len(own), bool), np.any(runs, axis=0), *(runs if len(runs) > 1 else ())]
     odds = [0.0] + [math.log(PRIOR_ODDS)] * (len(possible) - 1)

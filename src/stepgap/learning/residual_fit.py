@@ -19,7 +19,7 @@ from stepgap.learning.feature_map import FeatureModel, with_features
 from stepgap.learning.observations import Observations
 from stepgap.learning.outliers import LEAST_KNOWN, MOST_OUTLIERS, outliers_among
 from stepgap.learning.prior import Prior
-from stepgap.learning.prior_evidence import applies, residual_with
+from stepgap.learning.prior_evidence import applies, most_probable
 from stepgap.learning.regression import Regression, ResidualModel
 from stepgap.learning.residual import HistoryInputs, Residual, no_residual
 from stepgap.learning.residual_check import check_regression, failed, naming_model
@@ -91,7 +91,7 @@ def learned_residual(
     settings: LearningSettings,
     iteration: int,
     start: Residual | None = None,
-    prior: Prior | None = None,
+    priors: Sequence[Prior] = (),
 ) -> Residual:
     """Fits the residual of the settings as a deployment does.
 
@@ -102,13 +102,13 @@ def learned_residual(
         settings: Which residual model is used, and what is left out.
         iteration: Number of the deployment that is running, from whose errors nothing is removed.
         start: A residual fitted to fewer observations, from which a search for hyper-parameters may start.
-        prior: A prior over robots, which is used where it applies and predicts better.
+        priors: Priors over robots, of which the most probable is used where it applies and predicts better.
 
     Raises:
         InputError: There is no model of this name, or it cannot be used; even if there are no observations.
         ResidualError: The model failed, or what it returned is not valid.
     """
-    residual = _learned_residual(observations, settings, iteration, start, prior)
+    residual = _learned_residual(observations, settings, iteration, start, priors)
     if not settings.reject_outliers:
         return residual
     kept, without_outliers = np.arange(len(observations)), residual
@@ -119,7 +119,7 @@ def learned_residual(
         kept = kept[~outliers]
         if len(kept) < (1 - MOST_OUTLIERS) * len(observations):
             return residual
-        without_outliers = _learned_residual(observations.selected(kept), settings, iteration, without_outliers, prior)
+        without_outliers = _learned_residual(observations.selected(kept), settings, iteration, without_outliers, priors)
     left_out = np.delete(observations.labels, kept, axis=0)
     return replace(without_outliers, outliers=tuple((int(deployment), int(number)) for deployment, number in left_out))
 
@@ -129,16 +129,16 @@ def _learned_residual(
     settings: LearningSettings,
     iteration: int,
     start: Residual | None,
-    prior: Prior | None,
+    priors: Sequence[Prior],
 ) -> Residual:
     """Fits to all observations, which may include outliers: the residual of the settings, or that with the prior."""
     residual = _residual_of_settings(observations, settings, iteration, start)
-    if prior is None or settings.residual == NONE.name:
+    if not priors or settings.residual == NONE.name:
         return residual
     used = observations
     if settings.remove_yaw_dependence and len(observations):
         used = without_periodic_part(observations, iteration)
-    expected = residual_with(prior, used)
+    expected = most_probable(priors, used)
     if not applies(expected, used):
         return residual
     if residual.kind == NONE.name:

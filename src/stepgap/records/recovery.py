@@ -24,11 +24,12 @@ INPUT_FILES = (
     "reference.csv",
     "warm_start.csv",
     "prior.json",
+    "priors/*.json",
     "nominal_map.json",
     "nominal_map.toml",
     "nominal_map.csv",
 )
-"""Files of a run folder, besides `experiment.toml`, that are written before the first step."""
+"""Files of a run folder, besides `experiment.toml`, that are written before the first step, as patterns."""
 
 
 def recover_file(path: Path, out: Path) -> list[str]:
@@ -82,9 +83,9 @@ def _recover_run(folder: Path, out: Path) -> list[str]:
 
 def _copy_inputs(folder: Path, out: Path, space: StepSpace) -> list[str]:
     """Copies the inputs of a run as they are; returns the faults of those that are damaged."""
-    inputs = [path for name in ("experiment.toml", *INPUT_FILES) if (path := folder / name).is_file()]
+    inputs = [path for name in ("experiment.toml", *INPUT_FILES) for path in sorted(folder.glob(name))]
     for path in inputs:
-        write_whole(out / path.name, path.read_bytes())
+        write_whole(out / path.relative_to(folder), path.read_bytes())
     return [f"{fault}; copied as it is" for path in inputs if (fault := _input_fault(path, space))]
 
 

@@ -205,7 +205,7 @@ def without_lagged_inputs(learner: Learner) -> Learner:
         return learner
     settings = replace(learner.settings, lagged_inputs="none")
     with one_blas_thread():
-        return Learner.start(learner.nominal, learner.log, settings, learner.iteration, prior=learner.prior)
+        return Learner.start(learner.nominal, learner.log, settings, learner.iteration, priors=learner.priors)
 
 
 def fitted_again(learner: Learner) -> tuple[str, ...]:

@@ -6,6 +6,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from math import acos, atan2, hypot
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -76,6 +77,10 @@ class Quadruped(MjcfRobot):
             "four_numbers": lambda: AffineMap(self.space, *middle, FOUR_NUMBERS),
             **super().nominal_maps(),
         }
+
+    def prior(self) -> Path:
+        """That of 60 random ones with random targets (`benchmarks/priors.py`)."""
+        return Path(__file__).with_name("prior.json")
 
     def _landing(self) -> Array:
         """Velocity of the centre of mass after touchdown by that before, at the middle speed; shape (2, 2)."""
