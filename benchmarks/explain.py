@@ -1,8 +1,8 @@
 """`stepgap explain` on hoppers with known differences from their model.
 
 Each robot is a twin with sensors and torque noise of the default one, and one or two planted differences of random
-size, from those in `USUAL`, which are also the possible causes. It steps to random targets, while it learns. The
-resolution of its sensors is known.
+size, from those in `USUAL`, which are also the possible causes. It steps to random targets, while it learns. Its
+sensors and the noise of its torques are known.
 Robots of `outside` have a cause that is not in the list of possible causes, and neither is any other of its group.
 
 Printed for each robot: what was planted, and the groups that were found, with the size of the planted one. Then how
@@ -70,9 +70,6 @@ SENSORS = ("motor_counts", "boom_counts_horizontal", "boom_counts_vertical", "to
 """What all these robots have of the default twin."""
 
 
-KNOWN = SENSORS[:3]
-"""What is known of them: noise need not be simulated."""
-
 DRAWS = 10
 """How often the sizes of a robot that falls are drawn again."""
 
@@ -125,7 +122,7 @@ def run_of(hopper: Hopper, number: int, steps: int) -> Observations:
 
 
 def sensors() -> dict[str, float]:
-    """What all robots have."""
+    """What all robots have, and is known."""
     return {name: getattr(RealityGap(), name) for name in SENSORS}
 
 

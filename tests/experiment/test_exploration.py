@@ -13,6 +13,7 @@ from stepgap.learning.observations import observe
 from stepgap.learning.polynomial import monomials
 from stepgap.learning.prior import DEGREE, Prior, fit_prior
 from stepgap.learning.prior_evidence import residual_with
+from stepgap.learning.residual import Residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.plants.model_plant import ModelPlant
@@ -96,16 +97,21 @@ def test_the_expected_loss_is_that_of_linear_regression(prior: Prior) -> None:
     assert loss == pytest.approx(expected / np.sum(noise**2), rel=1e-6)
 
 
+def worths_of(residual: Residual, most: int = 20) -> list[float]:
+    controller = CautiousController(CorrectedMap(NOMINAL, residual), NOMINAL, NO_FAILURES)
+    return worth_of_steps(controller, residual, REFERENCE, most)
+
+
 def test_steps_are_worth_less_and_less_until_one_is_not_worth_it(prior: Prior) -> None:
     residual = residual_with(prior, observe(log_of([]), NOMINAL))
-    worths = worth_of_steps(NOMINAL, residual, NO_FAILURES, REFERENCE, most=20)
+    worths = worths_of(residual)
     assert 1 < len(worths) < 20
     assert all(each >= LEAST_WORTH for each in worths[:-1])
     assert worths[-1] < LEAST_WORTH
     assert worths[0] == max(worths)
-    assert worth_of_steps(NOMINAL, residual, NO_FAILURES, REFERENCE, most=1) == worths[:1]
+    assert worths_of(residual, most=1) == worths[:1]
 
 
 def test_what_is_known_is_not_explored(prior: Prior) -> None:
     residual = residual_with(prior, observe(log_of(hops(REALITY, 60, seed=1)), NOMINAL))
-    assert worth_of_steps(NOMINAL, residual, NO_FAILURES, REFERENCE, most=20)[0] < LEAST_WORTH
+    assert worths_of(residual)[0] < LEAST_WORTH

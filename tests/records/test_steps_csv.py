@@ -215,7 +215,7 @@ def test_the_digest_is_that_of_the_file(tmp_path: Path) -> None:
         (lambda text: text.replace(",ok", ",ok,", 1), 2, "23 columns instead of 22"),
         (lambda text: text.replace("0,2,", "0,3,"), 3, "step 3 of deployment 0 where step 2 of deployment 0"),
         (lambda text: text.replace("0,2,", "0,1,"), 3, "step 1 of deployment 0"),
-        (lambda text: text.replace("0,2,", "2,1,"), 3, "or step 1 of deployment 1"),
+        (lambda text: text.replace("0,2,", "3,1,"), 3, "or step 1 of deployment 1"),
         (lambda text: text.replace("0,1,", "1,1,"), 2, "where step 1 of deployment 0 must be"),
         (lambda text: text.replace("0,1,", "0.0,1,"), 2, "invalid literal"),
         (lambda text: text + "\n", 4, "1 columns"),

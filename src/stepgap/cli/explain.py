@@ -117,6 +117,8 @@ def _known(text: str | None, gap: Gap) -> dict[str, float]:
     for part in text.split(",") if text is not None else ():
         name, _, number = part.strip().partition("=")
         try:
+            if name in found:
+                raise ValueError("each can have one value")
             found[name] = float(number)
             replace(type(gap).none(), **found)
         except (TypeError, ValueError) as error:

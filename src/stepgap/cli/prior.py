@@ -21,7 +21,7 @@ def prior(*runs: Path, out: Path, quiet: Flag = False) -> None:
     """Find a prior over robots from the steps of many of them, so that a new one of the kind needs fewer steps.
 
     Args:
-        runs: Folders of runs, one for each robot, or of a sweep over random twins, all of whose runs are used.
+        runs: Folders of runs, one for each robot, or folders of many runs, such as that of a sweep over random twins.
         out: New file of the prior (JSON), which `stepgap run --prior` takes.
         quiet: Print only the path of the file.
     """

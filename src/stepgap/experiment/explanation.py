@@ -206,15 +206,20 @@ class _Search:
             self._keep({name: share for name in self.causes if name not in self.slopes})
 
     def simulate_whole(self) -> None:
-        """Simulates each cause at the size at which its effect is as large as the error that is to be explained."""
+        """Simulates each cause at the size at which its effect is as large as the error that is to be explained.
+
+        One that seems to lie on the other side of no difference then is simulated there, too.
+        """
         wanted = dict[str, float]()
         error = max(self.error.squares(self.none.weights), 0.0)
         for name, slope in self.slopes.items():
             share = float(np.sqrt(error / max(np.sum(self.error.seen(slope) ** 2), 1e-12)))
-            share = 2 ** (round(2 * np.log2(share)) / 2)  # so that runs with similar errors have simulations in common
-            backward = self.causes[name].signed and self.fitted({name: 0.0}, self.none).next[name] < 0
-            wanted[name] = (-1 if backward else 1) * float(np.clip(share, 0.3, MOST_USUAL))
+            share = float(np.clip(share, 0.3, MOST_USUAL))
+            wanted[name] = 2 ** (round(2 * np.log2(share)) / 2)  # runs with similar errors have simulations in common
         self._keep(wanted)
+        signed = [name for name in wanted if self.causes[name].signed]
+        backward = [name for name in signed if self.fitted({name: 0.0}, self.none).next[name] < 0]
+        self._keep({name: -wanted[name] for name in backward})
 
     def _keep(self, wanted: Shares) -> None:
         """Keeps the signatures of causes of some sizes, each alone."""

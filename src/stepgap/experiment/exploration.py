@@ -9,7 +9,7 @@ of the reference, each of whose different steps is also learned from when it occ
 that one step has by noise alone, so that a step that is worth less than one costs more than it saves.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,7 +37,8 @@ class Goals:
     Attributes:
         points: States and commands, concatenated, in the order in which they occur first; shape (G, n + m).
         weights: Number of times that each is needed; shape (G,).
-        scale: Scales by which the errors of the state coordinates are divided; shape (n,).
+        scale: Scales by which the errors of the state coordinates are divided, infinite for those that do not count;
+            shape (n,).
     """
 
     points: Array
@@ -80,34 +81,31 @@ def goals_of(reference: Reference, step_map: StepMap) -> Goals:
             weights.append(count)
         except StepFailed:
             continue
-    return Goals(np.array(points), np.array(weights, float), step_map.space.state_scale)
+    return Goals(np.array(points), np.array(weights, float), step_map.space.error_scale)
 
 
-def worth_of_steps(
-    nominal: StepMap, residual: Residual, failures: Array, reference: Reference, most: int
-) -> list[float]:
+def worth_of_steps(controller: CautiousController, residual: Residual, reference: Reference, most: int) -> list[float]:
     """What each exploratory step is expected to be worth, up to the first that is not worth it [`LEAST_WORTH`].
 
     Args:
-        nominal: The nominal map.
-        residual: Its error with a prior over robots.
-        failures: Points (state, command) of the steps that failed; shape (k, n + m).
+        controller: Plans the first step.
+        residual: Error of its nominal map, with a prior over robots.
         reference: Its first target is where the first step begins.
         most: Largest number of steps.
     """
     worths, before, noise_std = list[float](), 0.0, residual.noise_std
-    state = whole_states(nominal, reference.targets[:1])[0]
+    state, goals = whole_states(controller.nominal, reference.targets[:1])[0], goals_of(reference, controller.step_map)
     for number in range(most + 1):
-        step_map = CorrectedMap(nominal, residual)
-        goals = goals_of(reference, step_map)
         loss = goals.expected_loss(residual, noise_std)
         if number:
             worths.append(before - loss)
         if number == most or (worths and worths[-1] < LEAST_WORTH):
             break
-        plan = exploration_plan(CautiousController(step_map, nominal, failures), residual, state, goals)
+        plan = exploration_plan(controller, residual, state, goals)
         point = np.append(state, plan.command)
         residual, state, before = residual.append(point, residual.mean(point)), plan.predicted, loss
+        step_map = CorrectedMap(controller.nominal, residual)
+        controller = replace(controller, step_map=step_map, previous=plan.command)
     return worths
 
 

@@ -61,12 +61,13 @@ def run_folders(path: Path) -> list[Path]:
     """The folders of the runs in a folder, or of those of a sweep; the folder itself if it is a run or has none."""
     if (path / "steps.csv").exists():
         return [path]
-    runs = sorted(each.parent for each in (*path.glob("*/steps.csv"), *path.glob("runs/*/steps.csv")))
-    return [each for each in runs if not each.is_symlink()] or [path]
+    found = [each.parent for each in (*path.glob("[!.]*/steps.csv"), *path.glob("runs/[!.]*/steps.csv"))]
+    runs = {each.resolve(): each for each in sorted(found, reverse=True)}  # a link such as `latest` is no other run
+    return sorted(runs.values()) or [path]
 
 
 def load_known(experiment: Experiment, space: StepSpace) -> Steps:
-    """Reads the steps known before the first deployment: those of the runs to start from, and those they started from.
+    """Reads the steps known before the first deployment: those of the run to start from and those it started from, or those of many runs.
 
     Raises:
         InputError: It is not a run or a folder of runs, one has another state or command, or no step.
@@ -76,8 +77,9 @@ def load_known(experiment: Experiment, space: StepSpace) -> Steps:
     path, wanted = Path(experiment.warm_start), "a warm start needs the folder of a run, its steps.csv, or many runs"
     files = [path]
     if path.is_dir():
-        candidates = [folder / name for folder in run_folders(path) for name in (WARM_START, "steps.csv")]
-        files = [each for each in candidates if each.name != WARM_START or each.is_file()]
+        runs = run_folders(path)
+        earlier = [path / WARM_START] if runs == [path] and (path / WARM_START).is_file() else []
+        files = [*earlier, *(each / "steps.csv" for each in runs)]
     try:
         known = joined([read_step_log(file, space) for file in files])
     except OSError as error:
@@ -119,7 +121,7 @@ def prior_files(path: Path) -> list[Path]:
     """The file itself, or the files of priors in a folder, by name."""
     if not path.is_dir():
         return [path]
-    if not (files := sorted(path.glob("*.json"))):
+    if not (files := sorted(path.glob("[!.]*.json"))):
         raise InputError(f"{path}: no file of `stepgap prior` (.json) is in this folder")
     return files
 

@@ -20,7 +20,7 @@ from stepgap.base.random_streams import random_stream
 from stepgap.base.versions import versions_here
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ALL_RULES, ControlSettings
-from stepgap.experiment.deployment import AdaptiveMap, ExecutedSteps, deploy
+from stepgap.experiment.deployment import AdaptiveMap, DeploymentController, ExecutedSteps, deploy
 from stepgap.experiment.exploration import LEAST_WORTH, worth_of_steps
 from stepgap.experiment.outcome import estimate_noise_floor, summarise
 from stepgap.experiment.resume import Recording, warm_start_of
@@ -156,6 +156,12 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
             learner = Learner.start(nominal, before, setup.learning, iteration, priors=setup.priors)
             seconds = perf_counter() - begin
             observer.on_learned(learner.residual)
+            if learner.left_out:
+                kept = len(learner.log.iterations)
+                observer.on_warning(
+                    f"{len(learner.left_out)} deployments of earlier runs are probably of another robot, and left out; "
+                    f"{kept} are learned from"
+                )
             if iteration > 0 or len(past) or setup.priors:
                 observer.on_time(iteration, "fit", seconds)
                 recording.write_model(learner)
@@ -198,15 +204,13 @@ def _execute(
     """Executes a deployment on a new plant, whose fault is reported at the end."""
     iteration = learner.iteration
     observer.on_execution()
-    plant = setup.plants.make(deployment_generator(setup.seed, iteration))
     exploration = 0 if iteration else setup.learning.exploration
     if exploration and learner.residual.kind == PRIOR.name:
-        worths = worth_of_steps(
-            learner.nominal, learner.conditioned_residual, learner.failures, setup.reference, exploration
-        )
+        controller = DeploymentController(learner, setup.control).step_controller
+        worths = worth_of_steps(controller, learner.conditioned_residual, setup.reference, exploration)
         observer.on_exploration(worths)
-        asked, exploration = exploration, sum(each >= LEAST_WORTH for each in worths)
-        learner = replace(learner, steps_to_learn=learner.steps_to_learn - (asked - exploration))
+        exploration = sum(each >= LEAST_WORTH for each in worths)
+    plant = setup.plants.make(deployment_generator(setup.seed, iteration))
     on_time, on_warning = partial(observer.on_time, iteration), observer.on_warning
     yield from deploy(
         learner, plant, setup.reference, iteration, exploration, setup.control, on_time, on_learner, on_warning
@@ -247,7 +251,7 @@ def _observed(steps: ExecutedSteps, space: StepSpace, observer: Observer) -> Ste
 
 def _residual_name(learner: Learner) -> str:
     """Name of the residual of a deployment; an online learner may start without a residual."""
-    return learner.settings.residual if learner.steps_to_learn else learner.residual.name
+    return learner.settings.residual if learner.learns else learner.residual.name
 
 
 def _summary(deployments: Sequence[Deployment], log: Steps, noise_floor: NoiseFloor, seed: int, past: Steps) -> Summary:

@@ -30,7 +30,7 @@ from stepgap.robots.gap import Gap
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap, StepSpace
 
-STEPS_PER_MONOMIAL: Final = 6
+STEPS_PER_MONOMIAL: Final = 8
 """Number of simulated steps for each monomial of the polynomials."""
 
 MOST_SIMULATED_STEPS: Final = 240
@@ -114,7 +114,7 @@ def with_gap(robot: Robot, gap: Gap) -> Robot:
 
 def most_simulations(causes: int) -> int:
     """Number of robots that the explanation by a number of causes simulates at most, but for large groups."""
-    return 1 + 3 * causes + MOST_GROUPS * (2 * MOST_SIMULATED + 4)
+    return 1 + 4 * causes + MOST_GROUPS * (2 * MOST_SIMULATED + 4)
 
 
 def gap_of(settings: Experiment) -> Gap:

@@ -9,10 +9,10 @@ import numpy as np
 
 from stepgap.learning.background import Deferred
 from stepgap.learning.corrected_map import CorrectedMap
+from stepgap.learning.earlier_runs import EarlierRuns
 from stepgap.learning.observations import context_inputs_of, error_of, history_after, next_history, observe
 from stepgap.learning.outliers import LEAST_KNOWN, improbable_errors
 from stepgap.learning.prior import Prior
-from stepgap.learning.prior_evidence import other_robots
 from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.residual_fit import explains_better, learned_residual
@@ -62,11 +62,13 @@ class Learner:
         settings: Which residual model is used, and whether steps of this deployment are learned from.
         iteration: Number of the deployment.
         known: All steps known.
-        log: Those of them that may be of this robot, without earlier runs that are probably of another one.
+        earlier: The earlier runs among them; None if there are none.
+        left_out: Numbers of the deployments of earlier runs that are probably of another robot.
+        log: The steps known, without those.
         residual: The fitted residual, which may depend on the history of a step, too.
         history: History of the next step, as `observations` defines it; shape (2n + m + 1 + q,).
         failures: Points (state, command) of the steps that failed; shape (k, n + m).
-        steps_to_learn: Number of further steps of this deployment that will be learned from.
+        learns: Whether the next step is learned from: always online, else until exploration ends.
         trust: Which map is trusted, and the disturbance of the corrected one.
         outliers: Deployment and number of each step of this deployment that was an outlier when it was executed.
         alarms: Of the steps of this deployment.
@@ -80,11 +82,13 @@ class Learner:
     settings: LearningSettings
     iteration: int
     known: Steps
+    earlier: EarlierRuns | None
+    left_out: frozenset[int]
     log: Steps
     residual: Residual
     history: Array
     failures: Array
-    steps_to_learn: float
+    learns: bool
     trust: Trust
     outliers: tuple[tuple[int, int], ...]
     alarms: tuple[Alarm, ...]
@@ -113,28 +117,25 @@ class Learner:
             residual: The residual that was fitted to these steps; None to fit it.
             priors: Priors over robots, which compete.
         """
-        log = _of_this_robot(nominal, known, priors)
-        failed = ~np.isin(log.status, _NO_FAILURE)
+        earlier = EarlierRuns.of(known, nominal, priors) if known.has_earlier_runs else None
+        left_out = earlier.of_others(observe(_own(known).planned(), nominal)) if earlier else frozenset[int]()
+        log = known.selected(~np.isin(known.iteration, [*left_out]))
         if residual is None:
             residual = _fitted(nominal, log, settings, iteration, None, priors)
+        failed = ~np.isin(log.status, _NO_FAILURE)
         return cls(
             nominal=nominal,
             settings=settings,
             iteration=iteration,
             known=known,
+            earlier=earlier,
+            left_out=left_out,
             log=log,
             residual=residual,
             history=next_history(log, nominal, iteration),
             failures=join_points(log.state, log.requested)[failed],
-            steps_to_learn=settings.steps_to_learn(iteration),
-            trust=Trust.start(
-                nominal.space.state_scale,
-                residual,
-                drift=settings.drift,
-                monitor=settings.monitor,
-                reject_outliers=settings.reject_outliers,
-                warm_start=log.has_earlier_runs,
-            ),
+            learns=settings.learns_in(iteration),
+            trust=_trust(nominal, settings, residual, log),
             outliers=(),
             alarms=(),
             changes=(),
@@ -181,16 +182,33 @@ class Learner:
         return self.found(logged.record.context)._after(logged)._without_other_robots(logged)
 
     def _without_other_robots(self, logged: LoggedStep) -> "Learner":
-        """Starts again if a step shows that earlier runs are of another robot, or that others are of this one."""
-        if self.steps_to_learn == 0 or not self.known.has_earlier_runs:
+        """Begins again where a step shows that other earlier runs are of this robot than it seemed.
+
+        Until a fit to these runs is due, the residual is one that was fitted to this robot's own steps alone.
+        """
+        own = _own(self.known)
+        if self.earlier is None or not self.learns or len(own) > LEAST_KNOWN:
             return self
-        if np.sum(self.known.iteration >= 0) > LEAST_KNOWN:
+        left_out = self.earlier.of_others(observe(own.planned(), self.nominal), self.left_out)
+        if left_out == self.left_out:
             return self
-        if len(_of_this_robot(self.nominal, self.known, self.priors)) == len(self.log):
-            return self
-        started = Learner.start(self.nominal, self.known, self.settings, self.iteration, priors=self.priors)
-        alarms = (*self.alarms, Alarm(logged.step, "other"))
-        return replace(started, steps_to_learn=self.steps_to_learn, outliers=self.outliers, alarms=alarms)
+        log = self.known.selected(~np.isin(self.known.iteration, [*left_out]))
+        residual = _fitted(self.nominal, own, self.settings, self.iteration, None, self.priors)
+        failed = ~np.isin(log.status, _NO_FAILURE)
+        learner = replace(
+            self,
+            left_out=left_out,
+            log=log,
+            residual=residual,
+            history=next_history(log, self.nominal, self.iteration),
+            failures=join_points(log.state, log.requested)[failed],
+            trust=_trust(self.nominal, self.settings, residual, log),
+            alarms=(*self.alarms, Alarm(logged.step, "other_robot")),
+            changes=(),
+            refit=None,
+            refit_from=REFIT_GROWTH * len(log) if len(log) == len(own) else 1.0,
+        )
+        return learner._with_refit()
 
     def _after(self, logged: LoggedStep) -> "Learner":
         record, log = logged.record, self.log + [logged]  # noqa: RUF005 they share memory
@@ -203,8 +221,9 @@ class Learner:
             history=history_after(record, error, self.nominal.space, len(log)),
             failures=np.vstack([self.failures, point]) if failed else self.failures,
         )
+        ends = self.learns and not self.settings.online and logged.step >= 0
         if not np.isfinite(error).all():
-            return learner._with_refit()
+            return learner._ended() if ends else learner._with_refit()
         residual = self.conditioned_residual
         step = predicted_step(residual, record, self.nominal.space, error, self.phase)
         check_prediction(residual.kind, step.mean, step.std)
@@ -214,10 +233,17 @@ class Learner:
         if change.any():
             learner = replace(learner, changes=(*self.changes, (len(self.log), change)))
         if trust.outlier:
-            return replace(learner, outliers=(*self.outliers, (logged.iteration, logged.step)))._with_refit()
-        if self.steps_to_learn > 0:
-            learner = learner._updated(self.history, point, error - change, counts=logged.planned)
+            learner = replace(learner, outliers=(*self.outliers, (logged.iteration, logged.step)))
+        if ends:
+            return learner._ended()
+        if self.learns and not trust.outlier:
+            learner = learner._updated(self.history, point, error - change)
         return learner._with_refit()
+
+    def _ended(self) -> "Learner":
+        """The learner after the last exploratory step, which has number 0: it learns no more, from all steps known."""
+        fitted = _fitted(self.nominal, self._lessons, self.settings, self.iteration, self.residual, self.priors)
+        return replace(self, learns=False, residual=fitted, refit=None)
 
     @property
     def _lessons(self) -> Steps:
@@ -229,31 +255,23 @@ class Learner:
             next_state[row] -= change
         return self.log.with_columns(next_state=next_state)
 
-    def _updated(self, history: Array, point: Array, error: Array, *, counts: bool) -> "Learner":
-        """Learns a step: it updates the present residual or that of a fit that is due, or ends with a fit to all.
-
-        The step before the first one that was planned does not count among the steps to learn.
-        """
+    def _updated(self, history: Array, point: Array, error: Array) -> "Learner":
+        """Learns a step: it updates the present residual or that of a fit that is due."""
 
         def update(residual: Residual) -> Residual:
             return residual.conditioned_on(history).append(point, error)
 
-        remaining = self.steps_to_learn - counts
-        if remaining == 0:
-            fitted = _fitted(self.nominal, self._lessons, self.settings, self.iteration, self.residual, self.priors)
-            return replace(self, steps_to_learn=0, residual=fitted, refit=None)
-        learner = replace(self, steps_to_learn=remaining)
         if self.refit is None:
-            return replace(learner, residual=update(self.residual))
+            return replace(self, residual=update(self.residual))
         pending = self.refit.residual.then(update)
         if len(self.log) >= self.refit.due:
-            return replace(learner, residual=pending.result(), refit=None)
-        return replace(learner, residual=update(self.residual), refit=Refit(pending, self.refit.due))
+            return replace(self, residual=pending.result(), refit=None)
+        return replace(self, residual=update(self.residual), refit=Refit(pending, self.refit.due))
 
     def _with_refit(self) -> "Learner":
         """Begins a new fit if the number of steps has grown enough and no other fit is pending."""
         count = len(self.log)
-        if self.refit or self.steps_to_learn == 0 or count < self.refit_from:
+        if self.refit or not self.learns or count < self.refit_from:
             return self
         known = self.nominal, self._lessons, self.settings, self.iteration, self.residual, self.priors
         due = count + 1 + count // FITTED_PER_STEP
@@ -263,12 +281,21 @@ class Learner:
         return replace(self, refit=refit, refit_from=max(REFIT_GROWTH * count, due + 1))
 
 
-def _of_this_robot(nominal: StepMap, known: Steps, priors: Sequence[Prior]) -> Steps:
-    """The steps without earlier runs that are probably of another robot."""
-    if not known.has_earlier_runs or known.iteration[-1] < 0:
-        return known
-    others = other_robots(observe(known.planned(), nominal), priors)
-    return known.selected(~np.isin(known.iteration, others)) if others else known
+def _own(known: Steps) -> Steps:
+    """The steps of this run."""
+    return known.selected(known.iteration >= 0)
+
+
+def _trust(nominal: StepMap, settings: LearningSettings, residual: Residual, log: Steps) -> Trust:
+    """The hypotheses before the next step, with a residual that was fitted to a log."""
+    return Trust.start(
+        nominal.space.state_scale,
+        residual,
+        drift=settings.drift,
+        monitor=settings.monitor,
+        reject_outliers=settings.reject_outliers,
+        warm_start=log.has_earlier_runs,
+    )
 
 
 def _fitted(

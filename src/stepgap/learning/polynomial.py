@@ -56,6 +56,15 @@ class Moments(NamedTuple):
             self.degrees_of_freedom + float(counts.sum()),
         )
 
+    def joined(self, other: "Moments") -> "Moments":
+        """The sums over the data of both."""
+        return Moments(
+            self.information + other.information,
+            self.projection + other.projection,
+            self.squares + other.squares,
+            self.degrees_of_freedom + other.degrees_of_freedom,
+        )
+
     def discounted(self, prior: "Moments", factor: float) -> "Moments":
         """Multiplies the weight of the data by a factor and keeps the prior."""
         return Moments(

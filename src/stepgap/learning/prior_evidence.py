@@ -1,16 +1,8 @@
-"""What the steps of a robot say about which robots it is like: those of a prior, that of an earlier run, or none known.
-
-Each possibility is a quadratic polynomial of the error with its own prior: a prior over robots, the steps of earlier
-runs beside it, or a weak one that knows nothing. They are compared by how probable they make the steps of this robot.
-"""
+"""Which prior over robots is right for a robot, if any: the one that makes its steps most probable."""
 
 import math
-from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from collections.abc import Sequence
 from typing import Final, cast
-
-import numpy as np
-from numpy.typing import NDArray
 
 from stepgap.learning.observations import Observations
 from stepgap.learning.polynomial import NOISE_SCALE, PRIOR_COUNT, Polynomial, fit_polynomial
@@ -18,7 +10,7 @@ from stepgap.learning.prior import DEGREE, PRIOR, Prior
 from stepgap.learning.residual import HistoryInputs, Residual
 
 PRIOR_ODDS: Final = 20.0
-"""Odds that a robot is of the kind of its prior, or that of an earlier run, before it has made a step."""
+"""Odds that a robot is of the kind of its prior before it has made a step."""
 
 
 def residual_with(prior: Prior | None, observations: Observations) -> Residual:
@@ -66,34 +58,3 @@ def log_evidence_of_none(observations: Observations) -> float:
         rates = (scale * unit) ** 2 / 2, ((scale * unit) ** 2 + float(each @ each)) / 2
         total += before * math.log(rates[0]) - after * math.log(rates[1]) + math.lgamma(after) - math.lgamma(before)
     return total
-
-
-def other_robots(observations: Observations, priors: Sequence[Prior]) -> list[int]:
-    """Numbers of the deployments of earlier runs that are probably of another robot.
-
-    Compared are all earlier runs as one robot, each of them alone, and none; all are kept before the first step.
-
-    Args:
-        observations: Of this run, and of earlier ones, which have negative numbers of deployments.
-        priors: Priors over robots, of which one applies in each case; none for the weak one.
-    """
-    deployment = observations.labels[:, 0]
-    runs = [np.isin(deployment, run) for run in _runs(np.unique(deployment[deployment < 0]).tolist())]
-    own = deployment >= 0
-    if not runs or not own.any():
-        return []
-
-    def evidence(rows: NDArray[np.bool_]) -> float:
-        chosen = observations.selected(rows)
-        return float(np.logaddexp.reduce([_log_evidence(residual_with(each, chosen)) for each in priors or [None]]))
-
-    possible = [np.zeros(len(own), bool), np.any(runs, axis=0), *(runs if len(runs) > 1 else ())]
-    odds = [0.0] + [math.log(PRIOR_ODDS)] * (len(possible) - 1)
-    scores = [one + evidence(rows | own) - evidence(rows) for one, rows in zip(odds, possible, strict=True)]
-    return np.unique(deployment[~own & ~possible[int(np.argmax(scores))]]).tolist()
-
-
-def _runs(deployments: Sequence[int]) -> Iterator[Sequence[int]]:
-    """Splits ascending numbers of deployments into runs, between which a number is missing."""
-    cuts = [place for place, (one, other) in enumerate(pairwise(deployments), 1) if other > one + 1]
-    return (deployments[begin:end] for begin, end in pairwise([0, *cuts, len(deployments)]) if end > begin)

@@ -84,9 +84,9 @@ class LearningSettings:
         )
         require(0 <= self.exploration <= 1000, "exploration", self.exploration, "lie between 0 and 1000")
 
-    def steps_to_learn(self, iteration: int) -> float:
-        """Number of steps of a deployment that are learned from while it is running."""
-        return inf if self.online else self.exploration if iteration == 0 else 0
+    def learns_in(self, iteration: int) -> bool:
+        """Whether steps of a deployment are learned from while it is running: all, or the exploratory ones."""
+        return self.online or (iteration == 0 and self.exploration > 0)
 
 
 def _require_name(setting: str, name: str, known: tuple[str, ...]) -> None:

@@ -1,7 +1,7 @@
 """The append-only record of every executed step, in memory and by column."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, Self, TypeVar, final
 
 import numpy as np
@@ -303,8 +303,12 @@ def _logged(space: StepSpace, row: np.void) -> LoggedStep:
 
 
 def joined(parts: Sequence[Steps]) -> Steps:
-    """Concatenates the steps of one or more records; a number of a deployment is left out between two of them."""
-    merged = Steps(parts[0].space)
+    """Concatenates the steps of one or more records; a number of a deployment is left out between two of them.
+
+    The space is that of the first one, with the context of all.
+    """
+    context = {each.name: each for steps in reversed(parts) for each in reversed(steps.space.context)}
+    merged = Steps(replace(parts[0].space, context=tuple(reversed(context.values()))))
     for steps in parts:
         first = max(merged.iterations, default=-2) + 2
         merged += steps.with_columns(iteration=steps.iteration + first)

@@ -105,11 +105,12 @@ class Alarm(NamedTuple):
 
     Attributes:
         step: Number of the step that brought this about.
-        source: What is trusted now; never `current`. `other`: earlier runs were of another robot than it seemed.
+        source: What is trusted now; never `current`. `other_robot`: other earlier runs are of this robot
+            than it seemed.
     """
 
     step: int
-    source: MapSource | Literal["other"]
+    source: MapSource | Literal["other_robot"]
 
 
 @final

@@ -24,7 +24,7 @@ INPUT_FILES = (
     "reference.csv",
     "warm_start.csv",
     "prior.json",
-    "priors/*.json",
+    "priors/[!.]*.json",
     "nominal_map.json",
     "nominal_map.toml",
     "nominal_map.csv",
@@ -83,7 +83,9 @@ def _recover_run(folder: Path, out: Path) -> list[str]:
 
 def _copy_inputs(folder: Path, out: Path, space: StepSpace) -> list[str]:
     """Copies the inputs of a run as they are; returns the faults of those that are damaged."""
-    inputs = [path for name in ("experiment.toml", *INPUT_FILES) for path in sorted(folder.glob(name))]
+    inputs = [
+        path for name in ("experiment.toml", *INPUT_FILES) for path in sorted(folder.glob(name)) if path.is_file()
+    ]
     for path in inputs:
         write_whole(out / path.relative_to(folder), path.read_bytes())
     return [f"{fault}; copied as it is" for path in inputs if (fault := _input_fault(path, space))]

@@ -138,11 +138,18 @@ def _check_numbers(logged: LoggedStep, space: StepSpace) -> None:
 
 
 def _check_order(last: LoggedStep | None, logged: LoggedStep) -> None:
-    """Raises ValueError unless a step can follow the previous one."""
+    """Raises ValueError unless a step can follow the previous one.
+
+    Between two runs, which a warm start may have, the number of a deployment is left out.
+    """
     here = (logged.iteration, logged.step)
     first = (0, min(1, logged.step))
     begin = int(logged.step != 0)  # 0 is the step with which a plant starts
-    following = [first] if last is None else [(last.iteration, last.step + 1), (last.iteration + 1, begin)]
+    following = [first]
+    if last is not None:
+        if here == (last.iteration + 2, min(1, logged.step)):
+            return
+        following = [(last.iteration, last.step + 1), (last.iteration + 1, begin)]
     if last is not None and last.record.status != StepStatus.OK:
         del following[0]
     if here not in following:

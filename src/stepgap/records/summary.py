@@ -26,7 +26,7 @@ MEASURED = tuple(measure for measure in MEASURES if measure != "true_rmse")
 LARGEST_SUMMARY = 2**24
 """Largest `summary.json` that is read [bytes]."""
 
-_ALARM_SOURCES = ("changed", "nominal", "earlier", "other")
+_ALARM_SOURCES = ("changed", "nominal", "earlier", "other_robot")
 
 LONGEST_RESIDUAL_NAME = 100
 """Longest name of a residual model [characters]."""

@@ -201,7 +201,7 @@ class Page:
     def _label(self, iteration: int) -> str:
         if iteration > 0:
             return f"{iteration}: corrected map"
-        learns = self._source.settings.learning.steps_to_learn(0)
+        learns = self._source.settings.learning.learns_in(0)
         return "0: learning from the start" if learns else "0: nominal map"
 
     def _show_motion(self) -> None:

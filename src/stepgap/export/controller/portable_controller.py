@@ -194,7 +194,7 @@ def portable_controller(
         reject_outliers=learning.reject_outliers,
         warm_start=learner.log.has_earlier_runs,
         approximations=(*replaced, *(loss for _, loss in found if loss)),
-        notes=(*_notes(nominal.space, settings.control, learner.steps_to_learn), *fitted_again(learned)),
+        notes=(*_notes(nominal.space, settings.control, learner.learns), *fitted_again(learned)),
         passport=passport_of(run, deployment, name),
     )
 
@@ -205,7 +205,7 @@ def without_lagged_inputs(learner: Learner) -> Learner:
         return learner
     settings = replace(learner.settings, lagged_inputs="none")
     with one_blas_thread():
-        return Learner.start(learner.nominal, learner.log, settings, learner.iteration, priors=learner.priors)
+        return Learner.start(learner.nominal, learner.known, settings, learner.iteration, priors=learner.priors)
 
 
 def fitted_again(learner: Learner) -> tuple[str, ...]:
@@ -228,7 +228,7 @@ def _check_inputs(residual: Residual) -> None:
         )
 
 
-def _notes(space: StepSpace, control: ControlSettings, steps_to_learn: float) -> tuple[str, ...]:
+def _notes(space: StepSpace, control: ControlSettings, learns: bool) -> tuple[str, ...]:
     notes = [
         f"{each.name} is that above the {each.above} of the step: subtract what your robot finds, and plan at touchdown"
         for each in space.state
@@ -247,7 +247,7 @@ def _notes(space: StepSpace, control: ControlSettings, steps_to_learn: float) ->
         )
     if control.table:
         notes.append("control.table: the commands are solved for, not taken from a table")
-    if steps_to_learn > 0:
+    if learns:
         notes.append("learning.online: the residual is that of the start of the deployment; it learns no further step")
     return tuple(notes)
 
