@@ -136,9 +136,7 @@ def simulated_robots(steps: int) -> SimulatedRobots:
     """The robots that are simulated for runs of this length."""
     with one_blas_thread():
         run = run_of(hopper_with({}), 0, steps)
-    return SimulatedRobots(
-        Experiment(Hopper(gap=RealityGap())), targets_of(run, 0), known={name: sensors()[name] for name in KNOWN}
-    )
+    return SimulatedRobots(Experiment(Hopper(gap=RealityGap())), targets_of(run, 0), known=sensors())
 
 
 @cache

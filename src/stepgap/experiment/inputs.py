@@ -67,7 +67,7 @@ def run_folders(path: Path) -> list[Path]:
 
 
 def load_known(experiment: Experiment, space: StepSpace) -> Steps:
-    """Reads the steps known before the first deployment: those of the run to start from and those it started from, or those of many runs.
+    """Reads the steps known before the first deployment: those of a run and those it started from, or of many runs.
 
     Raises:
         InputError: It is not a run or a folder of runs, one has another state or command, or no step.
