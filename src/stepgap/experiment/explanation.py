@@ -268,7 +268,7 @@ class _Search:
         """Keeps the signature of a cause at the size simulated, after the signatures of the others were taken off."""
         others = [self.slopes[each] * (shares[each] - origin.shares.get(each, 0.0)) for each in shares if each != name]
         change = surface.weights - origin.surface.weights - np.sum(others, axis=0)
-        if abs(shares[name]) > 0.05:
+        if signature_products(self.error, surface, [change])[0, 0] > LEAST_SIGNATURE**2:  # else it is inaccuracy alone
             self.slopes[name] = change / shares[name]
 
 
