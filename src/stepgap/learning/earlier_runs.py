@@ -32,11 +32,13 @@ class EarlierRuns:
     """Earlier runs, reduced to the sums that are needed to compare them with the steps of a robot.
 
     Attributes:
+        steps: Number of their steps.
         deployments: Numbers of the deployments of each run.
         sums: Of each run and state coordinate.
         priors: Moments without data, of each prior over robots and state coordinate; those of the weak one without any.
     """
 
+    steps: int
     deployments: tuple[frozenset[int], ...]
     sums: tuple[tuple[Moments, ...], ...]
     priors: tuple[tuple[Moments, ...], ...]
@@ -49,7 +51,7 @@ class EarlierRuns:
         data = _training_data(observe(known.selected(slice(0)), nominal))
         weak = tuple(weak_prior(each, DEGREE) for each in data)
         found = tuple(tuple(prior.moments(number, each) for number, each in enumerate(data)) for prior in priors)
-        return cls(runs, tuple(_sums(each) for each in steps), found or (weak,))
+        return cls(int(np.sum(known.iteration < 0)), runs, tuple(_sums(each) for each in steps), found or (weak,))
 
     def of_others(self, own: Observations, left_out: frozenset[int] = frozenset()) -> frozenset[int]:
         """Numbers of the deployments that are not of the robot whose steps are `own`.

@@ -119,7 +119,7 @@ class Learner:
         """
         earlier = EarlierRuns.of(known, nominal, priors) if known.has_earlier_runs else None
         left_out = earlier.of_others(observe(_own(known).planned(), nominal)) if earlier else frozenset[int]()
-        log = known.selected(~np.isin(known.iteration, [*left_out]))
+        log = _without(known, left_out)
         if residual is None:
             residual = _fitted(nominal, log, settings, iteration, None, priors)
         failed = ~np.isin(log.status, _NO_FAILURE)
@@ -186,13 +186,13 @@ class Learner:
 
         Until a fit to these runs is due, the residual is one that was fitted to this robot's own steps alone.
         """
-        own = _own(self.known)
-        if self.earlier is None or not self.learns or len(own) > LEAST_KNOWN:
+        if self.earlier is None or not self.learns or len(self.known) - self.earlier.steps > LEAST_KNOWN:
             return self
+        own = _own(self.known)
         left_out = self.earlier.of_others(observe(own.planned(), self.nominal), self.left_out)
         if left_out == self.left_out:
             return self
-        log = self.known.selected(~np.isin(self.known.iteration, [*left_out]))
+        log = _without(self.known, left_out)
         residual = _fitted(self.nominal, own, self.settings, self.iteration, None, self.priors)
         failed = ~np.isin(log.status, _NO_FAILURE)
         learner = replace(
@@ -216,7 +216,7 @@ class Learner:
         failed = record.status not in _NO_FAILURE
         learner = replace(
             self,
-            known=self.known + [logged],  # noqa: RUF005
+            known=log if self.log is self.known else self.known + [logged],  # noqa: RUF005
             log=log,
             history=history_after(record, error, self.nominal.space, len(log)),
             failures=np.vstack([self.failures, point]) if failed else self.failures,
@@ -279,6 +279,11 @@ class Learner:
             return replace(self, residual=_fitted(*known), refit_from=due)
         refit = Refit(Deferred(lambda: _fitted(*known)), due)
         return replace(self, refit=refit, refit_from=max(REFIT_GROWTH * count, due + 1))
+
+
+def _without(known: Steps, left_out: frozenset[int]) -> Steps:
+    """The steps without some deployments; the same object if there are none, so that its memory is shared."""
+    return known.selected(~np.isin(known.iteration, [*left_out])) if left_out else known
 
 
 def _own(known: Steps) -> Steps:
