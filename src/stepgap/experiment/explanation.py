@@ -172,10 +172,11 @@ def signature_products(error: RunError, none: Surface, changes: Sequence[Array])
 @final
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """A simulated robot with sizes of causes, and the sizes that follow from it."""
+    """A simulated robot with sizes of causes, and the sizes that follow from it by signatures."""
 
     shares: Shares
     surface: Surface
+    slopes: Mapping[str, Array]
     fit: SizeFit
 
     def std(self, name: str) -> float:
@@ -199,6 +200,7 @@ class _Search:
         self.none = none
         self.slopes: dict[str, Array] = {}
         self.changes: dict[str, Array] = {}
+        self.points: dict[tuple[frozenset[str], str], _Point] = {}
 
     def simulate_usual(self) -> None:
         """Simulates each cause at its usual size or, where the robot falls, at a third of it."""
@@ -230,13 +232,13 @@ class _Search:
 
     def fitted(self, shares: Shares, surface: Surface, slopes: Mapping[str, Array] | None = None) -> _Point:
         """The sizes that follow from a simulated robot."""
-        known, k = slopes or self.slopes, surface.weights.shape
+        known, k = slopes or {name: self.slopes[name] for name in shares}, surface.weights.shape
         rows = np.array([known[name] for name in shares]).reshape(len(shares), *k)
-        return _Point(shares, surface, fit_sizes(self.error, surface, np.array([*shares.values()]), rows))
+        return _Point(shares, surface, known, fit_sizes(self.error, surface, np.array([*shares.values()]), rows))
 
     def predicted(self, point: _Point) -> Array:
         """Error of the robot with the sizes found; shape (n, k)."""
-        changes = [self.slopes[name] * (share - point.shares[name]) for name, share in point.next.items()]
+        changes = [point.slopes[name] * (share - point.shares[name]) for name, share in point.next.items()]
         return point.surface.weights + np.sum(changes, axis=0)
 
     def permitted(self, shares: Shares) -> bool:
@@ -261,8 +263,12 @@ class _Search:
                     points.pop(name)
                     continue
                 self._learn(name, wanted[name], surface, origins[name])
-                found[name] = points[name] = self.fitted(wanted[name], surface)
-        return {name: point for name, point in found.items() if self.permitted(point.next)}
+                points[name] = self.fitted(wanted[name], surface)
+                if name not in found or points[name].fit.log_evidence > found[name].fit.log_evidence:
+                    found[name] = points[name]
+        found = {name: point for name, point in found.items() if self.permitted(point.next)}
+        self.points |= {(frozenset(origins[name].shares), name): point for name, point in found.items()}
+        return found
 
     def _learn(self, name: str, shares: Shares, surface: Surface, origin: _Point) -> None:
         """Keeps the signature of a cause at the size simulated, after the signatures of the others were taken off."""
@@ -322,7 +328,7 @@ def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) 
 
 
 def _sizes_of(search: _Search, point: _Point) -> tuple[Array, Array]:
-    rows = np.array([search.slopes[name] for name in point.shares])
+    rows = np.array([point.slopes[name] for name in point.shares])
     return np.array([*point.shares.values()]), rows.reshape(len(point.shares), *point.surface.weights.shape)
 
 
@@ -349,14 +355,17 @@ def _members(search: _Search, now: _Point, name: str, group: Sequence[Cause]) ->
     points = {name: now}
     if base is not None:
         start = search.fitted(others, base)
-        points |= search.walked([(start, each.name) for each in group if each.name not in now.shares])
+        wanted = [each.name for each in group if each.name not in now.shares]
+        known = {each: search.points.get((frozenset(others), each)) for each in wanted}
+        points |= {each: point for each, point in known.items() if point}
+        points |= search.walked([(start, each) for each in wanted if not known[each]])
     best = max(point.fit.log_evidence for point in points.values())
     near = [each for each, point in points.items() if point.fit.log_evidence > best - HOPELESS]
     further = {each: _beside(points[each].shares, each) for each in near}
     surfaces = dict(zip(near, search.simulate([*further.values()]), strict=True))
     members = []
     for each, point in points.items():
-        slopes = dict(search.slopes)
+        slopes = dict(point.slopes)
         if (surface := surfaces.get(each)) is not None:
             step = further[each][each] - point.shares[each]
             local = (surface.weights - point.surface.weights) / step
