@@ -126,3 +126,13 @@ def test_of_many_runs_each_is_known(cold: Path, stepgap: Command) -> None:
     count = 1 + max(int(row.split(",")[0]) for row in rows)
     again = [f"{int(row.split(',')[0]) + count + 1}," + row.split(",", 1)[1] for row in rows]
     assert Path("warm/warm_start.csv").read_text().splitlines() == [header, *rows, *again]
+
+    finished = Path("warm/steps.csv").read_bytes()
+    Path("warm/steps.csv").write_bytes(finished[: finished.index(b"\n") + 1])
+    Path("warm/summary.json").unlink()
+    assert stepgap("run", "--resume", "--out", "warm", "--quiet").code == 0
+    assert Path("warm/steps.csv").read_bytes() == finished
+    assert (
+        stepgap("run", "--reference", short, "--iterations", 0, "--quiet", "--out", "next", "--warm-start", "warm").code
+        == 0
+    )

@@ -233,3 +233,11 @@ def test_a_drift_within_the_deployment_is_estimated_if_wanted() -> None:
         np.testing.assert_allclose(added.mean(np.zeros(4)) if added else 0.0, shifted if drift else 0.0, atol=0.01)
     uncorrected = after(Learner.start(NOMINAL, log_of([]), LearningSettings(), 0), drifting)
     assert uncorrected.step_map().disturbance is None
+
+
+def test_exploration_ends_at_the_step_numbered_zero_however_many_were_asked_for() -> None:
+    settings = LearningSettings(exploration=12)
+    explored, tracked = hops(REALITY, 3, seed=0, first=-2), hops(REALITY, 9, seed=1, first=1)
+    learner = after(Learner.start(NOMINAL, log_of([]), settings, 0), [*explored, *tracked])
+    assert not learner.learns
+    np.testing.assert_allclose(learner.residual.mean(POINTS), fitted(explored).mean(POINTS), rtol=1e-2)
