@@ -54,8 +54,8 @@ def test_bare_physics_moves_the_robot_as_the_recorded_ticks_did():
 def test_samples_are_counted_by_the_files_of_the_running_functions():
     sampler, begin = Sampler(), process_time()
     with sampler.running():
-        while process_time() - begin < 0.05:
-            pass
+        while sampler.seconds.get("rest", 0.0) < 0.03 and process_time() - begin < 30:
+            pass  # a busy machine takes fewer samples
     assert set(sampler.seconds) == {"rest"}
-    assert 0.03 < sampler.seconds["rest"] < process_time() - begin
+    assert 0.03 <= sampler.seconds["rest"] < process_time() - begin
     assert PARTS[0][0] == LOADING
