@@ -151,7 +151,7 @@ class RunProgress:
     def _on_exploration(self, worths: Sequence[float]) -> None:
         if self._quiet:
             return
-        worth = listed([f"{each:.1f}" for each in worths])
+        worth = listed([f"{each:.2f}" for each in worths])
         made = sum(each >= LEAST_WORTH for each in worths)
         sentence = f"exploration: the next steps are worth {worth} squared errors of a step by noise"
         if made < len(worths):

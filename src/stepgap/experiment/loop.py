@@ -157,10 +157,9 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
             seconds = perf_counter() - begin
             observer.on_learned(learner.residual)
             if learner.left_out:
-                kept = len(learner.log.iterations)
+                count, kept = len(learner.left_out), len(learner.log.iterations)
                 observer.on_warning(
-                    f"{len(learner.left_out)} deployments of earlier runs are probably of another robot, and left out; "
-                    f"{kept} are learned from"
+                    f"of {count + kept} deployments known, {count} of earlier runs left out: probably of another robot"
                 )
             if iteration > 0 or len(past) or setup.priors:
                 observer.on_time(iteration, "fit", seconds)
