@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from stepgap.cli.terminal import warn
-from stepgap.experiment.exploration import LEAST_WORTH
+from stepgap.experiment.exploration import worthwhile
 from stepgap.experiment.loop import Observer, fails_no_later
 from stepgap.experiment.state_ranges import COMPARED_STEPS, far_states
 from stepgap.learning.residual import Residual
@@ -152,7 +152,7 @@ class RunProgress:
         if self._quiet:
             return
         worth = listed([f"{each:.2f}" for each in worths])
-        made = sum(each >= LEAST_WORTH for each in worths)
+        made = worthwhile(worths)
         sentence = f"exploration: the next steps are worth {worth} squared errors of a step by noise"
         if made < len(worths):
             sentence += f", so {made or 'none'} {'is' if made < 2 else 'are'} made"

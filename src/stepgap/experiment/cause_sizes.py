@@ -122,6 +122,10 @@ class RunError:
         """The numbers of weights (n, k); shape (n, r)."""
         return np.einsum("nrk,nk->nr", self.roots, weights)
 
+    def effect(self, weights: Array) -> float:
+        """Sum of squares of the numbers of weights (n, k)."""
+        return float(np.sum(self.seen(weights) ** 2))
+
     def squares(self, weights: Array) -> float:
         """Sum of squares of what weights (n, k) leave, less what noise makes of it."""
         return float(np.sum((self.values - self.seen(weights)) ** 2)) - self.values.size

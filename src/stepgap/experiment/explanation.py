@@ -215,9 +215,9 @@ class _Search:
         wanted = dict[str, float]()
         error = max(self.error.squares(self.none.weights), 0.0)
         for name, slope in self.slopes.items():
-            share = float(np.sqrt(error / max(np.sum(self.error.seen(slope) ** 2), 1e-12)))
+            share = float(np.sqrt(error / max(self.error.effect(slope), 1e-12)))
             share = float(np.clip(share, 0.3, MOST_USUAL))
-            wanted[name] = 2 ** (round(2 * np.log2(share)) / 2)  # runs with similar errors have simulations in common
+            wanted[name] = 2 ** (round(2 * np.log2(share)) / 2)  # of few sizes, which benchmarks share
         self._keep(wanted)
         signed = [name for name in wanted if self.causes[name].signed]
         backward = [name for name in signed if self.fitted({name: 0.0}, self.none).next[name] < 0]
@@ -230,11 +230,14 @@ class _Search:
                 self.changes[name] = found.weights - self.none.weights
                 self.slopes[name] = self.changes[name] / wanted[name]
 
-    def fitted(self, shares: Shares, surface: Surface, slopes: Mapping[str, Array] | None = None) -> _Point:
-        """The sizes that follow from a simulated robot."""
+    def fitted(
+        self, shares: Shares, surface: Surface, slopes: Mapping[str, Array] | None = None, rests: Array = RESTS
+    ) -> _Point:
+        """The sizes that follow from a simulated robot, by the present signatures or others."""
         known, k = slopes or {name: self.slopes[name] for name in shares}, surface.weights.shape
         rows = np.array([known[name] for name in shares]).reshape(len(shares), *k)
-        return _Point(shares, surface, known, fit_sizes(self.error, surface, np.array([*shares.values()]), rows))
+        sizes = np.array([*shares.values()])
+        return _Point(shares, surface, known, fit_sizes(self.error, surface, sizes, rows, rests))
 
     def predicted(self, point: _Point) -> Array:
         """Error of the robot with the sizes found; shape (n, k)."""
@@ -314,22 +317,17 @@ def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) 
     for number, (name, gain) in enumerate(gains):
         members = _members(search, now, name, [each for each in seen if labels[each] == labels[search.causes[name]]])
         groups.append(CauseGroup(members, gain, max(left[number] - left[number + 1], 0.0)))
-    without = fit_sizes(error, now.surface, *_sizes_of(search, now), rests=RESTS[:1]).log_evidence
+    without = search.fitted(now.shares, now.surface, now.slopes, rests=RESTS[:1]).fit.log_evidence
     return Explanation(
         error.steps,
         tuple(groups),
         left[-1],
         now.fit.log_evidence - without,
-        float(np.sum(error.seen(search.none.weights) ** 2)) / total,
+        error.effect(search.none.weights) / total,
         tuple(tuple(each for each in seen if labels[each] == label) for label in dict.fromkeys(labels.values())),
         tuple(each for each in walked if each not in seen),
         tuple(each for each in causes if each not in walked),
     )
-
-
-def _sizes_of(search: _Search, point: _Point) -> tuple[Array, Array]:
-    rows = np.array([point.slopes[name] for name in point.shares])
-    return np.array([*point.shares.values()]), rows.reshape(len(point.shares), *point.surface.weights.shape)
 
 
 def _with_one_more(search: _Search, now: _Point, names: Sequence[str]) -> tuple[str, _Point] | None:
@@ -370,9 +368,7 @@ def _members(search: _Search, now: _Point, name: str, group: Sequence[Cause]) ->
             step = further[each][each] - point.shares[each]
             local = (surface.weights - point.surface.weights) / step
             bend = signature_products(search.error, point.surface, [step * (local - slopes[each])])
-            steep = np.sum(search.error.seen(local) ** 2) > LEAST_SLOPE**2 * np.sum(
-                search.error.seen(slopes[each]) ** 2
-            )
+            steep = search.error.effect(local) > LEAST_SLOPE**2 * search.error.effect(slopes[each])
             if steep and bend[0, 0] > LEAST_SIGNATURE**2:  # else it differs by the inaccuracy of simulations alone
                 slopes[each] = local
         found = search.fitted(point.shares, point.surface, slopes)

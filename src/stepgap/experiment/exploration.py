@@ -9,6 +9,7 @@ of the reference, each of whose different steps is also learned from when it occ
 that one step has by noise alone, so that a step that is worth less than one costs more than it saves.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -107,6 +108,11 @@ def worth_of_steps(controller: CautiousController, residual: Residual, reference
         step_map = CorrectedMap(controller.nominal, residual)
         controller = replace(controller, step_map=step_map, previous=plan.command)
     return worths
+
+
+def worthwhile(worths: Sequence[float]) -> int:
+    """Number of exploratory steps that are made, of those whose worth `worth_of_steps` has found."""
+    return sum(each >= LEAST_WORTH for each in worths)
 
 
 def exploration_plan(controller: CautiousController, residual: Residual, state: Array, goals: Goals) -> CautiousPlan:

@@ -107,10 +107,11 @@ def load_priors(experiment: Experiment, space: StepSpace) -> list[PriorFile]:
         path = shipped
     elif experiment.prior == NO_PRIOR:
         return []
-    found = [_read_prior(each, experiment, space) for each in prior_files(path)]
+    files = prior_files(path)
+    found = [_read_prior(each, experiment, space) for each in files]
     if built_in and any(each.nominal != nominal for each in found):
         return []
-    for each, file in zip(found, prior_files(path), strict=True):
+    for each, file in zip(found, files, strict=True):
         if each.nominal != nominal or linear:
             kind = f"a linear map of nominal.kind = '{nominal}'" if linear else f"nominal.kind = '{nominal}'"
             raise InputError(f"{file}: it is for nominal.kind = '{each.nominal}', but this experiment has {kind}")

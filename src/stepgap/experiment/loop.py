@@ -21,7 +21,7 @@ from stepgap.base.versions import versions_here
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.experiment.deployment import AdaptiveMap, DeploymentController, ExecutedSteps, deploy
-from stepgap.experiment.exploration import LEAST_WORTH, worth_of_steps
+from stepgap.experiment.exploration import worth_of_steps, worthwhile
 from stepgap.experiment.outcome import estimate_noise_floor, summarise
 from stepgap.experiment.resume import Recording, warm_start_of
 from stepgap.learning.learner import Learner
@@ -208,7 +208,7 @@ def _execute(
         controller = DeploymentController(learner, setup.control).step_controller
         worths = worth_of_steps(controller, learner.conditioned_residual, setup.reference, exploration)
         observer.on_exploration(worths)
-        exploration = sum(each >= LEAST_WORTH for each in worths)
+        exploration = worthwhile(worths)
     plant = setup.plants.make(deployment_generator(setup.seed, iteration))
     on_time, on_warning = partial(observer.on_time, iteration), observer.on_warning
     yield from deploy(

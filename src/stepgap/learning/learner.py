@@ -122,7 +122,6 @@ class Learner:
         log = _without(known, left_out)
         if residual is None:
             residual = _fitted(nominal, log, settings, iteration, None, priors)
-        failed = ~np.isin(log.status, _NO_FAILURE)
         return cls(
             nominal=nominal,
             settings=settings,
@@ -133,7 +132,7 @@ class Learner:
             log=log,
             residual=residual,
             history=next_history(log, nominal, iteration),
-            failures=join_points(log.state, log.requested)[failed],
+            failures=_failures_in(log),
             learns=settings.learns_in(iteration),
             trust=_trust(nominal, settings, residual, log),
             outliers=(),
@@ -194,14 +193,13 @@ class Learner:
             return self
         log = _without(self.known, left_out)
         residual = _fitted(self.nominal, own, self.settings, self.iteration, None, self.priors)
-        failed = ~np.isin(log.status, _NO_FAILURE)
         learner = replace(
             self,
             left_out=left_out,
             log=log,
             residual=residual,
             history=next_history(log, self.nominal, self.iteration),
-            failures=join_points(log.state, log.requested)[failed],
+            failures=_failures_in(log),
             trust=_trust(self.nominal, self.settings, residual, log),
             alarms=(*self.alarms, Alarm(logged.step, "other_robot")),
             changes=(),
@@ -284,6 +282,11 @@ class Learner:
 def _without(known: Steps, left_out: frozenset[int]) -> Steps:
     """The steps without some deployments; the same object if there are none, so that its memory is shared."""
     return known.selected(~np.isin(known.iteration, [*left_out])) if left_out else known
+
+
+def _failures_in(log: Steps) -> Array:
+    """Points (state, command) of the steps that failed; shape (k, n + m)."""
+    return join_points(log.state, log.requested)[~np.isin(log.status, _NO_FAILURE)]
 
 
 def _own(known: Steps) -> Steps:

@@ -12,7 +12,7 @@ _FOUND: Final = {
     "changed": "the robot was not the same as before: how it differs was estimated from then on",
     "nominal": "the residual was worse than none: the robot was compared with the nominal map from then on",
     "earlier": "the robot was again as before",
-    "other_robot": "it was judged anew which earlier runs are of this robot: it learned from these alone from then on",
+    "other_robot": "it was judged again which earlier runs are of this robot: it learned from these alone from then on",
 }
 
 
