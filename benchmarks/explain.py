@@ -1,16 +1,13 @@
 """`stepgap explain` on hoppers with known differences from their model.
 
 Each robot is a twin with sensors and torque noise of the default one, and one or two planted differences of random
-size, from those in `USUAL`, which are also the possible causes. It steps to random targets, while it learns. Its
-sensors and the noise of its torques are known.
-Robots of `outside` have a cause that is not in the list of possible causes, and neither is any other of its group.
+size, from those in `USUAL`, which are also the possible causes. It steps to random targets, while it learns. The
+resolution of its encoders is known. Robots of `outside` have a cause that is not in the list of possible causes, and
+neither is any other of its group.
 
 Printed for each robot: what was planted, and the groups that were found, with the size of the planted one. Then how
-often the first group, or one of two, is right, how often the planted size lies in its 95 % interval, how often the
-single cause comes first in its group, and how often an outside cause is reported as unexplained.
-
-All simulated robots track the same states, those of another robot with random targets, so that a process simulates
-each robot once; `stepgap explain` takes those of the run.
+often the planted causes are in the groups, among those that are named (odds of at least 1 : 20), or first, how often a
+planted size lies in its 95 % interval, and how often an outside cause is reported as unexplained.
 
     ./go python -m benchmarks.explain [--robots 20] [--kinds one two outside] [--steps 170]
 """
@@ -18,7 +15,7 @@ each robot once; `stepgap explain` takes those of the run.
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from time import perf_counter
 from typing import NamedTuple
 
@@ -28,7 +25,7 @@ from benchmarks.disturbed_plant import finished, tracked
 from stepgap.base.blas import one_blas_thread
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
-from stepgap.experiment.cause_sizes import Cause, RunError, Shares, Surface
+from stepgap.experiment.cause_sizes import Cause, RunError, Shares, Surface, causes_of
 from stepgap.experiment.explanation import (
     Explanation,
     Simulate,
@@ -37,10 +34,11 @@ from stepgap.experiment.explanation import (
     signature_products,
 )
 from stepgap.experiment.settings import Experiment
-from stepgap.experiment.simulated_errors import LEARNING, SimulatedRobots, targets_of
+from stepgap.experiment.simulated_errors import LEARNING, SimulatedRobots, gap_of, targets_of
 from stepgap.learning.learner import Learner
 from stepgap.learning.observations import Observations, observe
 from stepgap.learning.steps import Steps
+from stepgap.report.explanation import members_in_question
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.step import Array, StepSpace
@@ -66,8 +64,9 @@ USUAL = {
 }
 """Usual values of the causes that are planted."""
 
-SENSORS = ("motor_counts", "boom_counts_horizontal", "boom_counts_vertical", "torque_noise", "torque_noise_time")
-"""What all these robots have of the default twin."""
+ENCODERS = ("motor_counts", "boom_counts_horizontal", "boom_counts_vertical")
+NOISE = ("torque_noise", "torque_noise_time")
+"""What all these robots have of the default twin; the resolution of the encoders is known."""
 
 
 DRAWS = 10
@@ -121,47 +120,34 @@ def run_of(hopper: Hopper, number: int, steps: int) -> Observations:
     return observe(log.completed(), nominal)
 
 
-def sensors() -> dict[str, float]:
-    """What all robots have, and is known."""
-    return {name: getattr(RealityGap(), name) for name in SENSORS}
+def usual(names: Sequence[str]) -> dict[str, float]:
+    """Differences of the default twin."""
+    return {name: getattr(RealityGap(), name) for name in names}
 
 
 def hopper_with(values: Mapping[str, float]) -> Hopper:
     """A hopper with some differences, and sensors of the default one."""
-    return Hopper(gap=replace(RealityGap.none(), **sensors(), **values))
-
-
-@cache
-def simulated_robots(steps: int) -> SimulatedRobots:
-    """The robots that are simulated for runs of this length."""
-    with one_blas_thread():
-        run = run_of(hopper_with({}), 0, steps)
-    return SimulatedRobots(Experiment(Hopper(gap=RealityGap())), targets_of(run, 0), known=sensors())
-
-
-@cache
-def surface_of(steps: int, shares: tuple[tuple[str, float], ...]) -> Surface | None:
-    """The error of a robot with causes of some sizes."""
-    return simulated_robots(steps).surface(dict(shares))
+    return Hopper(gap=replace(RealityGap.none(), **usual(ENCODERS + NOISE), **values))
 
 
 def explained(steps: int, robot: Robot) -> Found:
     """What is found of a robot."""
-    begin, robots = perf_counter(), simulated_robots(steps)
-
-    def simulate(wanted: Sequence[Shares]) -> list[Surface | None]:
-        return [surface_of(steps, tuple(shares.items())) for shares in wanted]
-
+    begin, settings = perf_counter(), Experiment(Hopper(gap=RealityGap()))
+    possible = {each.name: each for each in causes_of(gap_of(settings))}
     with one_blas_thread():
         for draw in range(DRAWS):
-            values = planted(robot, robots.causes, draw)
+            values = planted(robot, possible, draw)
             run = run_of(hopper_with(values), robot.number, steps)
             if 2 * len(run) > steps:
                 break
         else:
             raise RuntimeError(f"{robot}: no draw hops")
-        error = RunError.of(run)
-        causes = [robots.causes[name] for name in USUAL]
+        robots = SimulatedRobots(settings, targets_of(run, 0), known=usual(ENCODERS))
+
+        def simulate(wanted: Sequence[Shares]) -> list[Surface | None]:
+            return [robots.surface(shares) for shares in wanted]
+
+        error, causes = RunError.of(run), [possible[name] for name in USUAL]
         if robot.kind == "outside":
             causes = without_group(error, simulate, causes, next(iter(values)))
         found = explain_error(error, causes, simulate)
@@ -200,10 +186,13 @@ def judge(kind: str, found: Sequence[Found]) -> None:
         reported = sum(each.explanation.has_rest or not each.explanation.groups for each in found)
         print(f"outside: reported as unexplained in {reported} of {len(found)}")
         return
-    first = right = single = inside = sizes = 0
+    first = named = right = single = inside = sizes = possible = 0
     for each in found:
         groups = [{one.cause.name: one for one in group.members} for group in each.explanation.groups]
+        question = [one.cause.name for group in each.explanation.groups[:1] for one in members_in_question(group)]
+        possible += len(question)
         first += bool(groups) and any(name in groups[0] for name in each.planted)
+        named += any(name in question for name in each.planted)
         right += all(any(name in group for group in groups) for name in each.planted)
         single += bool(groups) and next(iter(groups[0])) in each.planted
         for name, value in each.planted.items():
@@ -211,8 +200,14 @@ def judge(kind: str, found: Sequence[Found]) -> None:
                 sizes += 1
                 inside += member.interval[0] <= value <= member.interval[1]
     rests = sum(each.explanation.has_rest for each in found)
-    print(f"{kind}: first group right in {first} of {len(found)}, all planted causes in a group in {right}, ", end="")
-    print(f"single cause first in {single}; {inside} of {sizes} sizes in their intervals; rest reported in {rests}")
+    print(
+        f"{kind}: first group right in {first} of {len(found)}, the planted cause among its named ones in {named} ",
+        end="",
+    )
+    print(
+        f"({possible / len(found):.1f} each) and first in {single}; all planted causes in a group in {right}; ", end=""
+    )
+    print(f"{inside} of {sizes} sizes in their intervals; rest reported in {rests}")
 
 
 def main() -> None:

@@ -1,6 +1,7 @@
 """Explanation of errors: sizes against a dense solution, and causes planted into an analytic robot."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from math import inf
 from typing import Any
 
@@ -63,7 +64,7 @@ def test_sizes_and_evidence_are_those_of_a_dense_normal_distribution() -> None:
     rng = np.random.default_rng(0)
     run, none = RunError.of(steps_of({"mass": 0.8}, 1, NOISE)), fit_surface(steps_of({}, 2))[0]
     slopes, sizes, rest = 0.1 * rng.standard_normal((2, 2, 15)), np.array([0.3, -0.2]), 0.05
-    found = fit_sizes(run, none, sizes, slopes, np.array([rest]))
+    found = fit_sizes(run, none, sizes, slopes, np.zeros(2), np.array([rest]))
     h = np.array([run.seen(slope).ravel() for slope in slopes]).T
     prior = np.sum(run.values**2) / np.sum(h**2, axis=0)
     size = run.values.size
@@ -79,6 +80,22 @@ def test_sizes_and_evidence_are_those_of_a_dense_normal_distribution() -> None:
     total_density: Any = multivariate_normal(np.zeros(size), total)  # pyright: ignore[reportArgumentType]
     density = total_density.logpdf(value) + size / 2 * np.log(2 * np.pi)
     assert found.log_evidence == pytest.approx(density, rel=1e-6)
+
+
+def test_inaccurate_signatures_do_not_make_sizes_smaller() -> None:
+    """Without the correction they would be a third smaller with an inaccuracy of a fifth of their square."""
+    none, sizes, expected = fit_surface(steps_of({}, 2, NOISE))[0], list[float](), 2.0
+    slope = 0.12 * (fit_surface(steps_of({"mass": 1.0}, 2, NOISE))[0].weights - none.weights)
+    rng = np.random.default_rng(0)
+    for seed in range(200):
+        run = RunError.of(steps_of({}, 100 + seed, NOISE))
+        run = replace(run, values=run.seen(none.weights) + run.seen(expected * slope) + rng.standard_normal((2, 15)))
+        length = sum(np.trace(root @ spread @ root.T) for root, spread in zip(run.roots, none.covariance, strict=True))
+        inaccuracy = 0.2 * run.effect(slope) / length
+        noise = [rng.multivariate_normal(np.zeros(15), inaccuracy * spread) for spread in none.covariance]
+        found = fit_sizes(run, none, np.zeros(1), np.array([slope + noise]), np.array([inaccuracy]))
+        sizes.append(float(found.sizes[0]))
+    assert np.median(sizes) == pytest.approx(expected, rel=0.08)
 
 
 @pytest.mark.parametrize("planted", [{"mass": 1.2}, {"torque": -1.4}, {"delay": 1.5}, {"friction": 0.8}])

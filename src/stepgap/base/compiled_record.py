@@ -109,7 +109,7 @@ def _field_type(kind: type) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, int | float):
+    if isinstance(value, int | float | np.generic):  # numbers and truths of numpy, too
         return value
     return tuple(_plain(getattr(value, name)) for name in _names(type(value)))
 

@@ -21,6 +21,9 @@ SIGNATURE_DEGREE: Final = 2
 RESTS: Final = np.array([0.0, *np.geomspace(1e-3, 0.3, 9)])
 """Standard deviations of the weights of the rest, of which each is as probable as the others [half ranges]."""
 
+MOST_INACCURACY: Final = 0.6
+"""Largest share of the square of a signature that is ascribed to its inaccuracy."""
+
 Shares = Mapping[str, float]
 """Sizes of causes, in usual sizes, by their names."""
 
@@ -145,16 +148,21 @@ class SizeFit(NamedTuple):
     covariance: Array
 
 
-def fit_sizes(error: RunError, origin: Surface, sizes: Array, slopes: Array, rests: Array = RESTS) -> SizeFit:
+def fit_sizes(
+    error: RunError, origin: Surface, sizes: Array, slopes: Array, inaccuracy: Array, rests: Array = RESTS
+) -> SizeFit:
     """Sizes of causes about a simulated robot, by Bayesian linear regression averaged over the size of the rest.
 
-    A priori the effect of each cause may be as large as the whole error of the run.
+    A priori the effect of each cause may be as large as the whole error of the run. Slopes are inaccurate, which would
+    make them longer, and sizes smaller, than they are; so what inaccuracy adds to their squares is taken off (errors
+    in variables, Fuller, Measurement Error Models, Sec. 2.2).
 
     Args:
         error: Errors of the run.
         origin: Error of the robot that was simulated with some sizes.
         sizes: These sizes; shape (p,).
         slopes: Change of the error by a change of each size; shape (p, n, k).
+        inaccuracy: Their covariances, in covariances of `origin`; shape (p,).
         rests: Possible standard deviations of the weights of the rest.
     """
     left = error.values - error.seen(origin.weights)
@@ -165,17 +173,21 @@ def fit_sizes(error: RunError, origin: Surface, sizes: Array, slopes: Array, res
     for rest in rests:
         information, projection, log = np.diag(prior), -prior * sizes, 0.5 * float(np.sum(np.log(prior)))
         log -= 0.5 * float(sizes @ (prior * sizes))
+        length = 0.0
         for root, spread, value, columns in zip(error.roots, origin.covariance, left, h.swapaxes(0, 1), strict=True):
-            total = np.eye(len(value)) + root @ (spread + rest**2 * np.eye(len(spread))) @ root.T
+            simulated = root @ spread @ root.T
+            total = np.eye(len(value)) + simulated + rest**2 * root @ root.T
             factor = cho_factor(total, lower=True)
-            solved = cho_solve(factor, np.column_stack([value, columns.T]))
+            solved = cho_solve(factor, np.column_stack([value, columns.T, simulated]))
+            length += float(np.trace(solved[:, 1 + len(sizes) :]))
             log -= 0.5 * float(value @ solved[:, 0]) + float(np.sum(np.log(np.diag(factor[0]))))
-            information = information + columns @ solved[:, 1:]
+            information = information + columns @ solved[:, 1 : 1 + len(sizes)]
             projection = projection + columns @ solved[:, 0]
-        covariance = np.linalg.inv(information)
-        change = covariance @ projection
-        log += 0.5 * float(projection @ change) - 0.5 * float(np.linalg.slogdet(information)[1])
-        found.append(SizeFit(log, sizes + change, covariance))
+        log += 0.5 * float(projection @ np.linalg.solve(information, projection))
+        log -= 0.5 * float(np.linalg.slogdet(information)[1])
+        added = np.minimum(length * inaccuracy, MOST_INACCURACY * information.diagonal())
+        inverse = np.linalg.inv(information - np.diag(added))
+        found.append(SizeFit(log, sizes + inverse @ projection, inverse @ information @ inverse))
     logs = np.array([each.log_evidence for each in found])
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()

@@ -44,6 +44,9 @@ LEAST_SIGNATURE: Final = 3.0
 MOST_USUAL: Final = 4.0
 """Largest size at which a cause is simulated to compare signatures [usual sizes]."""
 
+BENDING: Final = 0.3
+"""Usual change of a signature between two sizes, relative to the signature [1 / usual size]."""
+
 LEAST_SLOPE: Final = 0.3
 """A signature at the size found that is smaller, relative to that from zero on, is not used: the simulation rounds a
 delay, for example, to whole ticks."""
@@ -169,6 +172,20 @@ def signature_products(error: RunError, none: Surface, changes: Sequence[Array])
     return h.T @ h - inaccuracy * (0.5 + 0.5 * np.eye(h.shape[1]))
 
 
+class _Slope(NamedTuple):
+    """A signature: change of the error by a change of a size, and its covariance, in those of a simulation."""
+
+    weights: Array
+    inaccuracy: float
+
+
+class _Change(NamedTuple):
+    """Change of the error by a cause of some size."""
+
+    share: float
+    weights: Array
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class _Point:
@@ -176,7 +193,7 @@ class _Point:
 
     shares: Shares
     surface: Surface
-    slopes: Mapping[str, Array]
+    slopes: Mapping[str, _Slope]
     fit: SizeFit
 
     def std(self, name: str) -> float:
@@ -198,14 +215,16 @@ class _Search:
         if none is None:
             raise InputError("the simulated robot without gap falls, so nothing can be compared with it")
         self.none = none
-        self.slopes: dict[str, Array] = {}
-        self.changes: dict[str, Array] = {}
+        self.noise = sum(
+            float(np.trace(root @ spread @ root.T)) for root, spread in zip(error.roots, none.covariance, strict=True)
+        )
+        self.changes: dict[str, list[_Change]] = {}
         self.points: dict[tuple[frozenset[str], str], _Point] = {}
 
     def simulate_usual(self) -> None:
         """Simulates each cause at its usual size or, where the robot falls, at a third of it."""
         for share in (1.0, 0.3):
-            self._keep({name: share for name in self.causes if name not in self.slopes})
+            self._keep({name: share for name in self.causes if name not in self.changes})
 
     def simulate_whole(self) -> None:
         """Simulates each cause at the size at which its effect is as large as the error that is to be explained.
@@ -214,10 +233,9 @@ class _Search:
         """
         wanted = dict[str, float]()
         error = max(self.error.squares(self.none.weights), 0.0)
-        for name, slope in self.slopes.items():
-            share = float(np.sqrt(error / max(self.error.effect(slope), 1e-12)))
-            share = float(np.clip(share, 0.3, MOST_USUAL))
-            wanted[name] = 2 ** (round(2 * np.log2(share)) / 2)  # of few sizes, which benchmarks share
+        for name in self.changes:
+            share = float(np.sqrt(error / max(self.error.effect(self.slope(name, 1.0).weights), 1e-12)))
+            wanted[name] = float(np.clip(share, 0.3, MOST_USUAL))
         self._keep(wanted)
         signed = [name for name in wanted if self.causes[name].signed]
         backward = [name for name in signed if self.fitted({name: 0.0}, self.none).next[name] < 0]
@@ -227,21 +245,39 @@ class _Search:
         """Keeps the signatures of causes of some sizes, each alone."""
         for name, found in zip(wanted, self.simulate([{name: wanted[name]} for name in wanted]), strict=True):
             if found is not None:
-                self.changes[name] = found.weights - self.none.weights
-                self.slopes[name] = self.changes[name] / wanted[name]
+                change = _Change(wanted[name], found.weights - self.none.weights)
+                self.changes.setdefault(name, []).append(change)
+
+    def slope(self, name: str, share: float) -> _Slope:
+        """The signature of a cause about a size.
+
+        It is the mean of what was found at all sizes, weighted by the inverse of the variance there: that of the
+        simulations, and what signatures usually bend between that size and this one.
+        """
+        shares = np.array([each.share for each in self.changes[name]])
+        secants = np.array([each.weights / each.share for each in self.changes[name]])
+        inaccuracy = 2 * self.noise / shares**2
+        largest = int(np.argmax(np.abs(shares)))
+        square = max(self.error.effect(secants[largest]) - float(inaccuracy[largest]), 0.0)
+        weights = 1 / (inaccuracy + (BENDING * (shares - share)) ** 2 * square)
+        weights /= weights.sum()
+        parts = weights / shares  # of each simulation; that without causes has their sum
+        return _Slope(np.einsum("i,ink->nk", weights, secants), float(np.sum(parts**2) + np.sum(parts) ** 2))
 
     def fitted(
-        self, shares: Shares, surface: Surface, slopes: Mapping[str, Array] | None = None, rests: Array = RESTS
+        self, shares: Shares, surface: Surface, slopes: Mapping[str, _Slope] | None = None, rests: Array = RESTS
     ) -> _Point:
         """The sizes that follow from a simulated robot, by the present signatures or others."""
-        known, k = slopes or {name: self.slopes[name] for name in shares}, surface.weights.shape
-        rows = np.array([known[name] for name in shares]).reshape(len(shares), *k)
+        near = {name: share or self.changes[name][-1].share for name, share in shares.items()}
+        known = slopes or {name: self.slope(name, share) for name, share in near.items()}
+        rows = np.array([known[name].weights for name in shares]).reshape(len(shares), *surface.weights.shape)
+        inaccuracy = np.array([known[name].inaccuracy for name in shares])
         sizes = np.array([*shares.values()])
-        return _Point(shares, surface, known, fit_sizes(self.error, surface, sizes, rows, rests))
+        return _Point(shares, surface, known, fit_sizes(self.error, surface, sizes, rows, inaccuracy, rests))
 
     def predicted(self, point: _Point) -> Array:
         """Error of the robot with the sizes found; shape (n, k)."""
-        changes = [point.slopes[name] * (share - point.shares[name]) for name, share in point.next.items()]
+        changes = [point.slopes[name].weights * (share - point.shares[name]) for name, share in point.next.items()]
         return point.surface.weights + np.sum(changes, axis=0)
 
     def permitted(self, shares: Shares) -> bool:
@@ -275,10 +311,11 @@ class _Search:
 
     def _learn(self, name: str, shares: Shares, surface: Surface, origin: _Point) -> None:
         """Keeps the signature of a cause at the size simulated, after the signatures of the others were taken off."""
-        others = [self.slopes[each] * (shares[each] - origin.shares.get(each, 0.0)) for each in shares if each != name]
-        change = surface.weights - origin.surface.weights - np.sum(others, axis=0)
-        if signature_products(self.error, surface, [change])[0, 0] > LEAST_SIGNATURE**2:  # else it is inaccuracy alone
-            self.slopes[name] = change / shares[name]
+        change = surface.weights - origin.surface.weights
+        for each in shares:
+            if each != name:
+                change = change - origin.slopes[each].weights * (shares[each] - origin.shares[each])
+        self.changes[name].append(_Change(shares[name], change))
 
 
 def _shortened(shares: Shares) -> Shares:
@@ -299,23 +336,26 @@ def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) 
     search = _Search(error, causes, simulate)
     search.simulate_usual()
     search.simulate_whole()
-    walked = [each for each in causes if each.name in search.slopes]
-    signatures = signature_products(error, search.none, [search.changes[each.name] for each in walked])
+    walked = [each for each in causes if each.name in search.changes]
+    signatures = signature_products(error, search.none, [search.changes[each.name][-1].weights for each in walked])
     visible = signatures.diagonal() > LEAST_SIGNATURE**2
     seen = [each for each, one in zip(walked, visible, strict=True) if one]
     labels = dict(zip(seen, alike_groups(signatures[np.ix_(visible, visible)], seen), strict=True))
     now = search.fitted({}, search.none)
-    path, gains = [now], list[tuple[str, float]]()
-    while len(gains) < MOST_GROUPS and (more := _with_one_more(search, now, [each.name for each in seen])):
-        name, point = more
+    path, gains, groups_of, possible = [now], list[tuple[str, float]](), dict[str, set[str]](), seen
+    while len(gains) < MOST_GROUPS and (more := _with_one_more(search, now, [each.name for each in possible])):
+        name, point, near = more
         gains.append((name, point.fit.log_evidence - now.fit.log_evidence))
+        label = labels[search.causes[name]]
+        groups_of[name] = near | {each.name for each in seen if labels[each] == label}
+        possible = [each for each in possible if labels[each] != label]  # one cause of a group has the size of all
         now = point
         path.append(now)
     total = max(error.squares(search.none.weights), 1e-9)
     left = [min(max(error.squares(search.predicted(each)), 0.0) / total, 1.0) for each in path]
     groups = []
     for number, (name, gain) in enumerate(gains):
-        members = _members(search, now, name, [each for each in seen if labels[each] == labels[search.causes[name]]])
+        members = _members(search, now, name, [each for each in seen if each.name in groups_of[name]])
         groups.append(CauseGroup(members, gain, max(left[number] - left[number + 1], 0.0)))
     without = search.fitted(now.shares, now.surface, now.slopes, rests=RESTS[:1]).fit.log_evidence
     return Explanation(
@@ -330,11 +370,13 @@ def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) 
     )
 
 
-def _with_one_more(search: _Search, now: _Point, names: Sequence[str]) -> tuple[str, _Point] | None:
-    """The most probable further cause, simulated at the size found; None if none is probable enough."""
+def _with_one_more(search: _Search, now: _Point, names: Sequence[str]) -> tuple[str, _Point, set[str]] | None:
+    """The most probable further cause, simulated at the size found, and all that are nearly as probable.
+
+    None if none is probable enough.
+    """
     points = {name: search.fitted({**now.shares, name: 0.0}, now.surface) for name in names if name not in now.shares}
-    least = now.fit.log_evidence - HOPELESS
-    likely = [name for name, point in points.items() if point.fit.log_evidence > least]
+    likely = [name for name, point in points.items() if point.fit.log_evidence > now.fit.log_evidence]
     possible = [name for name in likely if search.permitted(points[name].next)]
     possible.sort(key=lambda name: -points[name].fit.log_evidence)
     found = search.walked([(now, name) for name in possible[:MOST_SIMULATED]])
@@ -343,7 +385,8 @@ def _with_one_more(search: _Search, now: _Point, names: Sequence[str]) -> tuple[
     best = max(found, key=lambda name: found[name].fit.log_evidence)
     if found[best].fit.log_evidence - now.fit.log_evidence < CAUSE_LOG_ODDS:
         return None
-    return best, found[best]
+    near = {name for name, point in found.items() if point.fit.log_evidence > found[best].fit.log_evidence - TOLD_APART}
+    return best, found[best], near
 
 
 def _members(search: _Search, now: _Point, name: str, group: Sequence[Cause]) -> tuple[Member, ...]:
@@ -367,10 +410,10 @@ def _members(search: _Search, now: _Point, name: str, group: Sequence[Cause]) ->
         if (surface := surfaces.get(each)) is not None:
             step = further[each][each] - point.shares[each]
             local = (surface.weights - point.surface.weights) / step
-            bend = signature_products(search.error, point.surface, [step * (local - slopes[each])])
-            steep = search.error.effect(local) > LEAST_SLOPE**2 * search.error.effect(slopes[each])
+            bend = signature_products(search.error, point.surface, [step * (local - slopes[each].weights)])
+            steep = search.error.effect(local) > LEAST_SLOPE**2 * search.error.effect(slopes[each].weights)
             if steep and bend[0, 0] > LEAST_SIGNATURE**2:  # else it differs by the inaccuracy of simulations alone
-                slopes[each] = local
+                slopes[each] = _Slope(local, 2 / step**2)
         found = search.fitted(point.shares, point.surface, slopes)
         members.append(Member(search.causes[each], found.next[each], found.std(each), found.fit.log_evidence))
     most = max(each.log_odds for each in members)
@@ -382,4 +425,4 @@ def _members(search: _Search, now: _Point, name: str, group: Sequence[Cause]) ->
 def _beside(shares: Shares, name: str) -> Shares:
     """The same sizes, but one a quarter larger, by which the signature at that size is found."""
     share = shares[name]
-    return {**shares, name: share + np.copysign(max(0.25 * abs(share), 0.1), share)}
+    return {**shares, name: share + float(np.copysign(max(0.25 * abs(share), 0.1), share))}

@@ -10,11 +10,11 @@ together, do no harm: weights that the data do not determine remain uncertain, a
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from stepgap.base.json_data import as_object, number, numbers
@@ -280,9 +280,15 @@ def _one_or_nan(point: ArrayLike) -> Array:
     return np.where(np.isfinite(point).all(axis=-1, keepdims=True), 1.0, np.nan)
 
 
+@cache
+def _pairs(inputs: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Factors i ≤ j of all products; a planner asks for them some hundred times a step."""
+    return np.triu_indices(inputs)
+
+
 def monomials(x: Array, degree: int) -> Array:
     """1, xᵢ, xᵢ xⱼ (i ≤ j) up to a degree; (…, d) to (…, d_φ)."""
-    i, j = np.triu_indices(x.shape[-1])
+    i, j = _pairs(x.shape[-1])
     parts = [np.ones((*x.shape[:-1], 1)), x, x[..., i] * x[..., j]][: degree + 1]
     return np.concatenate(parts, axis=-1)
 
@@ -290,7 +296,7 @@ def monomials(x: Array, degree: int) -> Array:
 def _monomials_gradient(x: Array, degree: int) -> Array:
     """∂monomial/∂x; (…, d) to (…, d_φ, d)."""
     d = x.shape[-1]
-    (i, j), unit = np.triu_indices(d), np.eye(d)
+    (i, j), unit = _pairs(d), np.eye(d)
     products = unit[i] * x[..., j, None] + unit[j] * x[..., i, None]
     parts = [np.zeros((*x.shape[:-1], 1, d)), np.broadcast_to(unit, (*x.shape[:-1], d, d)), products][: degree + 1]
     return np.concatenate(parts, axis=-2)
