@@ -614,6 +614,16 @@ def test_a_rig_that_is_not_connected_neither_reads_nor_moves():
         twin.write((0.0, 0.0))
 
 
+def test_differences_may_be_numbers_of_numpy():
+    gap = RealityGap()
+    changed = RealityGap(**{name: np.asarray(value)[()] for name, value in vars(gap).items()})
+    with make(gap) as plain, make(changed) as numpy:
+        for _ in range(100):
+            assert plain.read() == numpy.read()
+            plain.write((0.5, 0.5))
+            numpy.write((0.5, 0.5))
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 1e300), st.booleans())
 def test_no_finite_torque_gives_a_reading_that_is_not(seed: int, size: float, perfect: bool):
