@@ -616,8 +616,8 @@ def test_a_rig_that_is_not_connected_neither_reads_nor_moves():
 
 def test_differences_may_be_numbers_of_numpy():
     gap = RealityGap()
-    changed = RealityGap(**{name: np.asarray(value)[()] for name, value in vars(gap).items()})
-    with make(gap) as plain, make(changed) as numpy:
+    numbers: dict[str, Any] = {name: np.asarray(value)[()] for name, value in vars(gap).items()}
+    with make(gap) as plain, make(RealityGap(**numbers)) as numpy:
         for _ in range(100):
             assert plain.read() == numpy.read()
             plain.write((0.5, 0.5))
