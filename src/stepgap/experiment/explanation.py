@@ -9,7 +9,8 @@ Algorithms, Ch. 28). As signatures bend with their size, each cause is simulated
 
 The rest is what no cause explains: a polynomial whose weights have an unknown common variance, over which sizes and
 evidence are averaged. So intervals are wider where the causes do not explain everything. Differences whose signatures
-are alike over the steps of the run are a *group*, within which this run cannot tell which one it is.
+are alike over the steps of the run, or that make its errors about as probable, are a *group*, within which this run
+cannot tell which one it is.
 """
 
 from collections.abc import Callable, Mapping, Sequence
