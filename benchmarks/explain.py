@@ -41,6 +41,7 @@ from stepgap.learning.steps import Steps
 from stepgap.report.explanation import members_in_question
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import LONGEST_STEP
 from stepgap.step import Array, StepSpace
 
 USUAL = {
@@ -98,6 +99,8 @@ def planted(robot: Robot, causes: Mapping[str, Cause], draw: int) -> dict[str, f
     for name in names:
         share = rng.uniform(0.6, 1.5) * (rng.choice([-1, 1]) if causes[name].signed else 1)
         values[name] = causes[name]._replace(usual=USUAL[name]).value(share)
+    if "delay" in values:
+        values["delay"] = LONGEST_STEP * round(values["delay"] / LONGEST_STEP)  # as the twin rounds it
     return values
 
 
@@ -186,7 +189,7 @@ def judge(kind: str, found: Sequence[Found]) -> None:
         reported = sum(each.explanation.has_rest or not each.explanation.groups for each in found)
         print(f"outside: reported as unexplained in {reported} of {len(found)}")
         return
-    first = named = right = single = inside = sizes = possible = 0
+    first = named = right = single = inside = sizes = inside_apart = apart = possible = 0
     for each in found:
         groups = [{one.cause.name: one for one in group.members} for group in each.explanation.groups]
         question = [one.cause.name for group in each.explanation.groups[:1] for one in members_in_question(group)]
@@ -195,19 +198,20 @@ def judge(kind: str, found: Sequence[Found]) -> None:
         named += any(name in question for name in each.planted)
         right += all(any(name in group for group in groups) for name in each.planted)
         single += bool(groups) and next(iter(groups[0])) in each.planted
-        for name, value in each.planted.items():
-            for member in (group[name] for group in groups if name in group):
-                sizes += 1
-                inside += member.interval[0] <= value <= member.interval[1]
+        members = [(group[name], value) for name, value in each.planted.items() for group in groups if name in group]
+        held = sum(member.interval[0] <= value <= member.interval[1] for member, value in members)
+        inside, sizes = inside + held, sizes + len(members)
+        if len({number for number, group in enumerate(groups) if each.planted.keys() & group}) == len(each.planted):
+            inside_apart, apart = inside_apart + held, apart + len(members)
     rests = sum(each.explanation.has_rest for each in found)
+    print(f"{kind}: first group right in {first} of {len(found)}; all planted causes in a group in {right}")
     print(
-        f"{kind}: first group right in {first} of {len(found)}, the planted cause among its named ones in {named} ",
-        end="",
+        f"  a planted cause first in {single}, among the {possible / len(found):.1f} named of the first group in {named}"
     )
     print(
-        f"({possible / len(found):.1f} each) and first in {single}; all planted causes in a group in {right}; ", end=""
+        f"  {inside} of {sizes} sizes in their intervals; {inside_apart} of {apart} where each has a group of its own"
     )
-    print(f"{inside} of {sizes} sizes in their intervals; rest reported in {rests}")
+    print(f"  rest reported in {rests}")
 
 
 def main() -> None:
