@@ -206,7 +206,7 @@ def judge(kind: str, found: Sequence[Found]) -> None:
     rests = sum(each.explanation.has_rest for each in found)
     print(f"{kind}: first group right in {first} of {len(found)}; all planted causes in a group in {right}")
     print(
-        f"  a planted cause first in {single}, among the {possible / len(found):.1f} named of the first group in {named}"
+        f"  a planted cause first in {single}, named in the first group in {named} ({possible / len(found):.1f} names)"
     )
     print(
         f"  {inside} of {sizes} sizes in their intervals; {inside_apart} of {apart} where each has a group of its own"
