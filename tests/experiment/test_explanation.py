@@ -20,6 +20,7 @@ from stepgap.experiment.cause_sizes import (
 )
 from stepgap.experiment.explanation import Explanation, explain_error
 from stepgap.learning.observations import Observations
+from stepgap.report.explanation import explanation_sentences
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
@@ -132,6 +133,19 @@ def test_a_cause_outside_the_list_is_reported_as_unexplained() -> None:
         found = explained({name: 1.5, "mass": 0.7}, 0, [each for each in CAUSES if each.name != name])
         assert found.has_rest
         assert found.rest > 0.1
+
+
+@pytest.mark.parametrize(
+    ("rest", "log_odds", "said"),
+    [
+        (0.2, 9.0, "none of these causes"),
+        (0.02, 9.0, "small, but more than noise"),
+        (0.02, 1.0, "no larger than noise"),
+    ],
+)
+def test_what_is_said_of_the_rest_follows_from_its_size_and_odds(rest: float, log_odds: float, said: str) -> None:
+    found = replace(explained({"mass": 1.0}, 0), rest=rest, rest_log_odds=log_odds)
+    assert sum(said in sentence for sentence in explanation_sentences(found)) == 1
 
 
 def test_a_robot_without_a_gap_has_no_cause() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from stepgap.base.ranges import format_value
 from stepgap.experiment.cause_sizes import Cause
-from stepgap.experiment.explanation import TOLD_APART, CauseGroup, Explanation, Member
+from stepgap.experiment.explanation import CAUSE_LOG_ODDS, TOLD_APART, CauseGroup, Explanation, Member
 from stepgap.report.drawing import BLUE, LIGHT, draw_figure, new_figure, plain
 from stepgap.report.html import bullets, page, paragraph, picture, safe, section, table
 from stepgap.report.text import decimal, listed
@@ -161,6 +161,8 @@ def _rest_sentence(explanation: Explanation) -> str:
             f"{share} of the squared error is none of these causes; that is more than noise and inaccurate simulation "
             "explain: something is not in the list, or acts only together with others"
         )
+    if explanation.rest_log_odds > CAUSE_LOG_ODDS:
+        return f"the rest, {share}, is small, but more than noise: a small cause may act that was not found"
     return f"the rest, {share}, is no larger than noise and inaccurate simulation explain"
 
 
