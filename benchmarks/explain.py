@@ -3,13 +3,13 @@
 Each robot is a twin with sensors and torque noise of the default one, and one or two planted differences of random
 size, from those in `USUAL`, which are also the possible causes. It steps to random targets, while it learns. The
 resolution of its encoders is known. Robots of `outside` have a cause that is not in the list of possible causes, and
-neither is any other of its group.
+neither is any other of its group; those of `none` have no cause.
 
-Printed for each robot: what was planted, and the groups that were found, with the size of the planted one. Then how
-often the planted causes are in the groups, among those that are named (odds of at least 1 : 20), or first, how often a
-planted size lies in its 95 % interval, and how often an outside cause is reported as unexplained.
+Printed for each robot: what was planted, and the groups that were found, with the causes that the command names. Then
+how often the planted causes are named in the first group, or first in it, or in any group, how many groups have none of
+them, how often a planted size lies in its 95 % interval, and how often something is said to be unexplained.
 
-    ./go python -m benchmarks.explain [--robots 20] [--kinds one two outside] [--steps 170]
+    ./go python -m benchmarks.explain [--robots 20] [--kinds one two outside none] [--steps 170]
 """
 
 import argparse
@@ -27,6 +27,7 @@ from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
 from stepgap.experiment.cause_sizes import Cause, RunError, Shares, Surface, causes_of
 from stepgap.experiment.explanation import (
+    CAUSE_LOG_ODDS,
     Explanation,
     Simulate,
     alike_groups,
@@ -75,7 +76,7 @@ DRAWS = 10
 
 
 class Robot(NamedTuple):
-    """A robot: one, two, or outside; and its number."""
+    """A robot: one, two, outside, or none; and its number."""
 
     kind: str
     number: int
@@ -91,6 +92,8 @@ class Found(NamedTuple):
 
 def planted(robot: Robot, causes: Mapping[str, Cause], draw: int) -> dict[str, float]:
     """Names and values of the causes of a robot."""
+    if robot.kind == "none":
+        return {}
     rng = random_stream(robot.number, {"one": 1, "two": 2, "outside": 1}[robot.kind], draw)
     names = [[*USUAL][robot.number % len(USUAL)]]
     if robot.kind == "two":
@@ -176,7 +179,7 @@ def describe(robot: Robot, found: Found) -> None:
     for group in found.explanation.groups:
         members = [
             f"{each.cause.name} {each.value:.4g} ({each.interval[0]:.4g}–{each.interval[1]:.4g}; {each.log_odds:.1f})"
-            for each in group.members
+            for each in members_in_question(group)
         ]
         groups.append(f"[{group.explained:.0%}, +{group.log_odds:.0f}] " + ", ".join(members))
     rest = f"rest {found.explanation.rest:.0%} ({found.explanation.rest_log_odds:+.1f})"
@@ -185,40 +188,34 @@ def describe(robot: Robot, found: Found) -> None:
 
 def judge(kind: str, found: Sequence[Found]) -> None:
     """Prints how often robots of a kind were explained rightly."""
-    if kind == "outside":
-        reported = sum(each.explanation.has_rest or not each.explanation.groups for each in found)
-        print(f"outside: reported as unexplained in {reported} of {len(found)}")
-        return
-    first = named = right = single = inside = sizes = inside_apart = apart = possible = 0
+    first = right = single = inside = sizes = inside_apart = apart = names = wrong = number = 0
     for each in found:
-        groups = [{one.cause.name: one for one in group.members} for group in each.explanation.groups]
-        question = [one.cause.name for group in each.explanation.groups[:1] for one in members_in_question(group)]
-        possible += len(question)
-        first += bool(groups) and any(name in groups[0] for name in each.planted)
-        named += any(name in question for name in each.planted)
+        groups = [{one.cause.name: one for one in members_in_question(group)} for group in each.explanation.groups]
+        names, number = names + sum(len(group) for group in groups), number + len(groups)
+        wrong += sum(not each.planted.keys() & group for group in groups)
+        first += any(name in group for group in groups[:1] for name in each.planted)
+        single += any(name in [*group][:1] for group in groups[:1] for name in each.planted)
         right += all(any(name in group for group in groups) for name in each.planted)
-        single += bool(groups) and next(iter(groups[0])) in each.planted
         members = [(group[name], value) for name, value in each.planted.items() for group in groups if name in group]
         held = sum(member.interval[0] <= value <= member.interval[1] for member, value in members)
         inside, sizes = inside + held, sizes + len(members)
-        if len({number for number, group in enumerate(groups) if each.planted.keys() & group}) == len(each.planted):
+        if all(len(each.planted.keys() & group) < 2 for group in groups) and len(members) == len(each.planted):
             inside_apart, apart = inside_apart + held, apart + len(members)
-    rests = sum(each.explanation.has_rest for each in found)
-    print(f"{kind}: first group right in {first} of {len(found)}; all planted causes in a group in {right}")
+    more = [each.explanation.rest_log_odds > CAUSE_LOG_ODDS for each in found]
+    large = sum(each.explanation.has_rest for each in found)
+    print(f"{kind}: a planted cause named in the first group of {first} of {len(found)}, and first in it in {single}")
+    print(f"  all planted causes named in {right}; {wrong} of {number} groups without one; {names} names")
     print(
-        f"  a planted cause first in {single}, named in the first group in {named} ({possible / len(found):.1f} names)"
+        f"  {inside} of {sizes} sizes in their intervals; {inside_apart} of {apart} where each is in a group of its own"
     )
-    print(
-        f"  {inside} of {sizes} sizes in their intervals; {inside_apart} of {apart} where each has a group of its own"
-    )
-    print(f"  rest reported in {rests}")
+    print(f"  more than noise is said to be unexplained in {sum(more)}, of which {large} are large")
 
 
 def main() -> None:
     """Prints all robots."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robots", type=int, default=20)
-    parser.add_argument("--kinds", nargs="+", default=["one", "two", "outside"])
+    parser.add_argument("--kinds", nargs="+", default=["one", "two", "outside", "none"])
     parser.add_argument("--steps", type=int, default=170)
     given = parser.parse_args()
     cases = [Robot(kind, number) for kind in given.kinds for number in range(given.robots)]

@@ -27,7 +27,7 @@ def test_a_weak_motor_is_found(weak: Path, stepgap: Command, monkeypatch: pytest
     known = ["--known", "motor_counts=200000, torque_noise=0.01"]
     found = stepgap("explain", weak, *known, "--causes", "torque_scale, boom_drag", "--out", "page.html", "--quiet")
     assert found.code == 0, found.err
-    sentence, *_, path = found.out.splitlines()
+    _, sentence, *_, path = found.out.splitlines()
     name, size, *_ = sentence.split()
     assert (name, float(size)) == ("torque_scale", pytest.approx(0.9, abs=0.02))
     assert "explains 9" in sentence
@@ -46,4 +46,4 @@ def test_wrong_input_is_refused(weak: Path, stepgap: Command) -> None:
     refused(stepgap("explain", weak, "--out", "page.txt"), "page.txt", ".html")
     (weak / "steps.csv").write_text("".join((weak / "steps.csv").read_text().splitlines(keepends=True)[:9]))
     (weak / "summary.json").unlink()
-    refused(stepgap("explain", weak), "8 completed steps", "15")
+    refused(stepgap("explain", weak), "8 completed steps", "30 are needed")

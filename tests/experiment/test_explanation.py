@@ -38,7 +38,7 @@ EFFECTS: dict[str, Callable[[Array], Array]] = {
 }
 """Error per size [half ranges]: weaker motors act nearly as a heavier body does."""
 
-CAUSES = tuple(Cause(name, 1.0, 1.1, signed=name in ("mass", "torque")) for name in EFFECTS)
+CAUSES = tuple(Cause(name, 1.0, 1.1, least=-8.0 if name in ("mass", "torque") else 0.0) for name in EFFECTS)
 
 
 def steps_of(shares: Shares, seed: int, noise: float = 0.0, count: int = 60) -> Observations:
@@ -145,7 +145,7 @@ def test_a_cause_outside_the_list_is_reported_as_unexplained() -> None:
 )
 def test_what_is_said_of_the_rest_follows_from_its_size_and_odds(rest: float, log_odds: float, said: str) -> None:
     found = replace(explained({"mass": 1.0}, 0), rest=rest, rest_log_odds=log_odds)
-    assert sum(said in sentence for sentence in explanation_sentences(found)) == 1
+    assert sum(said in sentence for sentence in explanation_sentences(found, SPACE)) == 1
 
 
 def test_a_robot_without_a_gap_has_no_cause() -> None:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.cause_sizes import Cause
     from stepgap.experiment.explanation import Explanation
 
-LEAST_EXPLAINED = 15
-"""Number of completed steps from which a run says something about its robot."""
+STEPS_PER_MONOMIAL = 2
+"""Number of completed steps, for each monomial of the errors' polynomial, from which a run says something."""
 
 
 @announces_compilation
@@ -47,7 +47,7 @@ def explain(
         quiet: Show no progress.
     """
     from stepgap.cli.progress import progress_bar
-    from stepgap.experiment.cause_sizes import RunError
+    from stepgap.experiment.cause_sizes import SIGNATURE_DEGREE, RunError
     from stepgap.experiment.explanation import explain_error
     from stepgap.experiment.run import Run
     from stepgap.experiment.settings_text import meanings
@@ -59,6 +59,7 @@ def explain(
         targets_of,
     )
     from stepgap.learning.observations import observe
+    from stepgap.learning.polynomial import number_of_monomials
     from stepgap.report.explanation import explanation_page, explanation_sentences, explanation_table
 
     form = _format(out) if out else ""
@@ -66,22 +67,25 @@ def explain(
     settings = opened.needed(opened.settings)
     gap = gap_of(settings)
     steps = observe(opened.recorded, opened.needed(opened.nominal))
-    if len(steps) < LEAST_EXPLAINED:
-        raise InputError(f"{run}: {len(steps)} completed steps say too little; {LEAST_EXPLAINED} are needed")
+    needed = STEPS_PER_MONOMIAL * number_of_monomials(len(steps.space.names), SIGNATURE_DEGREE)
+    if len(steps) < needed:
+        raise InputError(f"{run}: {len(steps)} completed steps say too little; {needed} are needed")
     robots = SimulatedRobots(settings, targets_of(steps, seed), seed, _known(known, gap))
     chosen = _chosen(causes, [each for each in robots.causes.values() if each.name not in robots.known])
     with progress_bar("simulated robots", quiet) as progress:
         total = most_simulations(len(chosen))
         with simulated_on_all_cores(robots, lambda done: progress(min(done, total), total)) as simulate:
             found = explain_error(RunError.of(steps), chosen, simulate)
-    for sentence in explanation_sentences(found):
+    for sentence in explanation_sentences(found, steps.space):
         print(sentence)
     texts = meanings(type(gap))
     if found.groups:
         _print_table(*explanation_table(found, texts))
     if out:
         content = (
-            explanation_page(opened.folder.resolve().name, found, texts) if form == "html" else _figure(found, form)
+            explanation_page(opened.folder.resolve().name, found, steps.space, texts)
+            if form == "html"
+            else _figure(found, form)
         )
         with writing(out, "--out"):
             create(out, content)
@@ -97,9 +101,11 @@ def _chosen(names: str | None, causes: "Sequence[Cause]") -> "list[Cause]":
     """The causes of these names.
 
     Raises:
-        InputError: There is no such cause.
+        InputError: There is no such cause, or none at all.
     """
     known = {each.name: each for each in causes}
+    if not known:
+        raise InputError("--known: it names all differences, so none can be a cause")
     wanted = [each.strip() for each in names.split(",")] if names is not None else [*known]
     for name in wanted:
         if name not in known:
@@ -113,17 +119,23 @@ def _known(text: str | None, gap: Gap) -> dict[str, float]:
     Raises:
         InputError: There is no such difference, or it cannot have this value.
     """
-    found = dict[str, float]()
+    found, keys = dict[str, float](), differences(gap)
     for part in text.split(",") if text is not None else ():
         name, _, number = part.strip().partition("=")
         try:
             if name in found:
                 raise ValueError("each can have one value")
+            if name not in keys:
+                raise ValueError("no such difference")
             found[name] = float(number)
-            replace(type(gap).none(), **found)
-        except (TypeError, ValueError) as error:
-            keys = ", ".join(differences(gap))
-            raise InputError(f"--known {part}: {error}; give NAME=VALUE, where NAME is one of {keys}") from None
+        except ValueError as error:
+            raise InputError(
+                f"--known {part}: {error}; give NAME=VALUE, where NAME is one of {', '.join(keys)}"
+            ) from None
+    try:
+        replace(type(gap).none(), **found)
+    except ValueError as error:
+        raise InputError(f"--known {text}: {error}") from None
     return found
 
 

@@ -1,8 +1,8 @@
 """Possible causes of the error of a run, errors as polynomials, and sizes of causes by Bayesian linear regression."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import inf, isinf
+from math import inf, isinf, sqrt
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from stepgap.learning.observations import Observations
 from stepgap.learning.outliers import improbable_errors
-from stepgap.learning.polynomial import fit_polynomial, monomials
+from stepgap.learning.polynomial import PRIOR_STD, fit_polynomial, monomials
 from stepgap.learning.regression import TrainingData
 from stepgap.robots.gap import Gap, differences
 from stepgap.step import Array
@@ -22,7 +22,10 @@ RESTS: Final = np.array([0.0, *np.geomspace(1e-3, 0.3, 9)])
 """Standard deviations of the weights of the rest, of which each is as probable as the others [half ranges]."""
 
 MOST_INACCURACY: Final = 0.6
-"""Largest share of the square of a signature that is ascribed to its inaccuracy."""
+"""Largest share of the square of a signature, or of a sum of signatures, that is ascribed to its inaccuracy."""
+
+LARGEST_SHARE: Final = 12.0
+"""Largest size of a cause, in usual sizes."""
 
 Shares = Mapping[str, float]
 """Sizes of causes, in usual sizes, by their names."""
@@ -35,13 +38,20 @@ class Cause(NamedTuple):
         name: Its name in the gap.
         exact: Its value without gap.
         usual: A usual value.
-        signed: Whether values on the other side of `exact` are valid.
+        least: Smallest size that is valid [usual sizes]; negative where values on the other side of `exact` are valid.
+        most: Largest size that is valid.
     """
 
     name: str
     exact: float
     usual: float
-    signed: bool
+    least: float = 0.0
+    most: float = LARGEST_SHARE
+
+    @property
+    def signed(self) -> bool:
+        """Whether values on the other side of `exact` are valid."""
+        return self.least < 0
 
     def value(self, share: float) -> float:
         """The value of a size; a stiffness that is infinite without gap is divided by the size."""
@@ -56,14 +66,29 @@ def causes_of(gap: Gap) -> tuple[Cause, ...]:
     for name, known in differences(gap).items():
         if known.exact is None or isinstance(known.exact, bool) or known.whole == known.exact:
             continue
-        cause = Cause(name, known.exact, known.whole, signed=False)
-        try:
-            type(gap)(**{**vars(none), name: known.exact - 0.5 * (known.whole - known.exact)})
-        except ValueError:
-            found.append(cause)
-        else:
-            found.append(cause._replace(signed=not isinf(known.exact)))
+        cause = Cause(name, known.exact, known.whole)
+
+        def is_valid(share: float, cause: Cause = cause) -> bool:
+            try:
+                type(gap)(**{**vars(none), cause.name: cause.value(share)})
+            except ValueError:
+                return False
+            return True
+
+        least = 0.0 if isinf(cause.exact) else _furthest(is_valid, -LARGEST_SHARE)
+        found.append(cause._replace(least=least, most=_furthest(is_valid, LARGEST_SHARE)))
     return tuple(found)
+
+
+def _furthest(is_valid: Callable[[float], bool], end: float) -> float:
+    """The size nearest to `end` that is valid, by bisection from 0, which is."""
+    near, far = 0.0, end
+    if is_valid(end):
+        return end
+    for _ in range(12):
+        middle = (near + far) / 2
+        near, far = (middle, far) if is_valid(middle) else (near, middle)
+    return near
 
 
 class Surface(NamedTuple):
@@ -79,15 +104,23 @@ class Surface(NamedTuple):
 
 
 def fit_surface(steps: Observations) -> tuple[Surface, Array]:
-    """Fits the error of some steps; also returns the standard deviations of the steps about it (n,) [half ranges]."""
+    """Fits the error of some steps; also returns the standard deviations of the steps about it (n,) [half ranges].
+
+    As many degrees of freedom are taken off as weights are determined, since each takes one from the noise.
+    """
     points = steps.space.scaled_inputs(steps.state, steps.command)
     centre, scale = np.zeros(points.shape[1]), np.ones(points.shape[1])
     fits = [
         fit_polynomial(TrainingData(points, values, centre, scale, 1.0), SIGNATURE_DEGREE)
         for values in (steps.error / steps.space.state_scale).T
     ]
-    surface = Surface(np.array([each.weights for each in fits]), np.array([each.weight_covariance for each in fits]))
-    return surface, np.array([each.noise_std for each in fits])
+    first, degrees = fits[0], fits[0].moments.degrees_of_freedom  # the same for all coordinates
+    determined = len(first.weights) - float(np.trace(first.weight_covariance)) / (first.noise_std * PRIOR_STD) ** 2
+    factor = (degrees - 2) / (degrees - determined)
+    covariance = factor * np.array([each.weight_covariance for each in fits])
+    return Surface(np.array([each.weights for each in fits]), covariance), np.array(
+        [sqrt(factor) * each.noise_std for each in fits]
+    )
 
 
 @final
@@ -129,9 +162,9 @@ class RunError:
         """Sum of squares of the numbers of weights (n, k)."""
         return float(np.sum(self.seen(weights) ** 2))
 
-    def squares(self, weights: Array) -> float:
-        """Sum of squares of what weights (n, k) leave, less what noise makes of it."""
-        return float(np.sum((self.values - self.seen(weights)) ** 2)) - self.values.size
+    def squares(self, weights: Array) -> Array:
+        """Sums of squares of what weights (n, k) leave, less what noise makes of them; shape (n,)."""
+        return np.sum((self.values - self.seen(weights)) ** 2, axis=1) - self.values.shape[1]
 
 
 class SizeFit(NamedTuple):
@@ -155,7 +188,7 @@ def fit_sizes(
 
     A priori the effect of each cause may be as large as the whole error of the run. Slopes are inaccurate, which would
     make them longer, and sizes smaller, than they are; so what inaccuracy adds to their squares is taken off (errors
-    in variables, Fuller, Measurement Error Models, Sec. 2.2).
+    in variables, Fuller, Measurement Error Models, Sec. 2.2). The covariance has what it adds to the errors.
 
     Args:
         error: Errors of the run.
@@ -173,7 +206,7 @@ def fit_sizes(
     for rest in rests:
         information, projection, log = np.diag(prior), -prior * sizes, 0.5 * float(np.sum(np.log(prior)))
         log -= 0.5 * float(sizes @ (prior * sizes))
-        length = 0.0
+        length, scatter = 0.0, np.zeros_like(information)
         for root, spread, value, columns in zip(error.roots, origin.covariance, left, h.swapaxes(0, 1), strict=True):
             simulated = root @ spread @ root.T
             total = np.eye(len(value)) + simulated + rest**2 * root @ root.T
@@ -181,13 +214,17 @@ def fit_sizes(
             solved = cho_solve(factor, np.column_stack([value, columns.T, simulated]))
             length += float(np.trace(solved[:, 1 + len(sizes) :]))
             log -= 0.5 * float(value @ solved[:, 0]) + float(np.sum(np.log(np.diag(factor[0]))))
-            information = information + columns @ solved[:, 1 : 1 + len(sizes)]
+            known = solved[:, 1 : 1 + len(sizes)]
+            information, scatter = information + columns @ known, scatter + known.T @ simulated @ known
             projection = projection + columns @ solved[:, 0]
         log += 0.5 * float(projection @ np.linalg.solve(information, projection))
         log -= 0.5 * float(np.linalg.slogdet(information)[1])
-        added = np.minimum(length * inaccuracy, MOST_INACCURACY * information.diagonal())
-        inverse = np.linalg.inv(information - np.diag(added))
-        found.append(SizeFit(log, sizes + inverse @ projection, inverse @ information @ inverse))
+        added = length * np.diag(inaccuracy)
+        largest = max(np.linalg.eigvals(np.linalg.solve(information, added)).real, default=0.0)
+        inverse = np.linalg.inv(information - added * min(1.0, MOST_INACCURACY / max(largest, 1e-12)))
+        change = inverse @ projection
+        covariance = inverse @ (information + float(change**2 @ inaccuracy) * scatter) @ inverse
+        found.append(SizeFit(log, sizes + change, covariance))
     logs = np.array([each.log_evidence for each in found])
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()

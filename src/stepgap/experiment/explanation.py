@@ -40,7 +40,7 @@ MOST_SIMULATED: Final = 6
 """Number of causes, the most probable by the signatures known so far, that are simulated at the size found."""
 
 LEAST_SIGNATURE: Final = 3.0
-"""Size of a signature from which on a run sees it, in standard deviations of noise and simulation."""
+"""Size of a signature from which on a run sees it [noise]; of two simulations of one hopper, 12 % differ by more."""
 
 MOST_USUAL: Final = 4.0
 """Largest size at which a cause is simulated to compare signatures [usual sizes]."""
@@ -48,18 +48,14 @@ MOST_USUAL: Final = 4.0
 BENDING: Final = 0.3
 """Usual change of a signature between two sizes, relative to the signature [1 / usual size]."""
 
-LEAST_SLOPE: Final = 0.3
-"""A signature at the size found that is smaller, relative to that from zero on, is not used: the simulation rounds a
-delay, for example, to whole ticks."""
-
-HOPELESS: Final = 6.0
+HOPELESS: Final = 8.0
 """Logarithm of the odds by which a cause may be less probable than the best one and still be simulated again."""
 
-TOLD_APART: Final = 3.0
-"""Logarithm of the odds from which on causes of a group are told apart."""
+TOLD_APART: Final = 5.0
+"""Logarithm of the odds from which on causes of a group are told apart.
 
-LARGEST_SHARE: Final = 12.0
-"""Largest size of a cause that is simulated, in usual sizes."""
+Another seed of the simulations changes it by some 2 to 5 (standard deviations of causes of the hopper).
+"""
 
 
 class Member(NamedTuple):
@@ -79,14 +75,14 @@ class Member(NamedTuple):
 
     @property
     def value(self) -> float:
-        """Its value."""
-        return self.cause.value(self.share)
+        """Its value; that at the end of the valid ones for a size beyond it."""
+        return self.cause.value(min(max(self.share, self.cause.least), self.cause.most))
 
     @property
     def interval(self) -> tuple[float, float]:
         """Ends of the 95 % interval of its value."""
         low, high = (self.share + sign * INTERVAL_95 * self.std for sign in (-1, 1))
-        ends = [self.cause.value(low if self.cause.signed else max(low, 0.0)), self.cause.value(high)]
+        ends = [self.cause.value(max(low, self.cause.least)), self.cause.value(min(high, self.cause.most))]
         return min(ends), max(ends)
 
 
@@ -96,7 +92,7 @@ class CauseGroup(NamedTuple):
     Attributes:
         members: The causes, the most probable one first.
         log_odds: Logarithm of the odds for it, against no such cause.
-        explained: Share of the squared error that it explains beyond the groups before it.
+        explained: Share of the squared difference that it explains beyond the groups before it.
     """
 
     members: tuple[Member, ...]
@@ -110,22 +106,20 @@ class Explanation:
     """What the error of a run says about the robot.
 
     Attributes:
-        steps: Number of steps of the run.
         groups: Groups of causes, as they were found.
-        rest: Share of the squared error, less noise, that none of them explains.
+        difference: Root mean square, without noise, by which the errors of the run differ from those of the simulated
+            robot without gap; shape (n,) [half ranges].
+        rest: Share of the squared difference that none of the groups explains.
         rest_log_odds: Logarithm of the odds that there is such a rest, against noise and inaccurate simulation.
-        nominal: Squared error of the nominal map on the simulated robot without gap, relative to the squared error that
-            groups and rest share.
         alike: Groups of all causes that the run can see.
         unseen: Causes of usual size that the run does not see.
         failed: Causes of usual size with which the simulated robot does not walk.
     """
 
-    steps: int
     groups: tuple[CauseGroup, ...]
+    difference: Array
     rest: float
     rest_log_odds: float
-    nominal: float
     alike: tuple[tuple[Cause, ...], ...]
     unseen: tuple[Cause, ...]
     failed: tuple[Cause, ...]
@@ -233,7 +227,7 @@ class _Search:
         One that seems to lie on the other side of no difference then is simulated there, too.
         """
         wanted = dict[str, float]()
-        error = max(self.error.squares(self.none.weights), 0.0)
+        error = max(float(self.error.squares(self.none.weights).sum()), 0.0)
         for name in self.changes:
             share = float(np.sqrt(error / max(self.error.effect(self.slope(name, 1.0).weights), 1e-12)))
             wanted[name] = float(np.clip(share, 0.3, MOST_USUAL))
@@ -282,8 +276,15 @@ class _Search:
         return point.surface.weights + np.sum(changes, axis=0)
 
     def permitted(self, shares: Shares) -> bool:
-        """Whether sizes are valid."""
+        """Whether sizes are on a side where some are valid."""
         return all(self.causes[name].signed or share > 0 for name, share in shares.items())
+
+    def shortened(self, shares: Shares) -> Shares:
+        """The valid sizes that are next to these."""
+        return {
+            name: float(np.clip(share, self.causes[name].least, self.causes[name].most))
+            for name, share in shares.items()
+        }
 
     def walked(self, starts: Sequence[tuple[_Point, str]], rounds: int = 2) -> dict[str, _Point]:
         """Simulates robots with one cause more, at the sizes found, some times; by the name of that cause."""
@@ -297,15 +298,13 @@ class _Search:
                 for name, point in points.items()
                 if self.permitted(point.next) and point.fit.log_evidence > best - HOPELESS
             }
-            wanted = {name: _shortened(point.next) for name, point in points.items()}
+            wanted = {name: self.shortened(point.next) for name, point in points.items()}
             for name, surface in zip(wanted, self.simulate([*wanted.values()]), strict=True):
                 if surface is None:
                     points.pop(name)
                     continue
                 self._learn(name, wanted[name], surface, origins[name])
-                points[name] = self.fitted(wanted[name], surface)
-                if name not in found or points[name].fit.log_evidence > found[name].fit.log_evidence:
-                    found[name] = points[name]
+                points[name] = found[name] = self.fitted(wanted[name], surface)
         found = {name: point for name, point in found.items() if self.permitted(point.next)}
         self.points |= {(frozenset(origins[name].shares), name): point for name, point in found.items()}
         return found
@@ -319,10 +318,6 @@ class _Search:
         self.changes[name].append(_Change(shares[name], change))
 
 
-def _shortened(shares: Shares) -> Shares:
-    return {name: float(np.clip(share, -LARGEST_SHARE, LARGEST_SHARE)) for name, share in shares.items()}
-
-
 def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) -> Explanation:
     """Finds the causes that explain the errors of a run.
 
@@ -332,13 +327,17 @@ def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) 
         simulate: Simulates robots with some causes.
 
     Raises:
-        InputError: The simulated robot without gap falls.
+        InputError: The simulated robot falls without gap, or with each of the causes.
     """
     search = _Search(error, causes, simulate)
     search.simulate_usual()
     search.simulate_whole()
     walked = [each for each in causes if each.name in search.changes]
-    signatures = signature_products(error, search.none, [search.changes[each.name][-1].weights for each in walked])
+    if not walked:
+        names = ", ".join(each.name for each in causes)
+        raise InputError(f"the simulated robot falls with a usual size of each of the possible causes: {names}")
+    largest = [max(search.changes[each.name], key=lambda change: abs(change.share)) for each in walked]
+    signatures = signature_products(error, search.none, [each.weights for each in largest])
     visible = signatures.diagonal() > LEAST_SIGNATURE**2
     seen = [each for each, one in zip(walked, visible, strict=True) if one]
     labels = dict(zip(seen, alike_groups(signatures[np.ix_(visible, visible)], seen), strict=True))
@@ -352,19 +351,19 @@ def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) 
         possible = [each for each in possible if labels[each] != label]  # one cause of a group has the size of all
         now = point
         path.append(now)
-    total = max(error.squares(search.none.weights), 1e-9)
-    left = [min(max(error.squares(search.predicted(each)), 0.0) / total, 1.0) for each in path]
+    squares = np.maximum(error.squares(search.none.weights), 0.0)
+    total = max(float(squares.sum()), 1e-9)
+    left = [float(np.clip(error.squares(search.predicted(each)).sum() / total, 0.0, 1.0)) for each in path]
     groups = []
     for number, (name, gain) in enumerate(gains):
         members = _members(search, now, name, [each for each in seen if each.name in groups_of[name]])
         groups.append(CauseGroup(members, gain, max(left[number] - left[number + 1], 0.0)))
     without = search.fitted(now.shares, now.surface, now.slopes, rests=RESTS[:1]).fit.log_evidence
     return Explanation(
-        error.steps,
         tuple(groups),
+        error.noise_std * np.sqrt(squares / error.steps),
         left[-1],
         now.fit.log_evidence - without,
-        error.effect(search.none.weights) / total,
         tuple(tuple(each for each in seen if labels[each] == label) for label in dict.fromkeys(labels.values())),
         tuple(each for each in walked if each not in seen),
         tuple(each for each in causes if each not in walked),
@@ -402,28 +401,8 @@ def _members(search: _Search, now: _Point, name: str, group: Sequence[Cause]) ->
         points |= {each: point for each, point in known.items() if point}
         points |= search.walked([(start, each) for each in wanted if not known[each]])
     best = max(point.fit.log_evidence for point in points.values())
-    near = [each for each, point in points.items() if point.fit.log_evidence > best - HOPELESS]
-    further = {each: _beside(points[each].shares, each) for each in near}
-    surfaces = dict(zip(near, search.simulate([*further.values()]), strict=True))
-    members = []
-    for each, point in points.items():
-        slopes = dict(point.slopes)
-        if (surface := surfaces.get(each)) is not None:
-            step = further[each][each] - point.shares[each]
-            local = (surface.weights - point.surface.weights) / step
-            bend = signature_products(search.error, point.surface, [step * (local - slopes[each].weights)])
-            steep = search.error.effect(local) > LEAST_SLOPE**2 * search.error.effect(slopes[each].weights)
-            if steep and bend[0, 0] > LEAST_SIGNATURE**2:  # else it differs by the inaccuracy of simulations alone
-                slopes[each] = _Slope(local, 2 / step**2)
-        found = search.fitted(point.shares, point.surface, slopes)
-        members.append(Member(search.causes[each], found.next[each], found.std(each), found.fit.log_evidence))
-    most = max(each.log_odds for each in members)
-    return tuple(
-        each._replace(log_odds=each.log_odds - most) for each in sorted(members, key=lambda one: -one.log_odds)
-    )
-
-
-def _beside(shares: Shares, name: str) -> Shares:
-    """The same sizes, but one a quarter larger, by which the signature at that size is found."""
-    share = shares[name]
-    return {**shares, name: share + float(np.copysign(max(0.25 * abs(share), 0.1), share))}
+    members = [
+        Member(search.causes[each], point.next[each], point.std(each), point.fit.log_evidence - best)
+        for each, point in points.items()
+    ]
+    return tuple(sorted(members, key=lambda each: -each.log_odds))

@@ -15,13 +15,14 @@ from stepgap.base.errors import InputError
 from stepgap.base.random_streams import random_stream
 from stepgap.base.start_method import process_context, usable_cores
 from stepgap.control.reference import Reference
-from stepgap.experiment.cause_sizes import Cause, Shares, Surface, causes_of, fit_surface
+from stepgap.experiment.cause_sizes import SIGNATURE_DEGREE, Cause, Shares, Surface, causes_of, fit_surface
 from stepgap.experiment.deployment import deploy
 from stepgap.experiment.explanation import MOST_GROUPS, MOST_SIMULATED
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.learner import Learner
 from stepgap.learning.observations import Observations, observe
+from stepgap.learning.polynomial import number_of_monomials
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.rigs.rig import RigFault
@@ -135,7 +136,7 @@ def gap_of(settings: Experiment) -> Gap:
 def targets_of(run: Observations, seed: int) -> Array:
     """States of a run, in their order, that simulated robots track; NaN where they are not tracked; shape (N, n)."""
     space, inputs = run.space, len(run.space.names)
-    wanted = min(STEPS_PER_MONOMIAL * (1 + inputs + inputs * (inputs + 1) // 2), MOST_SIMULATED_STEPS)
+    wanted = min(STEPS_PER_MONOMIAL * number_of_monomials(inputs, SIGNATURE_DEGREE), MOST_SIMULATED_STEPS)
     rows = np.linspace(0, len(run) - 1, wanted).round().astype(int)
     return np.where(space.tracked, _near(run.state[rows], space, random_stream(seed, 3)), np.nan)
 
@@ -169,14 +170,17 @@ def simulated_on_all_cores(
         progress: Called with the number of robots that have been simulated.
     """
     done = 0
-    with ProcessPoolExecutor(usable_cores(), process_context(), _keep_robots, (robots,)) as pool:
+    pool = ProcessPoolExecutor(usable_cores(), process_context(), _keep_robots, (robots,))
 
-        def simulate(wanted: Sequence[Shares]) -> list[Surface | None]:
-            nonlocal done
-            waiting = [pool.submit(_surface, shares) for shares in wanted]
-            for _ in as_completed(waiting):
-                done += 1
-                progress(done)
-            return [each.result() for each in waiting]
+    def simulate(wanted: Sequence[Shares]) -> list[Surface | None]:
+        nonlocal done
+        waiting = [pool.submit(_surface, shares) for shares in wanted]
+        for _ in as_completed(waiting):
+            done += 1
+            progress(done)
+        return [each.result() for each in waiting]
 
+    try:
         yield simulate
+    finally:
+        pool.shutdown(cancel_futures=True)  # after Ctrl-C no further robot is simulated

@@ -270,7 +270,7 @@ def fit_polynomial(data: TrainingData, degree: int, prior: Moments | None = None
 def weak_prior(data: TrainingData, degree: int) -> Moments:
     """Moments of the weak prior, without data."""
     inputs = len(data.scale) - data.timed
-    size = sum([1, inputs, inputs * (inputs + 1) // 2][: degree + 1])
+    size = number_of_monomials(inputs, degree)
     noise_scale = NOISE_SCALE * data.value_scale
     return Moments(np.eye(size) / PRIOR_STD**2, np.zeros(size), PRIOR_COUNT * noise_scale**2, PRIOR_COUNT)
 
@@ -284,6 +284,11 @@ def _one_or_nan(point: ArrayLike) -> Array:
 def _pairs(inputs: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Factors i ≤ j of all products; a planner asks for them some hundred times a step."""
     return np.triu_indices(inputs)
+
+
+def number_of_monomials(inputs: int, degree: int) -> int:
+    """Number of monomials up to a degree, d_φ."""
+    return sum([1, inputs, inputs * (inputs + 1) // 2][: degree + 1])
 
 
 def monomials(x: Array, degree: int) -> Array:

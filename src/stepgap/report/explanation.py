@@ -11,12 +11,15 @@ from stepgap.experiment.cause_sizes import Cause
 from stepgap.experiment.explanation import CAUSE_LOG_ODDS, TOLD_APART, CauseGroup, Explanation, Member
 from stepgap.report.drawing import BLUE, LIGHT, draw_figure, new_figure, plain
 from stepgap.report.html import bullets, page, paragraph, picture, safe, section, table
-from stepgap.report.text import decimal, listed
+from stepgap.report.text import decimal, in_words, listed
+from stepgap.step import StepSpace
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from matplotlib.figure import Figure
 
 EXPERIMENTS: Final[Mapping[str, str]] = {
+    "body_com_offset": "hang the body up at two points: its centre of mass is below both",
+    "ground_friction": "pull the foot over the ground under a known load, and measure the force",
     "mass": "weigh the part, or add a known mass and run again",
     "payload": "weigh the part, or add a known mass and run again",
     "inertia": "let the part swing as a pendulum",
@@ -38,7 +41,8 @@ EXPERIMENTS: Final[Mapping[str, str]] = {
 """Experiments without a step that measure a difference, by a word in its name."""
 
 SHARES_CAPTION: Final = (
-    "Share of the squared error, less noise, that each group of causes explains, and what none explains."
+    "Share of the squared difference between the errors of the run and of the simulated robot without gap, less noise, "
+    "that each group of causes explains, and what none explains."
 )
 
 METHOD: Final = (
@@ -48,12 +52,16 @@ METHOD: Final = (
 )
 
 
-def explanation_sentences(explanation: Explanation) -> list[str]:
+def explanation_sentences(explanation: Explanation, space: StepSpace) -> list[str]:
     """What explains the error, with sizes, what does not, and what to do."""
+    rms = in_words(space.state, explanation.difference * space.state_scale)
+    difference = (
+        f"the errors of this run differ from those of the simulated robot without gap by {rms} (rms, less noise)"
+    )
     groups = [_group_sentence(each) for each in explanation.groups]
     if not groups:
-        groups = ["none of the causes makes the errors of this run more probable than an error of unknown form does"]
-    return [*groups, _rest_sentence(explanation), *_advice(explanation)]
+        groups = ["none of the causes makes these errors 20 times more probable than an error of unknown form does"]
+    return [difference, *groups, _rest_sentence(explanation), *_advice(explanation)]
 
 
 def explanation_table(explanation: Explanation, meanings: Mapping[str, str]) -> tuple[list[str], list[list[str]]]:
@@ -81,7 +89,7 @@ def explanation_table(explanation: Explanation, meanings: Mapping[str, str]) -> 
 
 
 def explanation_figure(explanation: Explanation) -> "Figure":
-    """Bars of the shares of the squared error."""
+    """Bars of the shares of the squared difference."""
     bars = [(_named(group), group.explained, BLUE) for group in explanation.groups]
     bars.append(("none of the causes", explanation.rest, LIGHT))
     figure = new_figure(0.7 + 0.3 * len(bars))
@@ -92,31 +100,32 @@ def explanation_figure(explanation: Explanation) -> "Figure":
     panel.set_yticks([-row for row in range(len(bars))], [plain(name) for name, _, _ in bars])
     panel.spines[["top", "right"]].set_visible(False)
     panel.set_xlim(0, 110)
-    panel.set_xlabel("Share of the squared error [%]")
+    panel.set_xlabel("Share of the squared difference [%]")
     return figure
 
 
-def explanation_page(name: str, explanation: Explanation, meanings: Mapping[str, str]) -> str:
+def explanation_page(name: str, explanation: Explanation, space: StepSpace, meanings: Mapping[str, str]) -> str:
     """HTML page on what explains the error of a run.
 
     Args:
         name: Name of the run.
         explanation: What was found.
+        space: State and command of the run.
         meanings: Text on each cause.
     """
     drawing = draw_figure(lambda: explanation_figure(explanation), "the shares")
     alike = [listed([each.name for each in group]) for group in explanation.alike if len(group) > 1]
     parts = [
         section(
-            "causes", "Causes", bullets(explanation_sentences(explanation)), picture(drawing, "causes-", SHARES_CAPTION)
+            "causes",
+            "Causes",
+            bullets(explanation_sentences(explanation, space)),
+            picture(drawing, "causes-", SHARES_CAPTION),
         ),
         section("sizes", "Sizes", table("", *explanation_table(explanation, meanings)), paragraph(METHOD)),
-        section(
-            "alike",
-            "Causes whose signatures are alike in this run",
-            bullets(alike) or paragraph("The signatures of all causes differ."),
-        ),
     ]
+    if alike:
+        parts.append(section("alike", "Causes whose signatures are alike in this run", bullets(alike)))
     if silent := _silent(explanation):
         parts.append(section("left-out", "Causes of which this run says nothing", bullets(silent)))
     return page("StepGap explanation", [f"<h1>What explains the error of {safe(name)}</h1>", *parts])
@@ -131,7 +140,7 @@ def _group_sentence(group: CauseGroup) -> str:
     possible = members_in_question(group)
     sizes = listed([f"{each.cause.name} {_size(each)}" for each in possible], "or")
     alike = ", which this run cannot tell apart," if len(possible) > 1 else ""
-    return f"{sizes}{alike} explains {group.explained:.0%} of the squared error".replace("%", " %")
+    return f"{sizes}{alike} explains {group.explained:.0%} of the squared difference".replace("%", " %")
 
 
 def _size(member: Member) -> str:
@@ -158,11 +167,14 @@ def _rest_sentence(explanation: Explanation) -> str:
     share = f"{explanation.rest:.0%}".replace("%", " %")
     if explanation.has_rest:
         return (
-            f"{share} of the squared error is none of these causes; that is more than noise and inaccurate simulation "
-            "explain: something is not in the list, or acts only together with others"
+            f"{share} of the squared difference is none of these causes; that is more than noise and inaccurate "
+            "simulation explain: something is not in the list, or acts only together with others"
         )
     if explanation.rest_log_odds > CAUSE_LOG_ODDS:
-        return f"the rest, {share}, is small, but more than noise: a small cause may act that was not found"
+        return (
+            f"the rest, {share}, is small, but more than noise: a small cause may act that was not found, or one that "
+            "is not in the list acts nearly as those named here"
+        )
     return f"the rest, {share}, is no larger than noise and inaccurate simulation explain"
 
 
@@ -177,7 +189,7 @@ def _advice(explanation: Explanation) -> list[str]:
     large = [_named(group) for group in explanation.groups if group.explained > 0.1]
     if large:
         lines.append(f"to mend in the model, after it was measured: {listed(large)}; the residual learns what is left")
-    elif explanation.groups or explanation.has_rest:
+    elif explanation.groups and not explanation.has_rest:
         lines.append("nothing of this is worth a change of the model: the residual learns it")
     return lines
 
