@@ -16,6 +16,7 @@ import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import count
 from time import perf_counter
 from typing import NamedTuple
 
@@ -148,10 +149,11 @@ def explained(steps: int, robot: Robot) -> Found:
                 break
         else:
             raise RuntimeError(f"{robot}: no draw hops")
-        robots = SimulatedRobots(settings, targets_of(run, 0), known=usual(ENCODERS))
+        robots = SimulatedRobots(settings, targets_of(run), known=usual(ENCODERS))
+        numbers = count()
 
         def simulate(wanted: Sequence[Shares]) -> list[Surface | None]:
-            return [robots.surface(shares) for shares in wanted]
+            return [robots.surface(shares, next(numbers)) for shares in wanted]
 
         error, causes = RunError.of(run), [possible[name] for name in USUAL]
         if robot.kind == "outside":
@@ -167,7 +169,7 @@ def without_group(error: RunError, simulate: Simulate, causes: Sequence[Cause], 
     if len(changed) < len(causes):
         raise RuntimeError("a robot with a usual difference falls")
     changes = [each.weights - none.weights for each in changed]
-    labels = dict(zip(causes, alike_groups(signature_products(error, none, changes), causes), strict=True))
+    labels = dict(zip(causes, alike_groups(signature_products(error, none.covariance, changes), causes), strict=True))
     own = next(label for each, label in labels.items() if each.name == name)
     return [each for each in causes if labels[each] != own]
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from stepgap.base.errors import InputError
 from stepgap.experiment.cause_sizes import (
     Cause,
     RunError,
@@ -113,6 +114,79 @@ def test_a_planted_cause_is_found_with_its_size(planted: dict[str, float]) -> No
     assert inside >= 4
 
 
+def test_intervals_hold_and_few_causes_are_made_up_where_simulations_scatter() -> None:
+    """Effects are hardly larger than what 170 steps and a simulation of 120 determine, and do not bend."""
+    causes = [each._replace(least=-8.0) for each in CAUSES if each.name in ("mass", "delay", "friction")]
+
+    def steps(shares: Shares, rng: np.random.Generator, noise: float, count: int) -> Observations:
+        x = rng.uniform(-0.8, 0.8, (count, 4))
+        error = noise * rng.standard_normal((count, 2))
+        error += sum(0.3 * share * EFFECTS[name](x) for name, share in shares.items())
+        state = SPACE.state_centre + x[:, :2] * SPACE.state_scale
+        return Observations(SPACE, state, SPACE.command_at(x[:, 2:]), error * SPACE.state_scale)
+
+    found = inside = made_up = 0
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        for planted in ({"delay": 1.0}, dict[str, float]()):
+            error = RunError.of(steps(planted, rng, 0.03, 170))
+            explanation = explain_error(
+                error, causes, lambda wanted: [fit_surface(steps(each, rng, 0.022, 120))[0] for each in wanted]
+            )
+            members = {each.cause.name: each for group in explanation.groups for each in group.members}
+            made_up += bool(members) and not planted
+            for name in planted.keys() & members.keys():
+                low, high = members[name].interval
+                found, inside = found + 1, inside + (low <= 1.1 <= high)
+    assert found >= 26
+    assert inside >= 0.85 * found
+    assert made_up <= 8
+
+
+def test_the_noise_of_few_steps_is_not_too_small() -> None:
+    """Of 24 values, 15 weights leave the noise nine."""
+    found = [fit_surface(steps_of({"mass": 1.0}, seed, NOISE, 24))[1] for seed in range(60)]
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(NOISE, rel=0.1)
+
+
+def test_sizes_of_causes_that_act_nearly_alike_keep_a_positive_covariance() -> None:
+    run, none = RunError.of(steps_of({"mass": 0.8}, 1, NOISE)), fit_surface(steps_of({}, 2, NOISE))[0]
+    slopes = np.array([fit_surface(steps_of({name: 1.0}, 2, NOISE))[0].weights for name in ("mass", "torque")])
+    slopes[1] *= -1  # weaker motors act as a heavier body does
+    found = fit_sizes(run, none, np.zeros(2), slopes, np.array([50.0, 50.0]))
+    assert (np.linalg.eigvalsh(found.covariance) > 0).all()
+    assert np.abs(found.sizes).max() < 5
+
+
+def test_a_size_beyond_the_valid_ones_does_not_lose_its_cause() -> None:
+    """The effect is convex, so that the signature at the usual size asks for a size that the gap refuses."""
+    cause = Cause("mass", 1.0, 1.1, least=-3.0, most=3.0)
+
+    def steps(shares: Shares, seed: int, noise: float) -> Observations:
+        assert all(cause.least <= share <= cause.most for share in shares.values())
+        known = steps_of({}, seed, noise, 150)
+        x = known.space.scaled_inputs(known.state, known.command)
+        share = shares.get("mass", 0.0)
+        error = (share + 0.3 * share**2) * EFFECTS["mass"](x) * SPACE.state_scale
+        return replace(known, error=known.error + error)
+
+    found = explain_error(
+        RunError.of(steps({"mass": 2.8}, 0, NOISE)),
+        [cause],
+        lambda wanted: [fit_surface(steps(each, 100 + number, 0.0))[0] for number, each in enumerate(wanted)],
+    )
+    assert found.groups[0].members[0].share == pytest.approx(2.8, rel=0.05)
+
+
+def test_without_a_cause_that_walks_an_error_says_so() -> None:
+    with pytest.raises(InputError, match="mass, torque"):
+        explain_error(
+            RunError.of(steps_of({}, 0, NOISE)),
+            CAUSES[:2],
+            lambda wanted: [None if shares else fit_surface(steps_of({}, 1))[0] for shares in wanted],
+        )
+
+
 def test_two_planted_causes_are_found() -> None:
     for seed in range(5):
         found = explained({"mass": 1.0, "delay": 1.2}, seed)
@@ -158,6 +232,9 @@ def test_what_may_be_a_cause_follows_from_the_gap() -> None:
     assert not {"boom_arc", "boom_pivot_height", "ground_damping_ratio"} & hopper.keys()
     assert hopper["body_mass_scale"].signed
     assert not hopper["delay"].signed
+    torque = hopper["torque_scale"]
+    assert 0 < torque.value(torque.most) < 0.01
+    assert torque.value(torque.least) > 4
     stiffness = hopper["boom_stiffness"]
     assert (stiffness.value(0), stiffness.value(2), stiffness.signed) == (inf, 1e4, False)
     assert {"payload", "motor_lag", "ground_softness", "slope"} <= {each.name for each in causes_of(MjcfGap())}

@@ -70,7 +70,7 @@ def explain(
     needed = STEPS_PER_MONOMIAL * number_of_monomials(len(steps.space.names), SIGNATURE_DEGREE)
     if len(steps) < needed:
         raise InputError(f"{run}: {len(steps)} completed steps say too little; {needed} are needed")
-    robots = SimulatedRobots(settings, targets_of(steps, seed), seed, _known(known, gap))
+    robots = SimulatedRobots(settings, targets_of(steps), seed, _known(known, gap))
     chosen = _chosen(causes, [each for each in robots.causes.values() if each.name not in robots.known])
     with progress_bar("simulated robots", quiet) as progress:
         total = most_simulations(len(chosen))

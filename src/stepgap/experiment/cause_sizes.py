@@ -162,6 +162,10 @@ class RunError:
         """Sum of squares of the numbers of weights (n, k)."""
         return float(np.sum(self.seen(weights) ** 2))
 
+    def spread(self, covariance: Array) -> float:
+        """Expected `effect` of weights of these covariances (n, k, k) about zero."""
+        return float(np.einsum("nrk,nkl,nrl->", self.roots, covariance, self.roots))
+
     def squares(self, weights: Array) -> Array:
         """Sums of squares of what weights (n, k) leave, less what noise makes of them; shape (n,)."""
         return np.sum((self.values - self.seen(weights)) ** 2, axis=1) - self.values.shape[1]

@@ -48,6 +48,9 @@ MOST_USUAL: Final = 4.0
 BENDING: Final = 0.3
 """Usual change of a signature between two sizes, relative to the signature [1 / usual size]."""
 
+ROUNDS: Final = 3
+"""How often a robot is simulated at the sizes found, and the robot without gap at the start."""
+
 HOPELESS: Final = 8.0
 """Logarithm of the odds by which a cause may be less probable than the best one and still be simulated again."""
 
@@ -131,7 +134,7 @@ class Explanation:
 
 
 Simulate = Callable[[Sequence[Shares]], Sequence[Surface | None]]
-"""Errors of robots with causes of these sizes; None for a robot that fell."""
+"""Errors of robots with causes of these sizes, each with a scatter of its own; None for a robot that fell."""
 
 
 def alike_groups(signatures: Array, causes: Sequence[Cause]) -> list[int]:
@@ -152,14 +155,19 @@ def alike_groups(signatures: Array, causes: Sequence[Cause]) -> list[int]:
     return fcluster(linkage(squareform(distance, checks=False), "complete"), 1 - ALIKE, "distance").tolist()
 
 
-def signature_products(error: RunError, none: Surface, changes: Sequence[Array]) -> Array:
+def signature_products(error: RunError, spread: Array, changes: Sequence[Array]) -> Array:
     """Products of changes of the simulated error, less what the inaccuracy of simulations makes of them; shape (p, p).
 
     The metric is that of the noise of the run and of two simulations, of which one is the same for all changes.
+
+    Args:
+        error: Errors of the run.
+        spread: Covariances of the weights of a simulation; shape (n, k, k).
+        changes: The p changes; each (n, k).
     """
     rows, inaccuracy = [], 0.0
-    for root, spread, weights in zip(error.roots, none.covariance, np.array(changes).swapaxes(0, 1), strict=True):
-        simulated = 2 * root @ spread @ root.T
+    for root, own, weights in zip(error.roots, spread, np.array(changes).swapaxes(0, 1), strict=True):
+        simulated = 2 * root @ own @ root.T
         factor = np.linalg.cholesky(np.eye(len(root)) + simulated)
         rows.append(np.linalg.solve(factor, root @ weights.T))
         inaccuracy += float(np.trace(np.linalg.solve(factor @ factor.T, simulated)))
@@ -168,7 +176,7 @@ def signature_products(error: RunError, none: Surface, changes: Sequence[Array])
 
 
 class _Slope(NamedTuple):
-    """A signature: change of the error by a change of a size, and its covariance, in those of a simulation."""
+    """A signature: change of the error by a change of a size, and its covariance, in those of one simulation."""
 
     weights: Array
     inaccuracy: float
@@ -206,13 +214,12 @@ class _Search:
     def __init__(self, error: RunError, causes: Sequence[Cause], simulate: Simulate):
         self.error, self.simulate = error, simulate
         self.causes = {each.name: each for each in causes}
-        none = simulate([{}])[0]
-        if none is None:
+        nones = [each for each in simulate([{}] * ROUNDS) if each is not None]
+        if not nones:
             raise InputError("the simulated robot without gap falls, so nothing can be compared with it")
-        self.none = none
-        self.noise = sum(
-            float(np.trace(root @ spread @ root.T)) for root, spread in zip(error.roots, none.covariance, strict=True)
-        )
+        covariance = np.mean([each.covariance for each in nones], axis=0)
+        self.noise = error.spread(covariance)
+        self.none = Surface(np.mean([each.weights for each in nones], axis=0), covariance / len(nones))
         self.changes: dict[str, list[_Change]] = {}
         self.points: dict[tuple[frozenset[str], str], _Point] = {}
 
@@ -231,10 +238,10 @@ class _Search:
         for name in self.changes:
             share = float(np.sqrt(error / max(self.error.effect(self.slope(name, 1.0).weights), 1e-12)))
             wanted[name] = float(np.clip(share, 0.3, MOST_USUAL))
-        self._keep(wanted)
+        self._keep(self.shortened(wanted))
         signed = [name for name in wanted if self.causes[name].signed]
         backward = [name for name in signed if self.fitted({name: 0.0}, self.none).next[name] < 0]
-        self._keep({name: -wanted[name] for name in backward})
+        self._keep(self.shortened({name: -wanted[name] for name in backward}))
 
     def _keep(self, wanted: Shares) -> None:
         """Keeps the signatures of causes of some sizes, each alone."""
@@ -251,13 +258,14 @@ class _Search:
         """
         shares = np.array([each.share for each in self.changes[name]])
         secants = np.array([each.weights / each.share for each in self.changes[name]])
-        inaccuracy = 2 * self.noise / shares**2
+        without = self.error.spread(self.none.covariance) / self.noise
+        inaccuracy = (1 + without) * self.noise / shares**2
         largest = int(np.argmax(np.abs(shares)))
         square = max(self.error.effect(secants[largest]) - float(inaccuracy[largest]), 0.0)
         weights = 1 / (inaccuracy + (BENDING * (shares - share)) ** 2 * square)
         weights /= weights.sum()
         parts = weights / shares  # of each simulation; that without causes has their sum
-        return _Slope(np.einsum("i,ink->nk", weights, secants), float(np.sum(parts**2) + np.sum(parts) ** 2))
+        return _Slope(np.einsum("i,ink->nk", weights, secants), float(np.sum(parts**2) + without * np.sum(parts) ** 2))
 
     def fitted(
         self, shares: Shares, surface: Surface, slopes: Mapping[str, _Slope] | None = None, rests: Array = RESTS
@@ -266,14 +274,29 @@ class _Search:
         near = {name: share or self.changes[name][-1].share for name, share in shares.items()}
         known = slopes or {name: self.slope(name, share) for name, share in near.items()}
         rows = np.array([known[name].weights for name in shares]).reshape(len(shares), *surface.weights.shape)
-        inaccuracy = np.array([known[name].inaccuracy for name in shares])
+        unit = self.noise / self.error.spread(surface.covariance)
+        inaccuracy = unit * np.array([known[name].inaccuracy for name in shares])
         sizes = np.array([*shares.values()])
         return _Point(shares, surface, known, fit_sizes(self.error, surface, sizes, rows, inaccuracy, rests))
 
-    def predicted(self, point: _Point) -> Array:
-        """Error of the robot with the sizes found; shape (n, k)."""
-        changes = [point.slopes[name].weights * (share - point.shares[name]) for name, share in point.next.items()]
+    def predicted(self, point: _Point, shares: Shares) -> Array:
+        """Error of the robot with some sizes, by the signatures of a point; shape (n, k)."""
+        changes = [point.slopes[name].weights * (share - point.shares[name]) for name, share in shares.items()]
         return point.surface.weights + np.sum(changes, axis=0)
+
+    def joined(self, before: _Point, shares: Shares, surface: Surface) -> Surface:
+        """The mean of a simulated robot and of what the point before predicts for its sizes, by inverse variances.
+
+        The variance of the prediction is that of its robot and signatures and, where they differ by more than these
+        explain, because signatures bend, what else there is.
+        """
+        other = self.predicted(before, shares)
+        steps = np.array([shares[name] - before.shares[name] for name in shares])
+        variance = self.error.spread(before.surface.covariance) / self.noise
+        variance += float(steps**2 @ [before.slopes[name].inaccuracy for name in shares])
+        variance = max(variance, self.error.effect(surface.weights - other) / self.noise - 1)
+        own = variance / (1 + variance)
+        return Surface(own * surface.weights + (1 - own) * other, own * surface.covariance)
 
     def permitted(self, shares: Shares) -> bool:
         """Whether sizes are on a side where some are valid."""
@@ -286,12 +309,12 @@ class _Search:
             for name, share in shares.items()
         }
 
-    def walked(self, starts: Sequence[tuple[_Point, str]], rounds: int = 2) -> dict[str, _Point]:
+    def walked(self, starts: Sequence[tuple[_Point, str]]) -> dict[str, _Point]:
         """Simulates robots with one cause more, at the sizes found, some times; by the name of that cause."""
         points = {name: self.fitted({**start.shares, name: 0.0}, start.surface) for start, name in starts}
         origins = {name: start for start, name in starts}
         found = dict[str, _Point]()
-        for _ in range(rounds):
+        for _ in range(ROUNDS):
             best = max((point.fit.log_evidence for point in found.values()), default=-inf)
             points = {
                 name: point
@@ -304,7 +327,8 @@ class _Search:
                     points.pop(name)
                     continue
                 self._learn(name, wanted[name], surface, origins[name])
-                points[name] = found[name] = self.fitted(wanted[name], surface)
+                points[name] = self.fitted(wanted[name], self.joined(points[name], wanted[name], surface))
+                found[name] = points[name]
         found = {name: point for name, point in found.items() if self.permitted(point.next)}
         self.points |= {(frozenset(origins[name].shares), name): point for name, point in found.items()}
         return found
@@ -337,7 +361,7 @@ def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) 
         names = ", ".join(each.name for each in causes)
         raise InputError(f"the simulated robot falls with a usual size of each of the possible causes: {names}")
     largest = [max(search.changes[each.name], key=lambda change: abs(change.share)) for each in walked]
-    signatures = signature_products(error, search.none, [each.weights for each in largest])
+    signatures = signature_products(error, ROUNDS * search.none.covariance, [each.weights for each in largest])
     visible = signatures.diagonal() > LEAST_SIGNATURE**2
     seen = [each for each, one in zip(walked, visible, strict=True) if one]
     labels = dict(zip(seen, alike_groups(signatures[np.ix_(visible, visible)], seen), strict=True))
@@ -353,7 +377,7 @@ def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) 
         path.append(now)
     squares = np.maximum(error.squares(search.none.weights), 0.0)
     total = max(float(squares.sum()), 1e-9)
-    left = [float(np.clip(error.squares(search.predicted(each)).sum() / total, 0.0, 1.0)) for each in path]
+    left = [float(np.clip(error.squares(search.predicted(each, each.next)).sum() / total, 0.0, 1.0)) for each in path]
     groups = []
     for number, (name, gain) in enumerate(gains):
         members = _members(search, now, name, [each for each in seen if each.name in groups_of[name]])

@@ -6,6 +6,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import count
 from typing import Any, Final, final
 
 import numpy as np
@@ -17,7 +18,7 @@ from stepgap.base.start_method import process_context, usable_cores
 from stepgap.control.reference import Reference
 from stepgap.experiment.cause_sizes import SIGNATURE_DEGREE, Cause, Shares, Surface, causes_of, fit_surface
 from stepgap.experiment.deployment import deploy
-from stepgap.experiment.explanation import MOST_GROUPS, MOST_SIMULATED
+from stepgap.experiment.explanation import MOST_GROUPS, MOST_SIMULATED, ROUNDS
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.learner import Learner
@@ -29,7 +30,7 @@ from stepgap.rigs.rig import RigFault
 from stepgap.robots.entry_points import simulations_of
 from stepgap.robots.gap import Gap
 from stepgap.robots.robot import Robot
-from stepgap.step import Array, StepMap, StepSpace
+from stepgap.step import Array, StepMap
 
 STEPS_PER_MONOMIAL: Final = 8
 """Number of simulated steps for each monomial of the polynomials."""
@@ -54,7 +55,8 @@ class SimulatedRobots:
 
     Attributes:
         settings: Settings of the experiment, with a robot that has a gap.
-        targets: States to track; shape (N, n).
+        targets: States to track, about which each simulation has targets of its own; NaN where they are not tracked;
+            shape (N, n).
         seed: Random seed of the simulations, which are without noise unless that is known or a cause.
         known: Differences that the robot certainly has, such as the resolution of its encoders, with their values.
     """
@@ -74,8 +76,13 @@ class SimulatedRobots:
         """The differences that the robot may have, by name."""
         return {each.name: each for each in causes_of(gap_of(self.settings))}
 
-    def steps(self, shares: Shares) -> Observations | None:
-        """Errors of a robot with causes of some sizes; None if it does not walk, or a size is not valid."""
+    def steps(self, shares: Shares, number: int) -> Observations | None:
+        """Errors of a robot with causes of some sizes; None if it does not walk, or a size is not valid.
+
+        Args:
+            shares: The sizes.
+            number: Number of the simulation, by which targets and noise scatter.
+        """
         values: dict[str, Any] = {name: self.causes[name].value(share) for name, share in shares.items()}
         try:
             gap = replace(type(gap_of(self.settings)).none(), **{**self.known, **values})
@@ -83,15 +90,15 @@ class SimulatedRobots:
             return None
         robot = with_gap(self.settings.robot, gap)
         space = self.nominal.space
-        log = Steps(space)
+        log, targets = Steps(space), self._targets(random_stream(self.seed, number, 0))
         with one_blas_thread():
-            simulation = next(iter(simulations_of(robot).values()))(random_stream(self.seed))
+            simulation = next(iter(simulations_of(robot).values()))(random_stream(self.seed, number, 1))
             for attempt in range(MOST_FALLS):
-                if len(log) >= len(self.targets):
+                if len(log) >= len(targets):
                     break
-                reference = Reference(space.state_names, self.targets[len(log) :]).of(space)
+                reference = Reference(space.state_names, targets[len(log) :]).of(space)
                 learner = Learner.start(self.nominal, log, LEARNING, attempt)
-                plant = simulation.plant(random_stream(self.seed, attempt))
+                plant = simulation.plant(random_stream(self.seed, number, 2 + attempt))
                 with closing(deploy(learner, plant, reference, attempt)) as executed:
                     try:
                         for logged in executed:
@@ -99,11 +106,16 @@ class SimulatedRobots:
                     except RigFault:
                         continue
             found = observe(log.completed(), self.nominal)
-        return found if len(found) > len(self.targets) // 2 else None
+        return found if len(found) > len(targets) // 2 else None
 
-    def surface(self, shares: Shares) -> Surface | None:
+    def _targets(self, rng: np.random.Generator) -> Array:
+        space = self.nominal.space
+        scaled = space.scaled_state(self.targets) + JITTER * rng.standard_normal(self.targets.shape)
+        return space.state_centre + np.clip(scaled, -1, 1) * space.state_scale
+
+    def surface(self, shares: Shares, number: int) -> Surface | None:
         """The error of such a robot."""
-        steps = self.steps(shares)
+        steps = self.steps(shares, number)
         return None if steps is None else fit_surface(steps)[0]
 
 
@@ -115,7 +127,7 @@ def with_gap(robot: Robot, gap: Gap) -> Robot:
 
 def most_simulations(causes: int) -> int:
     """Number of robots that the explanation by a number of causes simulates at most, but for large groups."""
-    return 1 + 4 * causes + MOST_GROUPS * (2 * MOST_SIMULATED + 4)
+    return ROUNDS + 4 * causes + MOST_GROUPS * ROUNDS * (MOST_SIMULATED + 1)
 
 
 def gap_of(settings: Experiment) -> Gap:
@@ -133,17 +145,12 @@ def gap_of(settings: Experiment) -> Gap:
     return gap
 
 
-def targets_of(run: Observations, seed: int) -> Array:
+def targets_of(run: Observations) -> Array:
     """States of a run, in their order, that simulated robots track; NaN where they are not tracked; shape (N, n)."""
     space, inputs = run.space, len(run.space.names)
     wanted = min(STEPS_PER_MONOMIAL * number_of_monomials(inputs, SIGNATURE_DEGREE), MOST_SIMULATED_STEPS)
     rows = np.linspace(0, len(run) - 1, wanted).round().astype(int)
-    return np.where(space.tracked, _near(run.state[rows], space, random_stream(seed, 3)), np.nan)
-
-
-def _near(states: Array, space: StepSpace, rng: np.random.Generator) -> Array:
-    scaled = space.scaled_state(states) + JITTER * rng.standard_normal(states.shape)
-    return space.state_centre + np.clip(scaled, -1, 1) * space.state_scale
+    return np.where(space.tracked, run.state[rows], np.nan)
 
 
 _kept: list[SimulatedRobots] = []
@@ -155,8 +162,8 @@ def _keep_robots(robots: SimulatedRobots) -> None:
     _kept[:] = [robots]
 
 
-def _surface(shares: Shares) -> Surface | None:
-    return _kept[0].surface(shares)
+def _surface(shares: Shares, number: int) -> Surface | None:
+    return _kept[0].surface(shares, number)
 
 
 @contextmanager
@@ -169,12 +176,12 @@ def simulated_on_all_cores(
         robots: The robots.
         progress: Called with the number of robots that have been simulated.
     """
-    done = 0
+    numbers, done = count(), 0
     pool = ProcessPoolExecutor(usable_cores(), process_context(), _keep_robots, (robots,))
 
     def simulate(wanted: Sequence[Shares]) -> list[Surface | None]:
         nonlocal done
-        waiting = [pool.submit(_surface, shares) for shares in wanted]
+        waiting = [pool.submit(_surface, shares, next(numbers)) for shares in wanted]
         for _ in as_completed(waiting):
             done += 1
             progress(done)
