@@ -78,8 +78,8 @@ class Member(NamedTuple):
 
     @property
     def value(self) -> float:
-        """Its value; that at the end of the valid ones for a size beyond it."""
-        return self.cause.value(min(max(self.share, self.cause.least), self.cause.most))
+        """Its value."""
+        return self.cause.value(self.share)
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -329,7 +329,7 @@ class _Search:
                 self._learn(name, wanted[name], surface, origins[name])
                 points[name] = self.fitted(wanted[name], self.joined(points[name], wanted[name], surface))
                 found[name] = points[name]
-        found = {name: point for name, point in found.items() if self.permitted(point.next)}
+        found = {name: point for name, point in found.items() if point.next == self.shortened(point.next)}
         self.points |= {(frozenset(origins[name].shares), name): point for name, point in found.items()}
         return found
 
