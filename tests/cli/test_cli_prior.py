@@ -1,6 +1,7 @@
 """`stepgap prior` and runs that begin with a prior: from a sweep over random twins to hops of another twin."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,32 @@ def test_online_runs_begin_with_that_of_the_robot(family: Path, stepgap: Command
         assert Path(name, "models/iteration_0.json").exists() == (name == "with")
     first = {name: Path(name, "steps.csv").read_text().splitlines()[2] for name in ("with", "without", "default")}
     assert len({*first.values()}) == 3  # the first hop, too, is learned from online
+
+
+def test_cases_of_a_sweep_may_have_several_priors(family: Path, stepgap: Command) -> None:
+    Path("both").mkdir()
+    for name in ("a.json", "b.json"):
+        Path("both", name).write_bytes((family / "prior.json").read_bytes())
+    base = f'reference = "{family / "targets.csv"}"\nprior = "both"\n[learning]\niterations = 0\nonline = true\n'
+    Path("base.toml").write_text(base)
+    Path("sweep.toml").write_text('base = "base.toml"\nseeds = [1]\n')
+    found = stepgap("sweep", "sweep.toml", "--out", "swept", "--quiet")
+    assert found.code == 0, found.err
+    assert len(Path("swept/results.csv").read_text().splitlines()) > 1
+
+
+def test_a_run_that_is_named_twice_counts_once(family: Path, stepgap: Command) -> None:
+    run = min((family / "twins" / "runs").iterdir())
+    refused(stepgap("prior", *[run] * 6, f"{run}/", "--out", "one.json"), "1 robots with enough steps")
+
+
+def test_a_run_whose_steps_were_changed_is_refused(family: Path, stepgap: Command) -> None:
+    shutil.copytree(family / "twins" / "runs", "changed")
+    steps = min(Path("changed").iterdir()) / "steps.csv"
+    heads, *rows = (line.split(",") for line in steps.read_text().splitlines())
+    rows[3][heads.index("next_speed")] = "0.5"
+    steps.write_text("\n".join(",".join(row) for row in [heads, *rows]) + "\n")
+    refused(stepgap("prior", "changed", "--out", "changed.json"), "steps.csv", "changed after it was written")
 
 
 def test_too_few_robots(family: Path, stepgap: Command) -> None:

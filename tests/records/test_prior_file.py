@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from stepgap.records.prior_file import read_prior
@@ -48,6 +49,9 @@ def of_first(**changes: Any) -> Callable[[dict[str, Any]], None]:
         (of_first(mean=[1e200] * 15), "coordinates: mean must lie between"),
         (of_first(covariance=[[1.0], [1.0, 2.0]]), "covariance must be a list of equally long lists"),
         (of_first(covariance=[[0.0] * 15] * 15), "coordinates: covariance must be symmetric and positive definite"),
+        (of_first(covariance=(1e-20 * np.eye(15)).tolist()), "coordinates: speed: noise_std, covariance, and centre"),
+        (of_first(noise_std=1e-9), "their sizes differ by too many powers of ten"),
+        (lambda data: data["inputs"][0].update(scale=1e-6), "their sizes differ by too many powers of ten"),
     ],
 )
 def test_what_was_changed_is_refused(tmp_path: Path, change: Callable[[dict[str, Any]], None], words: str) -> None:

@@ -16,8 +16,9 @@ from stepgap.robots.gap import Gap, differences
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.cause_sizes import Cause
     from stepgap.experiment.explanation import Explanation
+    from stepgap.experiment.simulated_errors import SimulatedRobots
 
-STEPS_PER_MONOMIAL = 2
+LEAST_PER_MONOMIAL = 2
 """Number of completed steps, for each monomial of the errors' polynomial, from which a run says something."""
 
 
@@ -62,16 +63,18 @@ def explain(
     from stepgap.learning.polynomial import number_of_monomials
     from stepgap.report.explanation import explanation_page, explanation_sentences, explanation_table
 
+    if not 0 <= seed < 2**63:
+        raise InputError(f"--seed {seed}: it must lie between 0 and 2⁶³")
     form = _format(out) if out else ""
     opened = Run(run).checked()
     settings = opened.needed(opened.settings)
     gap = gap_of(settings)
     steps = observe(opened.recorded, opened.needed(opened.nominal))
-    needed = STEPS_PER_MONOMIAL * number_of_monomials(len(steps.space.names), SIGNATURE_DEGREE)
+    needed = LEAST_PER_MONOMIAL * number_of_monomials(len(steps.space.names), SIGNATURE_DEGREE)
     if len(steps) < needed:
         raise InputError(f"{run}: {len(steps)} completed steps say too little; {needed} are needed")
     robots = SimulatedRobots(settings, targets_of(steps), seed, _known(known, gap))
-    chosen = _chosen(causes, [each for each in robots.causes.values() if each.name not in robots.known])
+    chosen = _chosen(causes, robots)
     with progress_bar("simulated robots", quiet) as progress:
         total = most_simulations(len(chosen))
         with simulated_on_all_cores(robots, lambda done: progress(min(done, total), total)) as simulate:
@@ -97,20 +100,22 @@ def _format(out: Path) -> str:
     return format_by_name(out, ("html", *PICTURE_FORMATS))
 
 
-def _chosen(names: str | None, causes: "Sequence[Cause]") -> "list[Cause]":
+def _chosen(names: str | None, robots: "SimulatedRobots") -> "list[Cause]":
     """The causes of these names.
 
     Raises:
         InputError: There is no such cause, or none at all.
     """
-    known = {each.name: each for each in causes}
-    if not known:
+    possible = {name: each for name, each in robots.causes.items() if name not in robots.known}
+    if not possible:
         raise InputError("--known: it names all differences, so none can be a cause")
-    wanted = [each.strip() for each in names.split(",")] if names is not None else [*known]
+    wanted = [each.strip() for each in names.split(",")] if names is not None else [*possible]
     for name in wanted:
-        if name not in known:
-            raise InputError(f"--causes {name}: no such cause; it must be one of {', '.join(known)}")
-    return [known[name] for name in dict.fromkeys(wanted)]
+        if name in robots.known:
+            raise InputError(f"--causes {name}: --known says that the robot has it, so it is no possible cause")
+        if name not in possible:
+            raise InputError(f"--causes {name}: no such cause; it must be one of {', '.join(possible)}")
+    return [possible[name] for name in dict.fromkeys(wanted)]
 
 
 def _known(text: str | None, gap: Gap) -> dict[str, float]:

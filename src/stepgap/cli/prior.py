@@ -30,7 +30,7 @@ def prior(*runs: Path, out: Path, quiet: Flag = False) -> None:
     from stepgap.experiment.prior import find_prior, steps_of_robot
 
     check_new(out, "--out")
-    folders = [folder for each in runs for folder in run_folders(each)]
+    folders = [*{each.resolve(): each for one in runs for each in run_folders(one)}.values()]  # each counts once
     if not folders:
         raise InputError("RUNS: give the folders of runs, one for each robot, or of a sweep over random twins")
     found: list[RobotSteps] = []

@@ -48,7 +48,7 @@ MOST_USUAL: Final = 4.0
 BENDING: Final = 0.3
 """Usual change of a signature between two sizes, relative to the signature [1 / usual size]."""
 
-ROUNDS: Final = 3
+SIMULATED_ROUNDS: Final = 3
 """How often a robot is simulated at the sizes found, and the robot without gap at the start."""
 
 HOPELESS: Final = 8.0
@@ -214,7 +214,7 @@ class _Search:
     def __init__(self, error: RunError, causes: Sequence[Cause], simulate: Simulate):
         self.error, self.simulate = error, simulate
         self.causes = {each.name: each for each in causes}
-        nones = [each for each in simulate([{}] * ROUNDS) if each is not None]
+        nones = [each for each in simulate([{}] * SIMULATED_ROUNDS) if each is not None]
         if not nones:
             raise InputError("the simulated robot without gap falls, so nothing can be compared with it")
         covariance = np.mean([each.covariance for each in nones], axis=0)
@@ -314,7 +314,7 @@ class _Search:
         points = {name: self.fitted({**start.shares, name: 0.0}, start.surface) for start, name in starts}
         origins = {name: start for start, name in starts}
         found = dict[str, _Point]()
-        for _ in range(ROUNDS):
+        for _ in range(SIMULATED_ROUNDS):
             best = max((point.fit.log_evidence for point in found.values()), default=-inf)
             points = {
                 name: point
@@ -361,7 +361,9 @@ def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) 
         names = ", ".join(each.name for each in causes)
         raise InputError(f"the simulated robot falls with a usual size of each of the possible causes: {names}")
     largest = [max(search.changes[each.name], key=lambda change: abs(change.share)) for each in walked]
-    signatures = signature_products(error, ROUNDS * search.none.covariance, [each.weights for each in largest])
+    signatures = signature_products(
+        error, SIMULATED_ROUNDS * search.none.covariance, [each.weights for each in largest]
+    )
     visible = signatures.diagonal() > LEAST_SIGNATURE**2
     seen = [each for each, one in zip(walked, visible, strict=True) if one]
     labels = dict(zip(seen, alike_groups(signatures[np.ix_(visible, visible)], seen), strict=True))

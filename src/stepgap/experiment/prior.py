@@ -32,9 +32,9 @@ def steps_of_robot(folder: Path) -> RobotSteps:
     """Reads a run, of which all steps count.
 
     Raises:
-        InputError: It is not a run, or its nominal map is not known.
+        InputError: It is not a run, its files are not of one run, or its nominal map is not known.
     """
-    run = Run(folder)
+    run = Run(folder).checked()
     nominal, settings = run.needed(run.nominal), run.needed(run.settings)
     kind = "" if settings.nominal.linear else settings.nominal.kind
     return RobotSteps(folder, settings.robot.name, kind, observe(run.recorded.planned(), nominal))

@@ -18,7 +18,7 @@ from stepgap.base.start_method import process_context, usable_cores
 from stepgap.control.reference import Reference
 from stepgap.experiment.cause_sizes import SIGNATURE_DEGREE, Cause, Shares, Surface, causes_of, fit_surface
 from stepgap.experiment.deployment import deploy
-from stepgap.experiment.explanation import MOST_GROUPS, MOST_SIMULATED, ROUNDS
+from stepgap.experiment.explanation import MOST_GROUPS, MOST_SIMULATED, SIMULATED_ROUNDS
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.learner import Learner
@@ -127,7 +127,7 @@ def with_gap(robot: Robot, gap: Gap) -> Robot:
 
 def most_simulations(causes: int) -> int:
     """Number of robots that the explanation by a number of causes simulates at most, but for large groups."""
-    return ROUNDS + 4 * causes + MOST_GROUPS * ROUNDS * (MOST_SIMULATED + 1)
+    return SIMULATED_ROUNDS + 4 * causes + MOST_GROUPS * SIMULATED_ROUNDS * (MOST_SIMULATED + 1)
 
 
 def gap_of(settings: Experiment) -> Gap:

@@ -13,6 +13,7 @@ from stepgap.base.files import read_bounded_text
 from stepgap.base.json_data import LARGEST_NUMBER, as_object, number, numbers, parse_json
 from stepgap.learning.polynomial import monomials
 from stepgap.learning.prior import DEGREE, CoordinatePrior, Prior
+from stepgap.learning.regression import TrainingData
 from stepgap.step import Array, StepSpace
 
 LARGEST_PRIOR = 2**24
@@ -23,6 +24,9 @@ _FORMAT = "stepgap prior 1"
 
 _LEAST_SCALE = 1e-9
 """Smallest scale of an input and smallest noise that is read."""
+
+_LEAST_CONDITION = 1e-13
+"""Smallest eigenvalue of the information of a prior, relative to its largest one or to that of some steps."""
 
 _DIGITS = 8
 """Significant digits of the numbers."""
@@ -102,7 +106,9 @@ def _restored(data: Mapping[str, Any], space: StepSpace) -> PriorFile:
     coordinates = tuple(_coordinate(each, len(monomial_names)) for each in saved)
     robot, nominal = (str(data.get(key, "")) for key in ("robot", "nominal"))
     provenance = as_object(data.get("provenance", {}), "provenance")
-    return PriorFile(Prior(names, centre, scale, coordinates), robot, nominal, provenance)
+    prior = Prior(names, centre, scale, coordinates)
+    _check_condition(prior, space)
+    return PriorFile(prior, robot, nominal, provenance)
 
 
 def _coordinate(data: Mapping[str, Any], size: int) -> CoordinatePrior:
@@ -116,6 +122,24 @@ def _coordinate(data: Mapping[str, Any], size: int) -> CoordinatePrior:
     _check_size(covariance, "coordinates: covariance")
     _check_size(np.array(found.noise_std), "coordinates: noise_std", least=_LEAST_SCALE)
     return found
+
+
+def _check_condition(prior: Prior, space: StepSpace) -> None:
+    """Raises ValueError if numbers are so different in size that weights cannot be solved for in this space."""
+    ranges = (
+        np.concatenate([space.state_centre, space.command_centre]),
+        np.concatenate([space.state_scale, space.command_scale]),
+    )
+    data = TrainingData(np.empty((0, len(space.names))), np.empty(0), *ranges, 1.0)
+    for coordinate, name in enumerate(space.state_names):
+        with np.errstate(all="ignore"):
+            information = prior.moments(coordinate, data).information
+        values = np.linalg.eigvalsh(information) if np.isfinite(information).all() else np.zeros(1)
+        if values[0] <= _LEAST_CONDITION * max(values[-1], len(information)) or values[-1] >= 1 / _LEAST_CONDITION:
+            raise ValueError(
+                f"coordinates: {name}: noise_std, covariance, and centre and scale of the inputs do not fit each other "
+                "or the ranges of this robot: their sizes differ by too many powers of ten"
+            )
 
 
 def _check_size(values: Array, name: str, least: float = -LARGEST_NUMBER) -> None:

@@ -41,6 +41,7 @@ def run_case(case: Mapping[str, Any]) -> CaseOutput:
         for file, text in case["files"].items():
             path = folder / checked_name(file)
             with naming(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_text(text, encoding="utf-8", newline="")
         settings = read_experiment(folder / "experiment.toml")
         reference = load_reference(settings, settings.space)

@@ -155,6 +155,7 @@ def test_on_uneven_ground_the_command_must_act_late() -> None:
         Hopper(command=bounds, ground=UnevenGround(measured_heights=True)).check()
     Hopper(command=with_command("thrust_stiffness"), ground=UnevenGround(measured_heights=True)).check()
     assert Hopper(command=bounds).prior() is None
+    assert Hopper(ground=UnevenGround(footholds=True)).prior() is None  # it has another state
     assert Hopper(command=bounds).published() is None
 
 

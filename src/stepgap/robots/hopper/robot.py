@@ -171,8 +171,9 @@ class Hopper(Robot):
         return HopperControl(self.parameters, self.gains, self.command, ground=self.ground)
 
     def prior(self) -> Path | None:
-        """That of 76 random twins with random targets (`benchmarks/priors.py`); for the command of the paper alone."""
-        return Path(__file__).with_name("prior.json") if self.command.pair == PAPER_PAIR else None
+        """That of 76 random twins (`benchmarks/priors.py`); only for the state and command of the paper."""
+        is_known = self.command.pair == PAPER_PAIR and not self.ground.has_footholds
+        return Path(__file__).with_name("prior.json") if is_known else None
 
     def kinematics(self, sensors: SensorModel | None = None) -> "HopperKinematics":
         """Kinematics of boom and leg with the sensors of a rig, or with those of the twin."""
