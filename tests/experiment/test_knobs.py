@@ -28,6 +28,10 @@ class Slopes:
     second: float = 2.0
     unused: float = 0.0
 
+    def __post_init__(self) -> None:
+        if 3.0 <= self.second < 4.0:
+            raise ValueError("second must be less than 3")
+
 
 @dataclass(frozen=True)
 class Known(Robot):
@@ -95,6 +99,22 @@ def test_what_cannot_be_compared_is_said() -> None:
     far = Known(gains=Slopes(both=50.0))
     with pytest.raises(InputError, match="no command holds any of 9 states"):
         study_knobs(settings(far))
+
+
+def test_a_setting_that_is_not_valid_there_is_left_out_and_not_the_gait() -> None:
+    study = study_knobs(settings(Known(gains=Slopes(second=2.99))))
+    assert len(study.states) == 9
+    assert [knob.key for knob in study.failed] == ["gains.second"]
+    assert "left out" in describe_knobs(study)
+    assert "gains.second" not in [knob.key for knob in study.knobs]
+
+
+def test_weights_of_the_experiment_count() -> None:
+    study = study_knobs(replace(settings(Known()), weights={"b": 4.0}))
+    own = next(pair for pair in study.pairs if (pair.first, pair.second) == (0, 1))
+    assert own.condition == pytest.approx(1.0)  # an error of b counts twice as much as before
+    alone = study_knobs(replace(settings(Known()), weights={"b": 0.0}))
+    assert "b m" not in describe_knobs(alone)
 
 
 def test_tables_and_figure_name_every_setting() -> None:

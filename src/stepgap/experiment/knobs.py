@@ -1,7 +1,7 @@
 """What else could be the step command: effects of settings on the next state, and what pairs of them cost."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -57,8 +57,9 @@ class KnobStudy:
     """Effects of knobs at gaits all over the region of use, and pairs of them.
 
     Attributes:
-        space: Step space of the robot.
+        space: Step space of the robot, with the weights of the experiment.
         knobs: First the coordinates of the command, then the settings.
+        failed: Other settings, with a part of whose range the robot is not valid or a step fails.
         states: The gaits; shape (g, n).
         left_out: Number of other states that no command holds, or at which a step fails.
         effects: Change of the next state [state units] by the whole range of a knob; shape (g, n, k).
@@ -67,6 +68,7 @@ class KnobStudy:
 
     space: StepSpace
     knobs: tuple[Knob, ...]
+    failed: tuple[Knob, ...]
     states: Array
     left_out: int
     effects: Array
@@ -90,10 +92,10 @@ def study_knobs(settings: Experiment, on_gait: OnGait = lambda done, total: None
             f"nominal.kind = {kind}: robot '{robot.name}' does not make it from its settings, so they have no "
             f"effect on it; it must be one of {known}"
         )
-    space = robot.space
+    space = settings.space
     commands = (Knob(each.name, each.unit, (each.upper - each.lower) / 2) for each in space.command)
-    knobs = (*commands, *robot.knobs())
-    targets, states, commands_there, effects = _targets(space), [], [], []
+    all_knobs = (*commands, *robot.knobs())
+    targets, states, commands_there, effects = _targets(space), list[Array](), list[Array](), list[Array]()
     nominal = robot.nominal_maps()[kind]()
     for done, target in enumerate(targets):
         on_gait(done, len(targets))
@@ -101,19 +103,25 @@ def study_knobs(settings: Experiment, on_gait: OnGait = lambda done, total: None
             gait = fixed_point(nominal, target)
         except StepFailed:
             continue
-        effect = np.stack([_effect(robot, kind, knob, gait.state, gait.command) for knob in knobs], axis=1)
-        if gait.held and np.isfinite(effect).all():
+        if gait.held:
             states.append(gait.state)
             commands_there.append(gait.command)
-            effects.append(effect)
+            effects.append(
+                np.stack([_effect(robot, kind, knob, gait.state, gait.command) for knob in all_knobs], axis=1)
+            )
     if not states:
         raise InputError(
             f"robot '{robot.name}': no command holds any of {len(targets)} states in its ranges of use, so there is no "
             "gait at which settings could be compared"
         )
-    study = KnobStudy(space, knobs, np.array(states), len(targets) - len(states), np.array(effects), ())
+    found = np.array(effects)
+    moved = [number for number in range(len(all_knobs)) if np.isfinite(found[:, :, number]).all()]
+    knobs = tuple(all_knobs[number] for number in moved)
+    failed = tuple(knob for number, knob in enumerate(all_knobs) if number not in moved)
+    left_out = len(targets) - len(states)
+    study = KnobStudy(space, knobs, failed, np.array(states), left_out, found[:, :, moved], ())
     pairs = sorted(_pairs(robot, study, np.array(commands_there)), key=lambda pair: pair.condition)
-    return KnobStudy(space, knobs, study.states, study.left_out, study.effects, tuple(pairs))
+    return replace(study, pairs=tuple(pairs))
 
 
 def _targets(space: StepSpace) -> Array:
@@ -125,14 +133,17 @@ def _targets(space: StepSpace) -> Array:
 
 
 def _effect(robot: Robot, kind: str, knob: Knob, state: Array, command: Array) -> Array:
-    """Change of the next state by the whole range of a knob; shape (n,), NaN where a step fails."""
+    """Change of the next state by the whole range of a knob; shape (n,), NaN where a step or a setting fails."""
 
     def moved(change: float) -> Array:
         changed, under = _under(robot, {knob.key: change}, command)
         return _map(changed, kind).evaluate(state, under).next_state
 
     step = _DIFFERENCE * knob.reach
-    return (moved(step) - moved(-step)) / (2 * _DIFFERENCE)
+    try:
+        return (moved(step) - moved(-step)) / (2 * _DIFFERENCE)
+    except ValueError:  # a setting is out of its range
+        return np.full(len(state), np.nan)
 
 
 def _map(robot: Robot, kind: str) -> StepMap:

@@ -34,15 +34,20 @@ def describe_knobs(study: KnobStudy) -> str:
             )
             cells.append(f"{mean} ({least} … {most})")
         rows.append([knob.key, f"{decimal(knob.reach)} {knob.unit}".strip(), *cells])
+    lines += _aligned(rows)
+    if study.failed:
+        names_of_failed = ", ".join(each.key for each in study.failed)
+        lines.append(f"left out, since a tenth of the range is not valid, or a step fails with it: {names_of_failed}")
+    if not study.pairs:
+        return "\n".join(lines)
     lines += [
-        *_aligned(rows),
         "",
         "Pairs as the whole step command, the best balanced first; loads of gaits and of steps by a quarter of a range",
     ]
     pairs = study.pairs[:SHOWN_PAIRS]
     own = [each for each in study.pairs if {names[each.first], names[each.second]} <= set(space.command_names)]
     pairs += tuple(each for each in own if each not in pairs)
-    loads = list(study.pairs[0].loads)
+    loads = list(max((each.loads for each in study.pairs), key=len))  # empty for a pair that makes no wanted step
     head = ["pair", "angle", "condition", "out of range", *(f"largest {name}" for name in loads)]
     return "\n".join([*lines, *_aligned([head, *(_pair_row(study, each, loads) for each in pairs)])])
 
