@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from stepgap.base.normal import INTERVAL_95
 from stepgap.bench.gaussian_process import NOISE, SCALE, VALUE_SCALE, smooth_function
-from stepgap.learning.gaussian_process_fit import Basis, fit_gaussian_process
+from stepgap.gauss.gaussian_process_fit import Basis, fit_gaussian_process
 from stepgap.step import Array
 
 SIZES = (3, 5, 10, 20, 30, 50, 100, 200, 500)

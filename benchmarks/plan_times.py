@@ -20,12 +20,12 @@ from threadpoolctl import threadpool_limits
 
 from stepgap.control.settings import ControlSettings
 from stepgap.export.controller.portable_controller import PortableController
+from stepgap.gauss.gaussian_process import HyperParameters
+from stepgap.gauss.sparse_gaussian_process import condition_sparse
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.entry_points import load_residual_model
-from stepgap.learning.gaussian_process import HyperParameters
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.residual import Residual
-from stepgap.learning.sparse_gaussian_process import condition_sparse
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.step import Array, Quantity, StepSpace
 

@@ -15,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from stepgap.control.step_controller import StepController
-from stepgap.learning.gaussian_process_fit import fit_gaussian_process
+from stepgap.gauss.gaussian_process_fit import fit_gaussian_process
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters

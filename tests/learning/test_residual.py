@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from stepgap.base.settings_file import InputError
+from stepgap.gauss.gaussian_process_fit import Basis, fit_gaussian_process, fit_like_fitrgp
 from stepgap.learning.entry_points import residual_models
-from stepgap.learning.gaussian_process_fit import Basis, fit_gaussian_process, fit_like_fitrgp
 from stepgap.learning.observations import Observations
 from stepgap.learning.residual import LAGGED_INPUTS, HistoryInputs, LaggedInputs, Residual, join_points, no_residual
 from stepgap.learning.residual_fit import fit_residual, held_out_score, residual_from_dict

@@ -14,8 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from stepgap.base.errors import InputError
+from stepgap.gauss.exact_gaussian_process import condition
 from stepgap.learning.entry_points import load_residual_model
-from stepgap.learning.exact_gaussian_process import condition
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.observations import Observations
 from stepgap.learning.residual import Residual, no_residual

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
+from stepgap.gauss.exact_gaussian_process import condition
 from stepgap.learning.entry_points import load_residual_model
-from stepgap.learning.exact_gaussian_process import condition
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.residual import Residual, no_residual
 from stepgap.records.model_files import model_path, read_model, write_model

@@ -16,8 +16,8 @@ from threadpoolctl import threadpool_limits
 
 from stepgap.base.normal import INTERVAL_95
 from stepgap.bench.timing import Announce, machine, timed
-from stepgap.learning.gaussian_process_fit import fit_gaussian_process
-from stepgap.learning.sparse_gaussian_process import fit_sparse
+from stepgap.gauss.gaussian_process_fit import fit_gaussian_process
+from stepgap.gauss.sparse_gaussian_process import fit_sparse
 from stepgap.step import Array
 
 GP_PACKAGES = ("stepgap", "numpy", "scipy", "numba", "scikit-learn", "openturns")

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
+from stepgap.gauss.linear_regression import fit_linear
 from stepgap.learning.diagnosis import CONFIDENT, FEWEST_STEPS_PER_WEIGHT
-from stepgap.learning.linear_regression import fit_linear
 from stepgap.learning.steps import Steps
 from stepgap.step import Array, StepMap
 

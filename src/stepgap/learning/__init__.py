@@ -10,10 +10,4 @@ package, found by its name in `entry_points`. A `feature_map` may come before it
 `function_features`, or one of another package. `residual_fit` fits and selects residuals, `residual_check` checks what
 their models return, `corrected_map` adds a residual to the nominal map, which gives a step map again (Eq. 13), and
 `interval_calibration` keeps its intervals right while a deployment goes on.
-
-The Gaussian processes consist of `kernel`, `covariance`, `cholesky` and `least_squares` (the mathematics),
-`gaussian_process` (the interface), `exact_gaussian_process` (for hundreds of steps), `sparse_gaussian_process` (for
-thousands), `evidence` and `gaussian_process_fit` (their hyper-parameters).
-
-`linear_regression`, with its leave-one-out residuals, is for nominal maps and diagnoses that need no prior.
 """

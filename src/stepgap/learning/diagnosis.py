@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from scipy.special import chdtrc, fdtrc  # the tails of scipy.stats, without its long import
 
-from stepgap.learning.linear_regression import LinearFit, fit_linear
+from stepgap.gauss.linear_regression import LinearFit, fit_linear
 from stepgap.learning.observations import Observations
 from stepgap.learning.polynomial import monomials
 from stepgap.learning.residual import HistoryInputs

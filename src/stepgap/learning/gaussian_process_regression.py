@@ -7,11 +7,11 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.learning.gaussian_process import GaussianProcess
-from stepgap.learning.gaussian_process_fit import EXACT_SIZE, Basis, fit_like_fitrgp, hyper_parameters_like_fitrgp
-from stepgap.learning.kernel import MATERN_52, Kernel
+from stepgap.gauss.gaussian_process import GaussianProcess
+from stepgap.gauss.gaussian_process_fit import EXACT_SIZE, Basis, fit_like_fitrgp, hyper_parameters_like_fitrgp
+from stepgap.gauss.kernel import MATERN_52, Kernel
+from stepgap.gauss.sparse_gaussian_process import condition_as_needed, fit_process, process_from_dict
 from stepgap.learning.regression import Parameter, Prediction, Regression, ResidualModel, TrainingData
-from stepgap.learning.sparse_gaussian_process import condition_as_needed, fit_process, process_from_dict
 from stepgap.step import Array
 
 TIME_SCALE = 1e3

@@ -15,10 +15,10 @@ import numpy as np
 
 from stepgap.base.json_data import numbers
 from stepgap.base.normal import log_density
-from stepgap.learning.exact_gaussian_process import condition
+from stepgap.gauss.exact_gaussian_process import condition
+from stepgap.gauss.gaussian_process import HyperParameters
+from stepgap.gauss.gaussian_process_fit import fit_hyper_parameters
 from stepgap.learning.feature_map import FeatureMap, FeatureModel
-from stepgap.learning.gaussian_process import HyperParameters
-from stepgap.learning.gaussian_process_fit import fit_hyper_parameters
 from stepgap.learning.regression import TrainingData
 from stepgap.step import Array
 

@@ -4,14 +4,14 @@ import numpy as np
 
 from stepgap.control.settings import ALL_RULES
 from stepgap.export.controller.portable_controller import PortableController
+from stepgap.gauss.gaussian_process import HyperParameters
+from stepgap.gauss.sparse_gaussian_process import condition_sparse
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.entry_points import load_residual_model
-from stepgap.learning.gaussian_process import HyperParameters
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.polynomial import fit_polynomial
 from stepgap.learning.regression import Regression, TrainingData
 from stepgap.learning.residual import Residual, no_residual
-from stepgap.learning.sparse_gaussian_process import condition_sparse
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.surrogate_map import Samples, SurrogateMap, exponents_of
 from stepgap.step import Array, Quantity, StepSpace, StepStatus

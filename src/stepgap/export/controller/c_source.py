@@ -22,12 +22,12 @@ from stepgap.control.box_points import box_points, composite_design, irrational_
 from stepgap.export.controller.passport import passport_lines
 from stepgap.export.controller.portable_controller import SAMPLE_RESOLUTION, PortableController
 from stepgap.export.controller.step_filter import UNCORRECTED
+from stepgap.gauss.kernel import SQUARED_EXPONENTIAL
+from stepgap.gauss.sparse_gaussian_process import SparseGaussianProcess
 from stepgap.learning import disturbance, outliers, trust
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
-from stepgap.learning.kernel import SQUARED_EXPONENTIAL
 from stepgap.learning.polynomial import Polynomial
 from stepgap.learning.regression import Regression
-from stepgap.learning.sparse_gaussian_process import SparseGaussianProcess
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.surrogate_map import SurrogateMap, exponents_of
 from stepgap.step import Quantity, StepStatus

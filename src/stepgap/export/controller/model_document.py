@@ -14,11 +14,11 @@ from stepgap.control.cautious_controller import FAILURE_RADIUS, RISK
 from stepgap.control.goal import CAUTION
 from stepgap.export.controller.portable_controller import PortableController
 from stepgap.export.controller.trust_document import trust_document
+from stepgap.gauss.kernel import MATERN_52, SQUARED_EXPONENTIAL
+from stepgap.gauss.sparse_gaussian_process import SparseGaussianProcess
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
-from stepgap.learning.kernel import MATERN_52, SQUARED_EXPONENTIAL
 from stepgap.learning.polynomial import Polynomial, monomials
 from stepgap.learning.regression import Regression
-from stepgap.learning.sparse_gaussian_process import SparseGaussianProcess
 from stepgap.learning.steps import Steps
 from stepgap.learning.trust import Trust
 from stepgap.learning.zero import Zero

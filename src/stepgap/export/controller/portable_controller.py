@@ -24,8 +24,9 @@ from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.settings import ControlSettings
 from stepgap.experiment.run import Run
 from stepgap.export.controller.passport import passport_of
+from stepgap.gauss.gaussian_process import GaussianProcess
+from stepgap.gauss.sparse_gaussian_process import SparseGaussianProcess, condition_sparse, spread_points
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.gaussian_process import GaussianProcess
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.learner import Learner
 from stepgap.learning.observations import error_of
@@ -33,7 +34,6 @@ from stepgap.learning.polynomial import Polynomial
 from stepgap.learning.regression import Regression
 from stepgap.learning.residual import HistoryInputs, Residual, join_points
 from stepgap.learning.settings import NO_FEATURE_MAP
-from stepgap.learning.sparse_gaussian_process import SparseGaussianProcess, condition_sparse, spread_points
 from stepgap.learning.trust import Trust, predicted_step
 from stepgap.learning.zero import Zero
 from stepgap.robots.nominal_maps.affine_map import AffineMap

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from stepgap.learning.gaussian_process_fit import EXACT_SIZE
+from stepgap.gauss.gaussian_process_fit import EXACT_SIZE
 from stepgap.logs.fits.fit import BASELINES, Comparison, FitData, gains, heaviest_residual
 from stepgap.logs.fits.model_averaging import averaged, correlation_of_successive, residual_weights
 from stepgap.logs.fits.validation import Folds, HeldOut, Reduction, Validation

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from stepgap.base.errors import StepGapError
-from stepgap.learning.linear_regression import fit_linear
+from stepgap.gauss.linear_regression import fit_linear
 from stepgap.learning.residual import join_points
 from stepgap.robots.nominal_maps.motions import WIDENED, MapFunction, Motions, Samples
 from stepgap.step import Array, Codes, Outcome, StepMap, StepSpace, StepStatus

@@ -14,17 +14,17 @@ from scipy.stats import multivariate_normal, norm
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, Matern
 
-from stepgap.learning.cholesky import LONGEST_TAIL
-from stepgap.learning.evidence import Criterion, Evidence, LogParameters, MaximumAPosteriori, MaximumLikelihood
-from stepgap.learning.exact_gaussian_process import ExactGaussianProcess, condition
-from stepgap.learning.gaussian_process import HyperParameters
-from stepgap.learning.gaussian_process_fit import (
+from stepgap.gauss.cholesky import LONGEST_TAIL
+from stepgap.gauss.evidence import Criterion, Evidence, LogParameters, MaximumAPosteriori, MaximumLikelihood
+from stepgap.gauss.exact_gaussian_process import ExactGaussianProcess, condition
+from stepgap.gauss.gaussian_process import HyperParameters
+from stepgap.gauss.gaussian_process_fit import (
     COLD_START_SIZE,
     Basis,
     fit_gaussian_process,
     fit_like_fitrgp,
 )
-from stepgap.learning.kernel import MATERN_52, SQUARED_EXPONENTIAL, Kernel
+from stepgap.gauss.kernel import MATERN_52, SQUARED_EXPONENTIAL, Kernel
 from stepgap.step import Array
 
 CENTRE = np.array([0.2, 0.58, 0.0, 0.0])

@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike
 from stepgap.base.json_data import numbers
 from stepgap.base.normal import log_density
 from stepgap.base.ranges import require
-from stepgap.learning.cholesky import Factor, factorise
-from stepgap.learning.covariance import Covariance, covariance_matrix
-from stepgap.learning.exact_gaussian_process import ExactGaussianProcess
-from stepgap.learning.gaussian_process import (
+from stepgap.gauss.cholesky import Factor, factorise
+from stepgap.gauss.covariance import Covariance, covariance_matrix
+from stepgap.gauss.exact_gaussian_process import ExactGaussianProcess
+from stepgap.gauss.gaussian_process import (
     GaussianProcess,
     HyperParameters,
     LeftOut,
@@ -31,8 +31,8 @@ from stepgap.learning.gaussian_process import (
     saved_data,
     saved_hyper_parameters,
 )
-from stepgap.learning.gaussian_process_fit import EXACT_SIZE, Search, fit_gaussian_process, fit_hyper_parameters
-from stepgap.learning.kernel import MATERN_52, Kernel
+from stepgap.gauss.gaussian_process_fit import EXACT_SIZE, Search, fit_gaussian_process, fit_hyper_parameters
+from stepgap.gauss.kernel import MATERN_52, Kernel
 from stepgap.step import Array
 
 INDUCING_SIZES = (50, 100, 200, 400, 800)

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from scipy.linalg import get_lapack_funcs
 
 from stepgap.base.ranges import require
-from stepgap.learning.cholesky import factorise, is_safe
-from stepgap.learning.covariance import covariance_matrix
-from stepgap.learning.gaussian_process import (
+from stepgap.gauss.cholesky import factorise, is_safe
+from stepgap.gauss.covariance import covariance_matrix
+from stepgap.gauss.gaussian_process import (
     GaussianProcess,
     HyperParameters,
     LeftOut,
@@ -22,8 +22,8 @@ from stepgap.learning.gaussian_process import (
     saved_data,
     saved_hyper_parameters,
 )
-from stepgap.learning.kernel import MATERN_52, Kernel
-from stepgap.learning.least_squares import LeastSquares, append_value, fit_least_squares
+from stepgap.gauss.kernel import MATERN_52, Kernel
+from stepgap.gauss.least_squares import LeastSquares, append_value, fit_least_squares
 from stepgap.step import Array
 
 LARGEST_SAVED = 6000

@@ -24,8 +24,8 @@ from numpy.typing import ArrayLike
 
 from stepgap.base.json_data import number, numbers
 from stepgap.base.ranges import require
-from stepgap.learning.covariance import Covariance
-from stepgap.learning.kernel import Kernel
+from stepgap.gauss.covariance import Covariance
+from stepgap.gauss.kernel import Kernel
 from stepgap.step import Array
 
 

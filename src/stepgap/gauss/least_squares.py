@@ -6,7 +6,7 @@ from typing import final
 
 import numpy as np
 
-from stepgap.learning.cholesky import Factor
+from stepgap.gauss.cholesky import Factor
 from stepgap.step import Array
 
 

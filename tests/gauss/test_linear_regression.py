@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stepgap.learning.linear_regression import fit_linear
+from stepgap.gauss.linear_regression import fit_linear
 
 RNG = np.random.default_rng(4)
 BASIS, VALUES = RNG.normal(size=(30, 5)), RNG.normal(size=(30, 2))

@@ -14,10 +14,10 @@ from scipy.optimize import minimize
 
 from stepgap.base.blas import one_blas_thread
 from stepgap.base.ranges import require
-from stepgap.learning.evidence import Evidence, LogParameters, MaximumAPosteriori, MaximumLikelihood
-from stepgap.learning.exact_gaussian_process import ExactGaussianProcess, condition
-from stepgap.learning.gaussian_process import HyperParameters, checked_data
-from stepgap.learning.kernel import MATERN_52, Kernel
+from stepgap.gauss.evidence import Evidence, LogParameters, MaximumAPosteriori, MaximumLikelihood
+from stepgap.gauss.exact_gaussian_process import ExactGaussianProcess, condition
+from stepgap.gauss.gaussian_process import HyperParameters, checked_data
+from stepgap.gauss.kernel import MATERN_52, Kernel
 from stepgap.step import Array
 
 Basis = Literal["constant", "linear"]

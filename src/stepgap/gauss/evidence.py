@@ -13,11 +13,11 @@ from scipy.linalg import get_lapack_funcs
 from scipy.spatial.distance import pdist
 from scipy.special import wrightomega
 
-from stepgap.learning.cholesky import factorise
-from stepgap.learning.covariance import covariance_matrix, evidence_gradient
-from stepgap.learning.gaussian_process import HyperParameters
-from stepgap.learning.kernel import MATERN_52, Kernel
-from stepgap.learning.least_squares import LeastSquares, fit_least_squares
+from stepgap.gauss.cholesky import factorise
+from stepgap.gauss.covariance import covariance_matrix, evidence_gradient
+from stepgap.gauss.gaussian_process import HyperParameters
+from stepgap.gauss.kernel import MATERN_52, Kernel
+from stepgap.gauss.least_squares import LeastSquares, fit_least_squares
 from stepgap.step import Array
 
 PRIOR_LENGTH_SCALE, PRIOR_NOISE_RATIO, PRIOR_SLOPE_RATIO = 3.0, 0.5, 1.0

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.distance import cdist, pdist
 
 from stepgap.base.compiled import compiled
-from stepgap.learning.kernel import Kernel
+from stepgap.gauss.kernel import Kernel
 from stepgap.step import Array
 
 KERNEL_BLOCK = 2**16
