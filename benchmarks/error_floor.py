@@ -72,7 +72,7 @@ def floor(folder: Path) -> tuple[int, Array, Array]:
     Raises:
         ValueError: The simulated steps are not the recorded ones.
     """
-    settings = read_experiment(folder / "experiment.toml")
+    settings = read_experiment(folder / "experiment.toml", recorded=True)
     nominal, reference = load_nominal(settings).map, paper_reference()
     recorded = read_step_log(folder / "steps.csv", nominal.space)
     last = recorded.iterations[-1]

@@ -47,7 +47,7 @@ def main() -> None:
     found: dict[tuple[str, bool], list[Array]] = {}
     print("run, redeployment, residual: RMSE of each coordinate, log score")
     for run in options.runs:
-        settings = read_experiment(run / "experiment.toml")
+        settings = read_experiment(run / "experiment.toml", recorded=True)
         nominal = load_nominal(settings).map
         log = read_step_log(run / "steps.csv", nominal.space)
         for number in log.iterations[1:]:

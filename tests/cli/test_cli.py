@@ -124,8 +124,13 @@ def test_an_interrupted_run_is_resumed(finished: Path, stepgap: Command, rows: i
     lines = (folder / "steps.csv").read_text().splitlines(keepends=True)
     (folder / "steps.csv").write_text("".join(lines[: rows + 1]) + "".join(lines[rows + 1 : rows + 2])[:30])
     (folder / "summary.json").unlink()
+    settings = (folder / "experiment.toml").read_text()
+    former = settings.replace("[learning]\n", '[learning]\nfeature_map = "identity"\n')
+    (folder / "experiment.toml").write_text(former)
     result = stepgap("run", "--out", folder, "--resume", "--quiet")
     assert result == CommandResult(0, "run/report.html\n", "")
+    assert (folder / "experiment.toml").read_text() == former != settings
+    (folder / "experiment.toml").write_text(settings)
     assert record(folder) == record(finished / "run")
 
 
@@ -208,6 +213,7 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("run --learning.residual cubic", ["--learning.residual = 'cubic', but it must be one of auto, constant, "]),
         ("run --gains.stiffness", ["--gains.stiffness: give a value"]),
         ("run --gains.stiffness --quiet", ["--gains.stiffness: give a value"]),
+        ("run --learning.feature_map linear", ["--learning.feature_map: gone, since", "; leave it out, "]),
         ("run --gains.stifness 3", ["--gains.stifness: unknown key; did you mean stiffness?"]),
         ("run --parameters.body_mass -1", ["--parameters.body_mass = -1.0, but it must be positive"]),
         ("run --parameters.body_mass 1e6", ["reference paper, step 1: ", "out of reach", "body_mass = 1000000.0"]),

@@ -196,6 +196,15 @@ def test_settings_that_are_not_valid_are_named(finished: Path, stepgap: Command)
         )
 
 
+@pytest.mark.usefixtures("no_figures")
+def test_a_run_with_settings_that_are_gone_is_reported(finished: Path, stepgap: Command) -> None:
+    shutil.copytree(finished, "run")
+    settings = Path("run/experiment.toml")
+    settings.write_text(settings.read_text().replace("[learning]\n", '[learning]\nfeature_map = "identity"\n'))
+    assert stepgap("report", "run") == CommandResult(0, "run/report.html\n", "")
+    assert "learning.feature_map" in Path("run/report.html").read_text(encoding="utf-8")
+
+
 def test_several_runs_are_compared_by_another_verb(finished: Path, stepgap: Command) -> None:
     refused(stepgap("report", finished, "other"), "compare several by: stepgap compare", "other")
 

@@ -8,7 +8,8 @@ import pytest
 
 from stepgap.base.errors import InputError
 from stepgap.experiment.run import Run
-from stepgap.experiment.settings import SettingsFile
+from stepgap.experiment.settings import Experiment, SettingsFile
+from stepgap.learning.settings import LearningSettings
 from stepgap.records import steps_csv
 from stepgap.records.steps_csv import StepWriter, column_names, digest, space_of_header
 from stepgap.records.summary import parse_summary
@@ -265,6 +266,13 @@ def test_byte_order_marks_of_steps_and_summary_do_no_harm(folder: Path) -> None:
 def test_a_byte_order_mark_in_the_settings_does_no_harm(folder: Path) -> None:
     (folder / "experiment.toml").write_text("seed = 3\n", encoding="utf-8-sig")
     assert Run(folder).settings_file == SettingsFile("seed = 3\n", {"seed": 3})
+
+
+def test_settings_that_are_gone_are_ignored_and_shown(folder: Path) -> None:
+    (folder / "experiment.toml").write_text('[learning]\niterations = 2\nfeature_map = "identity"\n')
+    run = Run(folder).checked()
+    assert run.needed(run.settings) == Experiment(learning=LearningSettings(iterations=2))
+    assert run.needed(run.settings_file).table["learning"] == {"iterations": 2, "feature_map": "identity"}
 
 
 def test_directories_instead_of_files_are_refused(folder: Path) -> None:

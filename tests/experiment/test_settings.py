@@ -15,7 +15,8 @@ from stepgap.experiment import settings
 from stepgap.experiment.inputs import load_reference, write_experiment
 from stepgap.experiment.methods import METHODS
 from stepgap.experiment.settings import Experiment, NominalSettings, read_experiment
-from stepgap.learning.settings import LearningSettings
+from stepgap.experiment.settings_text import described_settings
+from stepgap.learning.settings import GONE, LearningSettings
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.parameters import CommandBounds, Gains
@@ -175,6 +176,7 @@ WRONG = {
     "[learning]\ntolerance = nan": "[learning] tolerance = nan, but it must be",
     "[learning]\nleast_gain = 0.1": "[learning] least_gain: this key is called tolerance now",
     "[learning]\ncalibration = 20": "[learning] calibration: this key is called exploration now",
+    "[learning]\nfeature_map = 'identity'": "[learning] feature_map: gone, since feature maps did not lower the error",
     "[gap]\nboom_arc = 1": "[gap] boom_arc = 1, but it must be true or false",
     "[gap]\npreset = 'papre'": "[gap] preset = 'papre', but it must be 'paper' or 'none' or 'paper_1' or",
     "method = 'papr'": "method = 'papr', but it must be 'default' or 'paper' or 'integral' or 'rls' or 'affine'; did "
@@ -272,6 +274,18 @@ def test_a_wrong_option_is_named(tmp_path: Path, name: str, value: str, message:
         with pytest.raises(InputError) as caught:
             read_experiment(path, [(name, value)])
         assert str(caught.value).startswith(message)
+
+
+def test_in_a_recorded_run_settings_that_are_gone_are_ignored(tmp_path: Path) -> None:
+    (tmp_path / "e.toml").write_text('seed = 3\n[learning]\niterations = 2\nfeature_map = "linear"\n')
+    found = read_experiment(tmp_path / "e.toml", recorded=True)
+    assert found == Experiment(seed=3, learning=LearningSettings(iterations=2))
+    with pytest.raises(InputError, match=r"^--learning\.feature_map: gone"):
+        read_experiment(tmp_path / "e.toml", [("learning.feature-map", "linear")], recorded=True)
+
+
+def test_no_setting_is_there_and_gone() -> None:
+    assert not [name for name, _, _ in described_settings(Experiment()) if name in GONE]
 
 
 def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:

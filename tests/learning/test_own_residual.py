@@ -32,13 +32,13 @@ PYPROJECT, SETTINGS, SWEEP = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
 NAME = "bayesian_linear"
 
 
-def install(folder: Path, package: str, code: str, group: str = "stepgap.residuals", **entries: str) -> None:
-    """Installs a package with entry points of a group into a folder, as pip does."""
+def install(folder: Path, package: str, code: str, **entries: str) -> None:
+    """Installs a package with entry points of residuals into a folder, as pip does."""
     info = folder / f"{package}-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
     lines = [f"{name} = {value}" for name, value in entries.items()]
-    (info / "entry_points.txt").write_text("\n".join([f"[{group}]", *lines, ""]))
+    (info / "entry_points.txt").write_text("\n".join(["[stepgap.residuals]", *lines, ""]))
     (folder / f"{package}.py").write_text(code, "utf-8")
 
 

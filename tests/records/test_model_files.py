@@ -54,6 +54,17 @@ def test_the_kernel_is_named_and_checked(written: Path) -> None:
     assert np.isfinite(found.mean(CENTRE)).all()
 
 
+def test_features_are_of_a_former_version(written: Path) -> None:
+    before = model_path(written, 1).read_text("utf-8")
+    change(written, lambda data: data.update(feature_map="identity"))
+    found = read_model(written, 1, SPACE)
+    assert found is not None
+    assert found.to_dict().items() <= json.loads(before).items()
+    for other in ("linear", ["identity"], None):
+        change(written, lambda data, other=other: data.update(feature_map=other))
+        refused(written, r"iteration_1\.json: not a residual \(written by a former version; run the experiment again\)")
+
+
 def test_another_schema_is_refused(written: Path) -> None:
     change(written, lambda data: data.update(schema=2))
     refused(written, "schema must be 1, not 2")

@@ -216,7 +216,8 @@ def _settings(
     if extend is not None:
         settings = extended(Run(folder), extend)
     else:
-        settings = read_experiment(folder / "experiment.toml" if continued else experiment, changes)
+        file = folder / "experiment.toml" if continued else experiment
+        settings = read_experiment(file, changes, recorded=continued)
     check_names(settings.space)
     return settings
 

@@ -131,7 +131,7 @@ class Run:
         if not path.exists():
             return Missing("the folder contains no experiment.toml")
         try:
-            return read_experiment(path)
+            return read_experiment(path, recorded=True)
         except InputError as error:
             return Missing(f"the settings are not valid in this version: {error}")
 

@@ -24,7 +24,7 @@ from stepgap.base.settings_file import (
 from stepgap.control.settings import ControlSettings
 from stepgap.experiment.methods import METHODS
 from stepgap.experiment.weights import weighted_space
-from stepgap.learning.settings import LearningSettings
+from stepgap.learning.settings import GONE, LearningSettings
 from stepgap.plants.process.process_plant import Timeouts
 from stepgap.records.missing import Missing
 from stepgap.robots.entry_points import load_robot, robot_names, simulations_of
@@ -162,12 +162,15 @@ class Experiment:
         return self.plant in simulations_of(self.robot)
 
 
-def read_experiment(path: Path | None, overrides: Iterable[tuple[str, str]] = ()) -> Experiment:
+def read_experiment(
+    path: Path | None, overrides: Iterable[tuple[str, str]] = (), *, recorded: bool = False
+) -> Experiment:
     """Reads the experiment of a file, with single settings overridden.
 
     Args:
         path: TOML file; None for the defaults.
         overrides: Dotted name and value as TOML, such as ("gains.stiffness", "2400").
+        recorded: Whether a run wrote the file: what a former version wrote there and is `GONE` is ignored.
 
     Raises:
         InputError: A setting is wrong; the message names file, key and rule.
@@ -175,6 +178,7 @@ def read_experiment(path: Path | None, overrides: Iterable[tuple[str, str]] = ()
     overrides = [(name.replace("-", "_"), _parse_value(value)) for name, value in overrides]
     chosen = dict(overrides).get(ROBOT)
     table = {} if path is None else read_toml(path, "an experiment")
+    table = _without_gone(table) if recorded else table
 
     def locate(name: str) -> str:
         return f"{path}: {with_table(name)}"
@@ -287,6 +291,8 @@ def changed_experiment(experiment: Experiment, table: Mapping[str, Any], locate:
 
 def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: Locate) -> Experiment:
     """As `changed_experiment`, but without the check whether settings of different tables fit together."""
+    for name in _gone(table):
+        raise InputError(f"{locate(name)}: {GONE[name]}")
     rest = dict(table)
     if ROBOT in rest:
         robot = _robot(rest.pop(ROBOT), locate(ROBOT))
@@ -314,6 +320,21 @@ def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: 
     except ValueError as error:
         raise located(error, locate, "") from None
     return experiment
+
+
+def _gone(table: Mapping[str, Any]) -> list[str]:
+    """Dotted names of the settings of a table that are gone."""
+    tables = {key: part for key, part in table.items() if isinstance(part, Mapping)}
+    return [name for key, part in tables.items() for each in part if (name := f"{key}.{each}") in GONE]
+
+
+def _without_gone(table: Mapping[str, Any]) -> dict[str, Any]:
+    """The table without the settings that are gone."""
+    kept = dict(table)
+    for name in _gone(table):
+        key, _, gone = name.partition(".")
+        kept[key] = {each: value for each, value in kept[key].items() if each != gone}
+    return kept
 
 
 def _robot(name: Any, where: str) -> Robot:

@@ -6,8 +6,7 @@
 `disturbance` is the part of an error that depends on time and phase, or by which the robot has changed; `trust` decides
 from step to step by likelihood whether it has, and which map is used. A `residual` is a model of the rest. It has one
 `regression` for each state coordinate: `zero`, a `polynomial`, a `gaussian_process_regression`, or one of another
-package, found by its name in `entry_points`. A `feature_map` may come before its inputs: `linear_features`,
-`function_features`, or one of another package. `residual_fit` fits and selects residuals, `residual_check` checks what
+package, found by its name in `entry_points`. `residual_fit` fits and selects residuals, `residual_check` checks what
 their models return, `corrected_map` adds a residual to the nominal map, which gives a step map again (Eq. 13), and
 `interval_calibration` keeps its intervals right while a deployment goes on.
 """

@@ -11,7 +11,7 @@ from stepgap.base.ranges import require
 from stepgap.learning.outliers import LEAST_KNOWN
 from stepgap.learning.regression import Regression, ResidualModel
 from stepgap.learning.residual_check import ResidualError
-from stepgap.learning.settings import LAGGED_INPUTS, NO_FEATURE_MAP, LaggedInputs
+from stepgap.learning.settings import LAGGED_INPUTS, LaggedInputs
 from stepgap.learning.zero import NONE, Zero
 from stepgap.step import Array
 
@@ -72,7 +72,6 @@ class Residual:
         history_inputs: Which c inputs there are besides state and command.
         history_values: The values of those c inputs; None until they are known.
         outliers: Deployment and number of each step to which it was not fitted because it is an outlier.
-        feature_map: Name of the feature map before the inputs of the regressions, which contain it.
 
     Raises:
         ResidualError: The model made something else than a regression.
@@ -85,7 +84,6 @@ class Residual:
     history_inputs: HistoryInputs = HistoryInputs()
     history_values: Array | None = None
     outliers: tuple[tuple[int, int], ...] = ()
-    feature_map: str = NO_FEATURE_MAP
 
     def __post_init__(self) -> None:
         for regression in self.regressions:
@@ -117,10 +115,9 @@ class Residual:
 
     @property
     def name(self) -> str:
-        """Name of the model and, if there are any, of its feature map and its lagged inputs."""
+        """Name of the model and, if there are any, of its lagged inputs."""
         lagged = self.history_inputs.lagged_inputs.replace("_", " ")
-        of_features = self.kind if self.feature_map == NO_FEATURE_MAP else f"{self.kind} of {self.feature_map} features"
-        return of_features if lagged == "none" else f"{of_features} with {lagged}"
+        return self.kind if lagged == "none" else f"{self.kind} with {lagged}"
 
     def conditioned_on(self, history: Array) -> "Residual":
         """Returns the residual of the step with this history (2n + m + 1,), a function of state and command."""
@@ -175,11 +172,9 @@ class Residual:
 
     def to_dict(self) -> dict[str, Any]:
         """Converts the residual to JSON-ready data, which `residual_from_dict` reads; `history_values` is not kept."""
-        feature_map = {} if self.feature_map == NO_FEATURE_MAP else {"feature_map": self.feature_map}
         count = self.history_inputs.context_inputs
         return {
             "kind": self.kind,
-            **feature_map,
             "command_size": self.command_size,
             "lagged_inputs": self.history_inputs.lagged_inputs,
             "forgetting_time": self.history_inputs.forgetting_time if self.history_inputs.timed else None,

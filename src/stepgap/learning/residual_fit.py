@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from math import inf
 from typing import Any, Literal
 
@@ -14,8 +13,7 @@ from stepgap.base.json_data import integer, number, numbers
 from stepgap.base.normal import log_density
 from stepgap.learning.diagnosis import diagnose
 from stepgap.learning.disturbance import LEAST_EVIDENCE, without_periodic_part
-from stepgap.learning.entry_points import load_feature_model, load_residual_model, residual_models
-from stepgap.learning.feature_map import FeatureModel, with_features
+from stepgap.learning.entry_points import load_residual_model, residual_models
 from stepgap.learning.observations import Observations
 from stepgap.learning.outliers import LEAST_KNOWN, MOST_OUTLIERS, outliers_among
 from stepgap.learning.prior import Prior
@@ -23,7 +21,7 @@ from stepgap.learning.prior_evidence import applies, most_probable
 from stepgap.learning.regression import Regression, ResidualModel
 from stepgap.learning.residual import HistoryInputs, Residual, no_residual
 from stepgap.learning.residual_check import check_regression, failed, naming_model
-from stepgap.learning.settings import AUTO, LAGGED_INPUTS, NO_FEATURE_MAP, LaggedInputs, LearningSettings
+from stepgap.learning.settings import AUTO, LAGGED_INPUTS, LaggedInputs, LearningSettings
 from stepgap.learning.zero import NONE
 
 SELECTION_FOLDS = 5
@@ -39,8 +37,6 @@ def fit_residual(
     lagged_inputs: LaggedInputs | Literal["auto"] = "none",
     forgetting_time: float = inf,
     start: Residual | None = None,
-    *,
-    feature_map: str | FeatureModel = NO_FEATURE_MAP,
 ) -> Residual:
     """Fits a model of the nominal map's error (Eq. 12).
 
@@ -53,7 +49,6 @@ def fit_residual(
         lagged_inputs: Inputs from the step before; those that the model always has are added.
         forgetting_time: As in `HistoryInputs` [steps].
         start: A residual fitted to fewer observations, from which a search for hyper-parameters may start.
-        feature_map: Name of an installed feature map that comes before the inputs, or a model of one itself.
 
     Raises:
         InputError: There is no model of this name, or it cannot be used.
@@ -71,8 +66,6 @@ def fit_residual(
         raise ValueError(f"residual {models[0].name!r} needs at least one step")
 
     least: LaggedInputs = "none" if lagged_inputs == "auto" else lagged_inputs
-    if features := _feature_model(feature_map):
-        models = [model if model == NONE else with_features(model, features) for model in models]
     fits = [
         _fit(model, _history_inputs(model, least, forgetting_time, observations), observations, start)
         for model in models
@@ -83,7 +76,7 @@ def fit_residual(
         inputs = [replace(found.history_inputs, lagged_inputs=each) for each in wider]
         more = [_fit(found.model, each, observations, start) for each in inputs]
         found = _best([found, *more], observations)
-    return replace(found, feature_map=features.name) if features and found.model != NONE else found
+    return found
 
 
 def learned_residual(
@@ -152,16 +145,15 @@ def _residual_of_settings(
 ) -> Residual:
     """Fits the residual of the settings to all observations, which may include outliers."""
     model = AUTO if settings.residual == AUTO else load_residual_model(settings.residual)
-    fit = partial(fit_residual, feature_map=_feature_model(settings.feature_map) or NO_FEATURE_MAP)
     if not len(observations):
         model = NONE  # that of the settings was loaded nevertheless: if it cannot be, no robot moves
     if settings.remove_yaw_dependence and model != NONE:
         cleaned = without_periodic_part(observations, iteration)
-        residual = fit(model, cleaned, settings.lagged_inputs, settings.forgetting_time, start)
+        residual = fit_residual(model, cleaned, settings.lagged_inputs, settings.forgetting_time, start)
         if residual.kind != NONE.name:
             return residual
         model = NONE  # without a correction no disturbance is estimated: it counts as noise
-    return fit(model, observations, settings.lagged_inputs, settings.forgetting_time, start)
+    return fit_residual(model, observations, settings.lagged_inputs, settings.forgetting_time, start)
 
 
 def _outliers_of(residual: Residual, observations: Observations) -> NDArray[np.bool_]:
@@ -246,11 +238,7 @@ def residual_from_dict(data: Mapping[str, Any]) -> Residual:
     command_size = integer(data, "command_size")
     if max(len(saved), command_size) > LARGEST_DIMENSION:
         raise ValueError(f"{len(saved)} regressions, command_size {command_size}: must be at most {LARGEST_DIMENSION}")
-    feature_map = data.get("feature_map", NO_FEATURE_MAP)
-    if not isinstance(feature_map, str):
-        raise ValueError(f"feature_map must be the name of a feature map, not {feature_map!r:.40}")
-    model, features = load_residual_model(kind), _feature_model(feature_map)
-    model = with_features(model, features) if features else model
+    model = load_residual_model(kind)
     regressions = tuple(_regression(model, item, f"regressions[{i}]") for i, item in enumerate(saved))
     forgetting_time = inf if data.get("forgetting_time", 0) is None else number(data, "forgetting_time")
     context_inputs = integer(data, "context_inputs") if "context_inputs" in data else 0
@@ -261,19 +249,12 @@ def residual_from_dict(data: Mapping[str, Any]) -> Residual:
     if labels.shape[1] != 2:
         raise ValueError("outliers must be pairs of the numbers of a deployment and a step")
     outliers = tuple((int(deployment), int(step)) for deployment, step in labels)
-    return Residual(model, regressions, command_size, history_inputs, outliers=outliers, feature_map=feature_map)
+    return Residual(model, regressions, command_size, history_inputs, outliers=outliers)
 
 
 def names_without_lagged_inputs() -> tuple[str, ...]:
     """Names of the installed residuals without lagged inputs, from simple to complex; then `auto`."""
     return (*(model.name for model in residual_models() if model.lagged_inputs == "none"), AUTO)
-
-
-def _feature_model(feature_map: str | FeatureModel) -> FeatureModel | None:
-    """The feature map of this name, or itself; None for the identity."""
-    if isinstance(feature_map, FeatureModel):
-        return feature_map
-    return None if feature_map == NO_FEATURE_MAP else load_feature_model(feature_map)
 
 
 def _candidates(observations: Observations) -> list[ResidualModel]:

@@ -1,5 +1,6 @@
 """The user's settings of learning; they are apart from the models, which take time to import."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf
 from typing import Final, Literal, get_args, get_type_hints
@@ -11,11 +12,11 @@ from stepgap.base.settings_file import FORMER_NAME, as_type
 RESIDUALS: Final = "stepgap.residuals"
 """Entry points of this group are residual models; their names are those of the setting `residual`."""
 
-FEATURE_MAPS: Final = "stepgap.feature_maps"
-"""Entry points of this group are feature maps; their names are those of the setting `feature_map`."""
-
-NO_FEATURE_MAP: Final = "identity"
-"""Name for no feature map: the inputs of the residual are states and commands as they are."""
+GONE: Final[Mapping[str, str]] = {
+    "learning.feature_map": "gone, since feature maps did not lower the error; leave it out, and for a state of many "
+    'numbers keep learning.residual = "gp_on_linear"',
+}
+"""Dotted names of the settings of former versions, with what to write now, for users; recorded runs may have them."""
 
 AUTO: Final = "auto"
 """Name of the residual that selects the installed candidate with the best predictions."""
@@ -39,8 +40,6 @@ class LearningSettings:
             best so far; judged from the second redeployment on.
         lagged_inputs: Quantities of the step before that are inputs, too; with `auto`, those that predict best if a
             test of all known steps finds that the step before helps, else none.
-        feature_map: Name of the installed feature map that comes before the inputs of the residual: `identity` for
-            none, `linear` for the directions along which the error changes, where a state has many numbers.
         forgetting_time: Number of steps in which the influence of a step falls to 1/e; for a Gaussian process, length
             scale of the time; inf: it never falls.
         early_stop: Whether redeploying stops before `iterations` when the error no longer falls.
@@ -60,7 +59,6 @@ class LearningSettings:
     iterations: int = 4
     tolerance: float = field(default=0.01, metadata={FORMER_NAME: "least_gain"})
     lagged_inputs: LaggedInputs | Literal["auto"] = field(default=AUTO, metadata={FORMER_NAME: "features"})
-    feature_map: str = NO_FEATURE_MAP
     forgetting_time: float = field(default=inf, metadata={FORMER_NAME: "memory"})
     early_stop: bool = True
     drift: bool = True
@@ -74,7 +72,6 @@ class LearningSettings:
         for name, kind in get_type_hints(type(self)).items():
             as_type(getattr(self, name), kind, name)
         _require_name("residual", self.residual, (AUTO, *plugin_names(RESIDUALS)))
-        _require_name("feature_map", self.feature_map, (NO_FEATURE_MAP, *plugin_names(FEATURE_MAPS)))
         require(0 <= self.iterations <= 1000, "iterations", self.iterations, "lie between 0 and 1000")
         require(0 <= self.tolerance < 1, "tolerance", self.tolerance, "be at least 0 and less than 1")
         lags = (*LAGGED_INPUTS, "auto")

@@ -144,7 +144,7 @@ def _parsed(path: Path, text: str) -> tuple[Mapping[str, Any], Residual]:
         data = _json_in(text)
         if not isinstance(data, dict):
             raise ValueError("not a JSON object")
-        if "features" in data:
+        if "features" in data or data.get("feature_map", "identity") != "identity":
             raise ValueError("written by a former version; run the experiment again")
         if "format" in data:
             raise ValueError("exported for other programs; give models/iteration_K.json of its run")

@@ -51,7 +51,8 @@ def read_sweep(path: Path) -> Sweep:
     """
     table = read_toml(path, "a sweep")
     check_keys(table, _KEYS, f"{path}: ")
-    base = read_experiment(_base_file(table["base"], path) if "base" in table else None)
+    file = _base_file(table["base"], path) if "base" in table else None
+    base = read_experiment(file, recorded=POINTS_SHA256 in table)
     if not base.simulated:
         plants = ", ".join(simulations_of(base.robot))
         raise InputError(f"{path}: base: plant '{base.plant}' is not simulated; a sweep needs one of {plants}")

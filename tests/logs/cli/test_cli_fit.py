@@ -260,7 +260,7 @@ def test_what_depends_on_the_yaw_is_removed_as_in_a_run(stepgap: Command, monkey
 
 def test_settings_are_those_of_the_run(stepgap: Command) -> None:
     write_run(Path("run"), 0.0)
-    Path("run/experiment.toml").write_text("[gains]\nstiffness = 2400\n")
+    Path("run/experiment.toml").write_text("[gains]\nstiffness = 2400\n[learning]\nfeature_map = 'identity'\n")
     result = stepgap("fit", "run", "--gains.rest_length", "0.28")
     assert "nominal map with the settings of run/experiment.toml, some overridden" in result.out
     assert "nothing to learn" not in result.out.splitlines()[-1]

@@ -33,7 +33,6 @@ from stepgap.learning.observations import error_of
 from stepgap.learning.polynomial import Polynomial
 from stepgap.learning.regression import Regression
 from stepgap.learning.residual import HistoryInputs, Residual, join_points
-from stepgap.learning.settings import NO_FEATURE_MAP
 from stepgap.learning.trust import Trust, predicted_step
 from stepgap.learning.zero import Zero
 from stepgap.robots.nominal_maps.affine_map import AffineMap
@@ -221,10 +220,6 @@ def _check_inputs(residual: Residual) -> None:
             f"residual '{residual.name}': inputs from the step before, inputs that a touchdown finds and a forgetting "
             "time cannot be exported; run with learning.forgetting_time = inf and, on uneven ground, "
             "ground.inputs = false"
-        )
-    if residual.feature_map != NO_FEATURE_MAP:
-        raise InputError(
-            f"residual '{residual.name}': feature maps cannot be exported; run with learning.feature_map = \"identity\""
         )
 
 

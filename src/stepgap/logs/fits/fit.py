@@ -143,10 +143,11 @@ def read_nominal_errors(
     of_map = [name for name, _ in overrides if not name.startswith("learning.")]
     if nominal not in (None, MAP) and (experiment or of_map):
         raise InputError(f"--nominal {nominal}: it has no settings but those of learning; leave the others out")
+    recorded = columns is None and experiment is None
     if columns is None:
         logs = [log / "steps.csv" if log.is_dir() else log for log in logs]
         experiment = experiment or _common_experiment(logs)
-    settings = read_experiment(experiment, overrides)
+    settings = read_experiment(experiment, overrides, recorded=recorded)
     space = settings.space
     found = _read_runs(logs, space) if columns is None else read_foreign_logs(logs, columns)
     steps, source = found.steps, nominal or _nominal_of(found.steps, space)
@@ -183,7 +184,8 @@ def _with_errors(
 def _common_experiment(logs: Sequence[Path]) -> Path | None:
     """Settings in the folders of the logs, if they describe the same nominal map."""
     files = [log.with_name("experiment.toml") if log.with_name("experiment.toml").is_file() else None for log in logs]
-    maps = [(read.robot.as_modelled, read.nominal) for read in map(read_experiment, files)]
+    read = [read_experiment(file, recorded=True) for file in files]
+    maps = [(each.robot.as_modelled, each.nominal) for each in read]
     for log, found in zip(logs, maps, strict=True):
         if found != maps[0]:
             raise InputError(f"{log}: recorded with another robot or nominal map than {logs[0]}; give --experiment")

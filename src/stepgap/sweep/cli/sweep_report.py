@@ -48,7 +48,7 @@ def _context(folder: Path) -> SweepContext:
     """What is known of the base experiment; its robot only if its settings are valid in this version."""
     path, planned = folder / "experiment.toml", _planned(folder)
     try:
-        settings = read_experiment(path) if path.is_file() else Experiment()
+        settings = read_experiment(path, recorded=True) if path.is_file() else Experiment()
     except InputError:
         return SweepContext(planned, experiment_table(Experiment()))
     published = settings.robot.published()
