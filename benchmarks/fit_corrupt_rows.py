@@ -16,8 +16,8 @@ from stepgap.learning.observations import Observations
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.logs.columns import Columns
-from stepgap.logs.fits.fit import Comparison, FitData, compare, gains
-from stepgap.logs.fits.validation import Reduction, Validation
+from stepgap.logs.fits.fit import Comparison, FitData, compare
+from stepgap.logs.fits.validation import Reduction
 from stepgap.records.model_files import NominalSource
 from stepgap.step import Array
 
@@ -65,11 +65,6 @@ def compared(data: FitData) -> Comparison:
     return compare(KINDS, data, None, None)
 
 
-def gain(validation: Validation) -> Reduction:
-    """Reduction of both errors over no correction."""
-    return gains(validation, range(2))["none"]
-
-
 def agree(one: Reduction, other: Reduction) -> bool:
     """Whether one value lies in the interval of the other."""
     return abs(one.value - other.value) <= max(one.half_width, other.half_width)
@@ -87,8 +82,8 @@ def main() -> None:
             verdicts, changes, wrong, named, others = [], [0.0], 0, 0, 0
             for seed in range(count):
                 data, rows = corrupted(log(seed), share, np.random.default_rng(1000 + seed))
-                found, clean = compared(data), gain(right[seed].validation)
-                now, before = gain(found.validation), gain(found.with_them)
+                found, clean = compared(data), right[seed].validation.best.gain
+                now, before = found.validation.best.gain, found.with_them.best.gain
                 verdicts.append((agree(clean, now), agree(clean, before)))
                 changes.append(abs(now.value - clean.value))
                 wrong += len(rows)

@@ -13,11 +13,14 @@ import argparse
 import json
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import t
+
+from stepgap.step import Array
 
 KINDS = ("constant", "linear", "quadratic", "gp", "gp_on_linear", "fitrgp")
 USED = "gp_on_linear"
@@ -37,8 +40,8 @@ def fitted_ratios(folder: Path, seed: int) -> dict[str, float]:
     result_of(run / "summary.json", "run", "--seed", seed, "--quiet", "--out", run)
     report = folder / f"fit_{seed}.json"
     found = result_of(report, "fit", run, "--out", report)
-    print(f"seed {seed}: {found['verdict']['all']}", flush=True)
-    return {each["kind"]: 1 - each["better_than"][USED]["all"]["value"] for each in found["residuals"]}
+    print(f"seed {seed}: best {found['best']['kind']}", flush=True)
+    return _relative({each["kind"]: np.array(list(each["rmse"].values())) for each in found["residuals"]})
 
 
 def tracked_ratios(folder: Path, seed: int) -> dict[str, float]:
@@ -49,6 +52,11 @@ def tracked_ratios(folder: Path, seed: int) -> dict[str, float]:
         options = ("--seed", seed, "--iterations", 1, "--learning.residual", kind, "--quiet", "--out", run)
         last = result_of(run / "summary.json", "run", *options)["iterations"][1]
         rmse[kind] = np.array(list(last["rmse"].values())) if not last["falls"] else np.full(2, np.inf)
+    return _relative(rmse)
+
+
+def _relative(rmse: Mapping[str, Array]) -> dict[str, float]:
+    """Errors of the state coordinates relative to those of `USED`, together."""
     return {kind: float(np.sqrt(np.mean((errors / rmse[USED]) ** 2))) for kind, errors in rmse.items()}
 
 

@@ -7,9 +7,9 @@ from stepgap.learning.observations import Observations
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.logs.columns import Columns
-from stepgap.logs.fits.fit import Comparison, FitData, compare, gains
-from stepgap.logs.fits.fit_results import describe_suspicious, gain_sentence, verdicts
-from stepgap.logs.fits.suspicious import far_rows
+from stepgap.logs.fits.fit import Comparison, FitData, compare
+from stepgap.logs.fits.fit_results import describe_suspicious, gain_sentence, verdict
+from stepgap.logs.fits.suspicious import far_rows, large_and_alone
 from stepgap.logs.fits.validation import Reduction
 from stepgap.records.model_files import NominalSource
 from stepgap.step import Array
@@ -44,13 +44,13 @@ CLEAN = found(data(log()))
 
 
 def gain(comparison: Comparison) -> Reduction:
-    return gains(comparison.validation, [0])["none"]
+    return comparison.validation.best.gain
 
 
 def test_nothing_is_suspicious_in_a_clean_log() -> None:
     assert not CLEAN.suspicious
     assert CLEAN.with_them is CLEAN.validation
-    assert len(verdicts(CLEAN).splitlines()) == 3
+    assert len(verdict(CLEAN).splitlines()) == 1
 
 
 @pytest.mark.parametrize("part", ["state", "command", "after", "predicted"])
@@ -61,9 +61,10 @@ def test_a_wrong_row_is_named_and_changes_nothing(part: str, value: float) -> No
     one = found(data(arrays))
     assert list(one.suspicious) == ["line 19"]
     assert abs(gain(one).value - gain(CLEAN).value) < gain(CLEAN).half_width
-    lines = verdicts(one).splitlines()
-    assert lines[3] == "with the suspicious rows:"
-    assert lines[2] != lines[4]
+    without, with_them = verdict(one).splitlines()
+    assert without.startswith("best: ")
+    assert with_them.startswith("with the suspicious rows: ")
+    assert one.with_them.best.gain != one.validation.best.gain
     assert one.data.observed.space.state[0].upper < 1.1
     assert describe_suspicious(one.suspicious).startswith("suspicious  1 row, left out below: line 19 (")
 
@@ -97,8 +98,31 @@ def test_what_lasts_or_is_rare_or_is_large_everywhere_is_not_wrong() -> None:
     assert not far_rows(data(small).steps)
 
 
+def test_large_errors_that_last_are_not_alone() -> None:
+    ratios = np.zeros((6, 2))
+    ratios[[1, 3, 4], 0] = 9.0
+    follows, points = np.array([False, True, True, True, True, True]), 0.3 * np.arange(6.0)[:, None]
+    assert large_and_alone(ratios, follows, points).tolist() == [False, True, False, False, False, False]
+    apart = np.array([False, True, True, True, False, True])
+    assert large_and_alone(ratios, apart, points).tolist() == [False, True, False, True, True, False]
+    ratios[4, 0] = -9.0
+    assert large_and_alone(ratios, follows, points).tolist() == [False, True, False, True, True, False]
+    assert not large_and_alone(ratios / 2, follows, points).any()
+
+
+def test_large_errors_that_return_at_similar_steps_are_not_alone() -> None:
+    """If two of three similar steps deviate in the same direction, neither is alone."""
+    ratios, follows = np.zeros((9, 2)), np.full(9, fill_value=True)
+    points = np.repeat([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]], 3, axis=0) + 0.01 * np.arange(9.0)[:, None]
+    ratios[[0, 2], 0] = 9.0
+    ratios[[3, 5], 1] = 9.0, -9.0
+    ratios[7, 0] = 9.0
+    expected = [False, False, False, True, False, True, False, True, False]
+    assert large_and_alone(ratios, follows, points).tolist() == expected
+
+
 def test_percentages_have_bounds() -> None:
-    assert gain_sentence(Reduction(-3.5e15, 1e3, 10), "with a constant") == "far worse than with a constant"
-    wide = gain_sentence(Reduction(-3.5e15, 3e15, 10), "with a constant")
-    assert wide == "no difference shown from the error with a constant (within more than ± 1000 %)"
-    assert gain_sentence(Reduction(-0.5, 0.1, 10), "x") == "50 ± 23 % more error than x"
+    assert gain_sentence(Reduction(-3.5e15, 1e3, 10)) == "far worse than without a correction"
+    wide = gain_sentence(Reduction(-3.5e15, 3e15, 10))
+    assert wide == "no difference shown from the error without a correction (within more than ± 1000 %)"
+    assert gain_sentence(Reduction(-0.5, 0.1, 10)) == "50 ± 23 % more error than without a correction"

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import minimize
-from scipy.stats import norm, t
+from scipy.stats import t
 
 from stepgap.learning.learner import Learner
 from stepgap.learning.observations import Observations, observe
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
-from stepgap.logs.fits.model_averaging import averaged, correlation_of_successive, residual_weights, stacking_weights
 from stepgap.logs.fits.validation import (
     FOLDS,
     HeldOut,
@@ -35,7 +33,6 @@ SPACE = StepSpace(
 )
 STATIC = LearningSettings(drift=False, remove_yaw_dependence=False)
 SIMPLE: tuple[str, ...] = ("none", "constant", "gp")
-MIXED = (("none", 0.0, 1.0), ("constant", 0.5, 0.7), ("linear", -0.4, 1.5))
 
 
 def steps_with(truth, count: int, seed: int) -> Observations:
@@ -165,19 +162,14 @@ def test_errors_that_depend_on_the_yaw_do_not_hide_what_can_be_learned() -> None
 
 def test_scores_are_those_of_a_normal_distribution() -> None:
     rng = np.random.default_rng(0)
-    std = rng.uniform(0.5, 2, (4000, 2))
-    mean, error = rng.normal(size=(2, 4000, 2))
-    scores = HeldOut("gp", error, mean, std, 0.0)
-    np.testing.assert_allclose(scores.log_density, norm.logpdf(error, mean, std).mean(axis=0))
+    std, mean = rng.uniform(0.5, 2, (4000, 2)), rng.normal(size=(4000, 2))
     exact = HeldOut("gp", mean + std * rng.normal(size=(4000, 2)), mean, std, 0.0)
     np.testing.assert_allclose(exact.coverage, 0.95, atol=0.011)  # three binomial standard deviations
     np.testing.assert_allclose(exact.rmse, np.sqrt(np.mean(std**2, axis=0)), rtol=0.05)
 
 
-def test_without_standard_deviations_there_is_no_density() -> None:
-    scores = HeldOut("none", np.ones((3, 2)), np.zeros((3, 2)), np.zeros((3, 2)), 0.0)
-    assert np.isnan(scores.log_density).all()
-    assert np.isnan(scores.coverage).all()
+def test_without_standard_deviations_there_is_no_coverage() -> None:
+    assert np.isnan(HeldOut("none", np.ones((3, 2)), np.zeros((3, 2)), np.zeros((3, 2)), 0.0).coverage).all()
 
 
 @settings(max_examples=30)
@@ -224,13 +216,16 @@ def test_the_interval_is_that_of_student() -> None:
     assert (low, high) == pytest.approx((0.22 - half_width, 0.22 + half_width))
 
 
-def test_no_difference_is_shown_where_the_interval_contains_zero() -> None:
+def test_the_best_residual_and_those_that_may_be_as_good() -> None:
     rng = np.random.default_rng(4)
     good, noise = rng.normal(size=(2, 200, 1))
-    remaining = {"none": 3 * good, "constant": good, "linear": good + 0.02 * noise, "gp": 2 * good}
+    remaining = {"none": 3 * good, "constant": good + 0.02 * noise, "linear": good, "gp": 2 * good, "fitrgp": good}
+    remaining["auto"] = 0.9 * good
     validation = Validation(contiguous_folds(200), {kind: held_out(each) for kind, each in remaining.items()})
-    weights = {kind: float(weight[0]) for kind, weight in residual_weights(validation).items()}
-    assert weights["constant"] + weights["linear"] > 0.9
+    best = validation.best
+    assert (best.kind, best.alike) == ("linear", ("constant", "fitrgp")), "the simplest of equal ones; never auto"
+    assert best.gain == validation.reduction("linear", "none", [0])
+    assert best.gain.value == pytest.approx(2 / 3)
 
 
 def test_an_error_of_zero_cannot_be_reduced() -> None:
@@ -251,21 +246,16 @@ def validated(steps: Observations) -> Validation:
     return validate(SIMPLE, steps, contiguous_folds(60, 5))
 
 
-def gain(validation: Validation, other: str) -> Reduction:
-    """Reduction of the error by the averaged prediction, both coordinates together."""
-    return reduction(averaged(validation), validation.held_out[other], validation.folds.block, [0, 1])
-
-
 def test_in_noise_there_is_nothing_to_learn() -> None:
-    found = [gain(validated(steps_with(lambda state, command: 0 * state, 60, seed)), "none") for seed in range(4)]
+    found = [validated(steps_with(lambda state, command: 0 * state, 60, seed)).best.gain for seed in range(4)]
     assert sum(each.certain for each in found) <= 1
     assert np.mean([each.value for each in found]) == pytest.approx(0, abs=0.05)
 
 
 def test_an_offset_is_a_constant() -> None:
-    found = [validated(steps_with(lambda state, command: np.array([0.2, -0.02]), 60, seed)) for seed in range(3)]
-    assert all(gain(each, "none").certain for each in found)
-    assert sum(gain(each, "constant").certain for each in found) <= 1
+    found = [validated(steps_with(lambda state, command: np.array([0.2, -0.02]), 60, seed)).best for seed in range(3)]
+    assert all(each.gain.certain for each in found)
+    assert sum("constant" in (each.kind, *each.alike) for each in found) >= 2
 
 
 def bent(state: Array, command: Array) -> Array:
@@ -274,59 +264,15 @@ def bent(state: Array, command: Array) -> Array:
 
 def test_a_nonlinear_error_needs_a_gaussian_process() -> None:
     validation = validate(SIMPLE, steps_with(bent, 120, 0), contiguous_folds(120, 5))
-    assert (residual_weights(validation)["gp"] > 0.9).all()
+    assert (validation.best.kind, validation.best.alike) == ("gp", ())
     assert (validation.held_out["gp"].rmse < 0.5 * validation.held_out["constant"].rmse).all()
 
 
 def test_each_coordinate_is_judged_separately() -> None:
     steps = steps_with(lambda state, command: bent(state, command) * [1, 0], 120, 1)
     validation = validate(SIMPLE, steps, contiguous_folds(120, 5))
-    weights = residual_weights(validation)
-    assert weights["gp"][0] > 0.9
-    assert weights["gp"][1] < 0.5
-    average = averaged(validation)
-    by = [reduction(average, validation.held_out["none"], validation.folds.block, [index]) for index in (0, 1)]
-    assert by[0].certain
-    assert not by[1].certain
-
-
-def test_stacking_weights_maximise_the_density_of_the_mixture() -> None:
-    """Against SciPy's constrained optimiser."""
-    log_densities = np.random.default_rng(7).normal(size=(200, 4)) * 2 + [0, 0.3, -1, 0.2]
-
-    def cost(weights: Array) -> float:
-        return -float(np.mean(np.log(np.exp(log_densities) @ weights)))
-
-    constraint = {"type": "eq", "fun": lambda weights: weights.sum() - 1}
-    best = minimize(cost, np.full(4, 0.25), bounds=[(0, 1)] * 4, constraints=constraint, tol=1e-10)
-    weights = stacking_weights(log_densities)
-    assert weights.sum() == pytest.approx(1)
-    assert cost(weights) == pytest.approx(best.fun, abs=1e-5)
-
-
-def test_the_averaged_prediction_is_that_of_the_mixture() -> None:
-    rng = np.random.default_rng(8)
-    error = rng.normal(size=(40, 1))
-    parts = {kind: HeldOut(kind, error, 0 * error + mean, 0 * error + std, 1.0) for kind, mean, std in MIXED}
-    validation = Validation(contiguous_folds(40), parts)
-    average, drawn = averaged(validation), []
-    row = 0
-    outside = validation.folds.block != validation.folds.block[row]
-    weights = stacking_weights(np.stack([norm.logpdf(error[outside, 0], mean, std) for _, mean, std in MIXED], axis=1))
-    for weight, (_, mean, std) in zip(weights, MIXED, strict=True):
-        drawn.append(rng.normal(mean, std, round(weight * 400_000)))
-    assert average.mean[row, 0] == pytest.approx(np.concatenate(drawn).mean(), abs=0.01)
-    assert average.std[row, 0] == pytest.approx(np.concatenate(drawn).std(), rel=0.01)
-
-
-def test_errors_that_last_show_that_the_state_lacks_something() -> None:
-    rng, error = np.random.default_rng(9), np.zeros((300, 2))
-    for row in range(1, 300):
-        error[row] = [0.6, 0.0] * error[row - 1] + rng.normal(size=2)
-    correlation, half = correlation_of_successive(held_out(error), np.arange(300) > 0)
-    assert correlation[0] == pytest.approx(0.6, abs=0.12)
-    assert abs(correlation[1]) < half == pytest.approx(1.96 / np.sqrt(299))
-    assert correlation_of_successive(held_out(error), np.zeros(300, bool))[1] == np.inf
+    assert validation.reduction("gp", "none", [0]).certain
+    assert not validation.reduction("gp", "none", [1]).certain
 
 
 def test_other_steps_are_predicted_by_a_fit_to_all() -> None:

@@ -29,7 +29,7 @@ class Results:
     Attributes:
         out: New JSON file for all numbers.
         plot: New file for a figure of predicted against actual errors.
-        save: New model file for the residual with the largest weight, fitted to all steps (docs/model_file.md).
+        save: New model file for the residual that predicts best, fitted to all steps (docs/model_file.md).
         predictions: New CSV file for the predictions by the model of --load, with a row for each step.
     """
 
@@ -138,7 +138,7 @@ def _compare(
     from stepgap.cli.progress import progress_bar
     from stepgap.learning.residual_fit import names_without_lagged_inputs
     from stepgap.logs.fits.fit import choose_folds, compare, read_fit_data, read_test_data
-    from stepgap.logs.fits.fit_results import describe_fit_data, describe_suspicious, show_validation, verdicts
+    from stepgap.logs.fits.fit_results import describe_fit_data, describe_suspicious, show_validation, verdict
 
     kinds = names_without_lagged_inputs()
     data = read_fit_data(log, *source)
@@ -148,8 +148,8 @@ def _compare(
         found = compare(kinds, data, tested, folds, progress)
     if found.suspicious:
         print(describe_suspicious(found.suspicious))
-    show_validation(found.data, found.validation, sys.stdout)
-    print(verdicts(found))
+    show_validation(found.data.observed.space.state, found.validation, sys.stdout)
+    print(verdict(found))
     _write(results, log, found)
 
 

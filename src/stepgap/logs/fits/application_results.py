@@ -9,20 +9,17 @@ from typing import Any, Final, TextIO
 import numpy as np
 
 from stepgap.logs.fits.fit_results import (
+    WITH_SUSPICIOUS,
     describe_log,
     gain_sentence,
-    lacking,
-    parts_of,
-    reduction_as_data,
+    gains_as_data,
     scores_as_data,
     show_scores,
 )
 from stepgap.logs.fits.model_application import AppliedModel
 
-APPLIED_SCHEMA: Final = 2
+APPLIED_SCHEMA: Final = 3
 """Version of the JSON file with the scores."""
-
-_WITHOUT: Final = "without a correction"
 
 
 def describe_application(applied: AppliedModel) -> str:
@@ -45,19 +42,16 @@ def describe_application(applied: AppliedModel) -> str:
 
 
 def show_application(scored: AppliedModel, stream: TextIO, with_suspicious: AppliedModel | None = None) -> None:
-    """Prints a table for each state coordinate, and sentences on the gain; these also with rows that are suspicious."""
-    state, steps = scored.data.observed.space.state, scored.data.steps
-    show_scores(state, scored.validation, ["none"], stream)
-    print(f"{'successive:':16}{lacking(state, scored.predicted, steps.follows)}", file=stream)
-    _show_gains(scored, stream)
+    """Prints a table for each state coordinate, and a sentence on the gain; this also with rows that are suspicious."""
+    show_scores(scored.data.observed.space.state, scored.validation, stream)
+    print(f"{'gain:':16}{_sentence(scored)}", file=stream)
     if with_suspicious:
-        print("with the suspicious rows:", file=stream)
-        _show_gains(with_suspicious, stream)
+        print(f"{WITH_SUSPICIOUS} {_sentence(with_suspicious)}", file=stream)
 
 
-def _show_gains(applied: AppliedModel, stream: TextIO) -> None:
-    for name, coordinates in parts_of(applied.data.observed.space.state).items():
-        print(f"{name + ':':16}{gain_sentence(applied.gain(coordinates), _WITHOUT)}", file=stream)
+def _sentence(applied: AppliedModel) -> str:
+    everything = range(len(applied.data.observed.space.state))
+    return gain_sentence(applied.validation.reduction(applied.residual.kind, "none", everything))
 
 
 def prediction_table(applied: AppliedModel) -> str:
@@ -87,8 +81,10 @@ def application_report(
         applied: The model applied to all steps.
         suspicious: What is suspicious in the rows that were left out, by their origins.
     """
-    parts = parts_of(scored.data.observed.space.state)
-    gains = {name: scored.gain(coordinates) for name, coordinates in parts.items()}
+    state, kind = scored.data.observed.space.state, applied.residual.kind
+    parts: dict[str, Sequence[int]] = {quantity.name: [index] for index, quantity in enumerate(state)}
+    if len(state) > 1:
+        parts["all together"] = range(len(state))
     return {
         "schema": APPLIED_SCHEMA,
         "logs": [str(log) for log in logs],
@@ -98,13 +94,9 @@ def application_report(
         "known_steps": applied.known,
         "steps_outside": applied.outside,
         "residuals": [
-            {"kind": kind, **scores_as_data(scored.data.observed.space.state, held)}
-            for kind, held in scored.validation.held_out.items()
+            {"kind": each, **scores_as_data(state, held)} for each, held in scored.validation.held_out.items()
         ],
-        "gain": {name: reduction_as_data(gain) for name, gain in gains.items()},
-        "verdict": {name: gain_sentence(gain, _WITHOUT) for name, gain in gains.items()},
+        "gain": gains_as_data(scored.validation, kind, parts),
         "suspicious": dict(suspicious),
-        "verdict_with_suspicious": {
-            name: gain_sentence(applied.gain(coordinates), _WITHOUT) for name, coordinates in parts.items()
-        },
+        "gain_with_suspicious": gains_as_data(applied.validation, kind, parts),
     }

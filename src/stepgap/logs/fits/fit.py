@@ -14,18 +14,15 @@ from stepgap.learning.observations import Observations
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps, joined
 from stepgap.logs.columns import Columns
-from stepgap.logs.fits.model_averaging import averaged, common_weights
 from stepgap.logs.fits.suspicious import MOST, Reasons, far_rows, improbable_rows
 from stepgap.logs.fits.validation import (
     FOLDS,
     LEAST_STEPS,
     Folds,
-    Reduction,
     Validation,
     contiguous_folds,
     deployment_folds,
     fit_steps,
-    reduction,
     validate,
     validate_on,
     without_history,
@@ -48,9 +45,6 @@ NOMINALS = {
 
 _MOST_ROUNDS = 4
 """Suspicious rows may hide others, so residuals are compared without them, at most this number of times."""
-
-BASELINES: tuple[str, ...] = ("none", "constant")
-"""Residuals with which all others are compared, besides that of the run."""
 
 Settings = Sequence[tuple[str, str]]
 """Dotted names and values."""
@@ -343,20 +337,7 @@ def compare(
     return now if len(now.suspicious) <= 2 * MOST * count else first
 
 
-def gains(validation: Validation, coordinates: Sequence[int]) -> dict[str, Reduction]:
-    """Reduction of the error of these state coordinates by the averaged prediction, over that of each baseline."""
-    average, block = averaged(validation), validation.folds.block
-    return {kind: reduction(average, validation.held_out[kind], block, coordinates) for kind in BASELINES}
-
-
-def heaviest_residual(validation: Validation) -> str:
-    """Name of the residual with the largest weight in all coordinates together; the simplest of equal ones."""
-    weights = common_weights(validation)
-    return max(weights, key=lambda kind: round(weights[kind], 6))
-
-
 def best_model(data: FitData, validation: Validation) -> str:
-    """Model file of the residual with the largest weight, fitted to all steps as before a further deployment."""
-    kind = heaviest_residual(validation)
-    residual = fit_steps(data.observed, without_history(data.learning, kind))
+    """Model file of the residual that predicts best, fitted to all steps as before a further deployment."""
+    residual = fit_steps(data.observed, without_history(data.learning, validation.best.kind))
     return saved_model_text(residual, data.observed.space, data.source)

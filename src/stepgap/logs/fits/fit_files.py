@@ -23,21 +23,18 @@ LOOKS: tuple[dict[str, Any], ...] = (
 def fit_picture(state: Sequence[Quantity], validation: Validation, form: str) -> bytes:
     """Draws predicted against actual errors of the nominal map, with a panel for each state coordinate.
 
-    The figure shows the constant and the best of the more complex residuals.
+    The figure shows the constant and the residual that predicts best.
 
     Args:
         state: State coordinates.
         validation: Predictions of held-out steps by all residuals.
         form: File format, one of `base.output_files.PICTURE_FORMATS`.
     """
-    everything = range(len(state))
-    complex_kinds: list[str] = [kind for kind in validation.held_out if kind not in ("none", "constant")]
-    best = max(complex_kinds, key=lambda kind: validation.reduction(kind, "none", everything).value)
-    drawn = [validation.held_out["constant"], validation.held_out[best]]
+    drawn = [validation.held_out[kind] for kind in dict.fromkeys(("constant", validation.best.kind))]
     figure = Figure(figsize=(PANEL * len(state), PANEL + 0.5), layout="constrained")
     panels = figure.subplots(1, len(state), squeeze=False)[0]
     for index, (panel, quantity) in enumerate(zip(panels, state, strict=True)):
-        for held_out, look in zip(drawn, LOOKS, strict=True):
+        for held_out, look in zip(drawn, LOOKS, strict=False):
             label = f"{held_out.kind}, fitted to other steps"
             panel.plot(held_out.error[:, index], held_out.mean[:, index], **look, label=label)
         panel.axline((0, 0), slope=1, color=BLACK, linewidth=0.8, label="predicted = actual")

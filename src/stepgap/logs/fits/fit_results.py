@@ -3,24 +3,22 @@
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Final, TextIO
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from stepgap.gauss.gaussian_process_fit import EXACT_SIZE
-from stepgap.logs.fits.fit import BASELINES, Comparison, FitData, gains, heaviest_residual
-from stepgap.logs.fits.model_averaging import averaged, correlation_of_successive, residual_weights
-from stepgap.logs.fits.validation import Folds, HeldOut, Reduction, Validation
+from stepgap.logs.fits.fit import Comparison, FitData
+from stepgap.logs.fits.validation import Best, Folds, HeldOut, Reduction, Validation
 from stepgap.logs.foreign_log import describe_left_out
 from stepgap.report.text import with_unit
 from stepgap.step import Array, Quantity
 
-FIT_SCHEMA = 5
+FIT_SCHEMA = 6
 """Version of the JSON file."""
 
 _MOST_NAMED = 10
@@ -29,28 +27,21 @@ _MOST_NAMED = 10
 LARGEST_CHANGE = 10.0
 """An error that is larger than another one by more than this multiple is far worse, whatever the number."""
 
-
-def verdicts(found: Comparison) -> str:
-    """Weights and correlation of the remaining errors; a sentence for each state coordinate, and for all together.
-
-    Where suspicious rows were left out, the same sentences follow for all rows.
-    """
-    state = found.data.observed.space.state
-    follows = found.scored_last[-1].steps.follows
-    lines = [f"{'weights:':16}{weight_sentence(state, found.validation)}"]
-    lines.append(f"{'successive:':16}{lacking(state, averaged(found.validation), follows)}")
-    for name, part in parts_of(state).items():
-        lines.append(f"{name + ':':16}{verdict(found.validation, part)}")
-    if found.suspicious:
-        lines.append("with the suspicious rows:")
-        lines += [f"{name + ':':16}{verdict(found.with_them, part)}" for name, part in parts_of(state).items()]
-    return "\n".join(lines)
+WITH_SUSPICIOUS: Final = "with the suspicious rows:"
+"""What a sentence begins with that counts all rows."""
 
 
-def parts_of(state: Sequence[Quantity]) -> dict[str, Sequence[int]]:
-    """State coordinates of each sentence: each, and all together."""
-    parts: dict[str, Sequence[int]] = {quantity.name: [index] for index, quantity in enumerate(state)}
-    return parts | ({"all together": range(len(state))} if len(state) > 1 else {})
+def verdict(found: Comparison) -> str:
+    """Sentence on the residual that predicts best; where suspicious rows were left out, also with these rows."""
+    sentence = f"{'best:':16}{best_sentence(found.validation.best)}"
+    return f"{sentence}\n{WITH_SUSPICIOUS} {best_sentence(found.with_them.best)}" if found.suspicious else sentence
+
+
+def best_sentence(best: Best) -> str:
+    """Sentence on which residual predicts best, by how much, and whether that is certain."""
+    gain = "no residual predicts better" if best.kind == "none" else gain_sentence(best.gain)
+    than = f"not certainly better than {', '.join(best.alike)}" if best.alike else "certainly better than all others"
+    return f"{best.kind}, {gain}; {than}"
 
 
 def describe_suspicious(rows: Mapping[str, str]) -> str:
@@ -60,55 +51,16 @@ def describe_suspicious(rows: Mapping[str, str]) -> str:
     return f"suspicious  {len(rows)} row{'s' if len(rows) > 1 else ''}, left out below: {'; '.join([*named, *more])}"
 
 
-def verdict(validation: Validation, coordinates: Sequence[int]) -> str:
-    """Sentence on how much learning reduces the error of these state coordinates, in all and beyond a constant."""
-    by = gains(validation, coordinates)
-    return f"{gain_sentence(by['none'], 'without a correction')}; {gain_sentence(by['constant'], 'with a constant')}"
-
-
-def gain_sentence(by: Reduction, other: str) -> str:
-    """Sentence on a reduction of another error, with its 95 % interval."""
+def gain_sentence(by: Reduction) -> str:
+    """Sentence on a reduction of the error without a correction, with its 95 % interval."""
     if abs(by.value) <= by.half_width or not np.isfinite(by.half_width):
         wide = by.half_width > LARGEST_CHANGE and np.isfinite(by.half_width)
         size = f"within more than ± {100 * LARGEST_CHANGE:.0f} %" if wide else _percent(by.value, by.half_width)
-        return f"no difference shown from the error {other} ({size})"
+        return f"no difference shown from the error without a correction ({size})"
     if by.value < -LARGEST_CHANGE:
-        return f"far worse than {other}"
+        return "far worse than without a correction"
     size = _percent(abs(by.value), by.half_width)
-    return f"{size} {'less' if by.value > 0 else 'more'} error than {other}"
-
-
-def lacking(state: Sequence[Quantity], held_out: HeldOut, follows: NDArray[np.bool_]) -> str:
-    """Sentence on whether the remaining errors of predictions show that the state lacks something.
-
-    What lasts longer than a step, and is not in the state, makes successive errors alike. Noise of the measured state,
-    in which one step ends and the next one begins, makes their signs alternate where the state persists.
-    """
-    correlation, half = correlation_of_successive(held_out, follows)
-    if not np.isfinite(half):
-        return "too few successive steps to see whether the state lacks something that lasts"
-    alike, alternating = (
-        ", ".join(
-            f"{quantity.name} {value:.2f} ± {half:.2f}"
-            for quantity, value in zip(state, correlation, strict=True)
-            if sign * value > half
-        )
-        for sign in (1, -1)
-    )
-    found = [f"are correlated ({alike}): the state lacks something that lasts"] if alike else []
-    if alternating:
-        found.append(f"alternate ({alternating}), as with noise of the measured state")
-    return f"remaining errors of successive steps {', and '.join(found) or f'are not correlated (within ± {half:.2f})'}"
-
-
-def weight_sentence(state: Sequence[Quantity], validation: Validation) -> str:
-    """The largest weights of the residuals in the averaged prediction, by state coordinate."""
-    weights, parts = residual_weights(validation), []
-    for index, quantity in enumerate(state):
-        ranked = sorted(weights, key=lambda kind: -weights[kind][index])[:3]
-        shown = [f"{kind} {weights[kind][index]:.2f}" for kind in ranked if weights[kind][index] >= 0.05]
-        parts.append(f"{quantity.name}: {', '.join(shown)}")
-    return "; ".join(parts)
+    return f"{size} {'less' if by.value > 0 else 'more'} error than without a correction"
 
 
 def _percent(value: float, half_width: float) -> str:
@@ -164,41 +116,24 @@ def _disturbance(data: FitData) -> str:
     return f"{removed}; the rest {estimated}"
 
 
-def _compared_with(data: FitData, validation: Validation) -> list[str]:
-    """Residuals with which all others are compared: the baselines and that of the run."""
-    used = data.learning.residual
-    return [*BASELINES, *([used] if used in validation.held_out and used not in BASELINES else [])]
-
-
-def show_validation(data: FitData, validation: Validation, stream: TextIO) -> None:
+def show_validation(state: Sequence[Quantity], validation: Validation, stream: TextIO) -> None:
     """Prints a table for each state coordinate and one for all together: framed on a terminal, plain elsewhere."""
-    compared = _compared_with(data, validation)
-    show_scores(data.observed.space.state, validation, compared, stream)
+    show_scores(state, validation, stream)
     console = _console(stream)
-    headings = [f"better than {other}" for other in compared]
-    table = _table(console.is_terminal, "all together", "fit [s]", *headings)
+    table = _table(console.is_terminal, "all together", "fit [s]")
     for kind, held in validation.held_out.items():
-        better = _compared_all(validation, kind, compared, range(len(data.observed.space.state)))
-        table.add_row(kind, _format(held.seconds, ".2g"), *better)
+        table.add_row(kind, _format(held.seconds, ".2g"), _compared(validation, kind, range(len(state))))
     console.print(table)
 
 
-def show_scores(state: Sequence[Quantity], validation: Validation, compared: Sequence[str], stream: TextIO) -> None:
-    """Prints a table for each state coordinate.
-
-    Args:
-        state: State coordinates.
-        validation: Predictions.
-        compared: Residuals with which all others are compared.
-        stream: Where to print.
-    """
-    console, headings = _console(stream), [f"better than {other}" for other in compared]
+def show_scores(state: Sequence[Quantity], validation: Validation, stream: TextIO) -> None:
+    """Prints a table for each state coordinate."""
+    console = _console(stream)
     for index, quantity in enumerate(state):
-        table = _table(console.is_terminal, with_unit(quantity), "RMSE", "log density", "within 95 %", *headings)
+        table = _table(console.is_terminal, with_unit(quantity), "RMSE", "within 95 %")
         for kind, held in validation.held_out.items():
-            scores = (_format(held.rmse[index], ".4g"), _format(held.log_density[index], ".2f"))
-            inside = _format(100 * held.coverage[index], ".0f")
-            table.add_row(kind, *scores, inside, *_compared_all(validation, kind, compared, [index]))
+            scores = (_format(held.rmse[index], ".4g"), _format(100 * held.coverage[index], ".0f"))
+            table.add_row(kind, *scores, _compared(validation, kind, [index]))
         console.print(table)
 
 
@@ -209,20 +144,18 @@ def _console(stream: TextIO) -> Console:
 
 
 def _table(framed: bool, title: str, *scores: str) -> Table:
-    """Empty table of residuals."""
+    """Empty table of residuals, which are compared with none in the last column."""
     table = Table(box=SIMPLE if framed else None, pad_edge=False)
     table.add_column(Text(title))
-    for name in scores:
+    for name in (*scores, "better than none"):
         table.add_column(Text(name), justify="right")
     return table
 
 
-def _compared_all(validation: Validation, kind: str, others: Sequence[str], coordinates: Sequence[int]) -> list[str]:
-    """Improvement of a residual over each of the others."""
-    by = [validation.reduction(kind, other, coordinates) for other in others]
-    return [
-        "–" if kind == other else _percent(one.value, one.half_width) for one, other in zip(by, others, strict=True)
-    ]
+def _compared(validation: Validation, kind: str, coordinates: Sequence[int]) -> str:
+    """Improvement of a residual over none."""
+    by = validation.reduction(kind, "none", coordinates)
+    return "–" if kind == "none" else _percent(by.value, by.half_width)
 
 
 def _format(value: float, form: str) -> str:
@@ -234,11 +167,6 @@ def fit_report(logs: Sequence[Path], found: Comparison) -> dict[str, Any]:
     data, validation = found.data, found.validation
     state = data.observed.space.state
     parts = {quantity.name: [index] for index, quantity in enumerate(state)} | {"all": range(len(state))}
-
-    def better(kind: str, other: str) -> dict[str, Any]:
-        by = {name: validation.reduction(kind, other, part) for name, part in parts.items()}
-        return {name: reduction_as_data(reduction) for name, reduction in by.items()}
-
     return {
         "schema": FIT_SCHEMA,
         "logs": [str(log) for log in logs],
@@ -257,34 +185,31 @@ def fit_report(logs: Sequence[Path], found: Comparison) -> dict[str, Any]:
                 "kind": kind,
                 **scores_as_data(state, held),
                 "fit_seconds": held.seconds,
-                "better_than": {other: better(kind, other) for other in _compared_with(data, validation)},
+                "better_than": {"none": gains_as_data(validation, kind, parts)},
             }
             for kind, held in validation.held_out.items()
         ],
-        "weights": {kind: _named(state, weight) for kind, weight in residual_weights(validation).items()},
-        "heaviest": heaviest_residual(validation),
-        "gain_over": _gains_as_data(validation, parts),
-        "verdict": {name: verdict(validation, part) for name, part in parts.items()},
+        "best": _best_as_data(validation.best),
         "suspicious": dict(found.suspicious),
-        "gain_over_with_suspicious": _gains_as_data(found.with_them, parts),
-        "verdict_with_suspicious": {name: verdict(found.with_them, part) for name, part in parts.items()},
+        "best_with_suspicious": _best_as_data(found.with_them.best),
     }
 
 
-def _gains_as_data(validation: Validation, parts: Mapping[str, Sequence[int]]) -> dict[str, Any]:
-    return {
-        name: {kind: reduction_as_data(by) for kind, by in gains(validation, part).items()}
-        for name, part in parts.items()
-    }
+def gains_as_data(validation: Validation, kind: str, parts: Mapping[str, Sequence[int]]) -> dict[str, Any]:
+    """Reductions of the error without a correction as JSON-ready data, by the names of parts of the state."""
+    return {name: _reduction_as_data(validation.reduction(kind, "none", part)) for name, part in parts.items()}
+
+
+def _best_as_data(best: Best) -> dict[str, Any]:
+    return {"kind": best.kind, "gain": _reduction_as_data(best.gain), "not_certainly_better_than": list(best.alike)}
 
 
 def scores_as_data(state: Sequence[Quantity], held_out: HeldOut) -> dict[str, Any]:
     """Scores of predictions as JSON-ready data, by state coordinate."""
-    scores = {"rmse": held_out.rmse, "log_density": held_out.log_density, "coverage": held_out.coverage}
-    return {name: _named(state, values) for name, values in scores.items()}
+    return {"rmse": _named(state, held_out.rmse), "coverage": _named(state, held_out.coverage)}
 
 
-def reduction_as_data(by: Reduction) -> dict[str, Any]:
+def _reduction_as_data(by: Reduction) -> dict[str, Any]:
     """A reduction as JSON-ready data."""
     interval = [_finite(end) for end in by.interval]
     return {"value": _finite(by.value), "standard_error": _finite(by.standard_error), "interval": interval}

@@ -1,6 +1,5 @@
 """A saved model applied to recorded steps: how large their errors are with and without it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -10,7 +9,7 @@ import numpy as np
 from stepgap.base.errors import InputError, message_of
 from stepgap.learning.residual import HistoryInputs, Residual, join_points
 from stepgap.logs.fits.fit import FitData
-from stepgap.logs.fits.validation import HeldOut, Reduction, Validation, reduction, validate_fitted
+from stepgap.logs.fits.validation import HeldOut, Validation, validate_fitted
 from stepgap.records.model_files import read_saved_model
 from stepgap.step import Array
 
@@ -56,11 +55,6 @@ class AppliedModel:
             return 0
         beyond = (self._points < fitted.min(axis=0)) | (self._points > fitted.max(axis=0))
         return int(beyond.any(axis=1).sum())
-
-    def gain(self, coordinates: Sequence[int]) -> Reduction:
-        """Reduction of the error of these state coordinates by the model."""
-        folds = self.validation.folds
-        return reduction(self.predicted, self.validation.held_out["none"], folds.block, coordinates)
 
     @property
     def _points(self) -> Array:

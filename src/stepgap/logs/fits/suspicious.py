@@ -2,7 +2,8 @@
 
 Two kinds are found. A row is *far* if a number of it lies far outside of the same numbers of all other rows: the state,
 the command, or what should come next. It is *improbable* if its held-out error is much larger than those of other
-rows, and not like that of the step before or after it: what lasts is no wrong number.
+rows, and alone: not like that of the step before or after it, or of most similar steps. What lasts or returns is no
+wrong number.
 """
 
 from collections.abc import Iterator, Mapping
@@ -12,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.learning.observations import Observations
-from stepgap.learning.outliers import IMPROBABLE, LEAST_STD, outliers_among
 from stepgap.learning.steps import Steps
 from stepgap.logs.fits.validation import LEAST_STEPS, Validation
 from stepgap.step import Array
@@ -25,6 +25,12 @@ FAR_FROM_CONSTANT: Final = 50.0
 
 LARGE: Final = 5.0
 """A held-out error is improbable if it is more than this multiple of a typical one, or of its standard deviation."""
+
+LEAST_STD: Final = 0.02
+"""No prediction is taken to be more accurate than this [half ranges]; else a log without noise had suspicious rows."""
+
+SIMILAR: Final = 0.2
+"""Steps are similar if their states and commands differ by less in every coordinate [half ranges]."""
 
 MOST: Final = 0.1
 """If a larger part of the rows seemed to be suspicious, the others are no measure of them, and none is."""
@@ -60,10 +66,32 @@ def improbable_rows(observed: Observations, follows: NDArray[np.bool_], validati
         best = validation.held_out[min(typical, key=lambda kind: float(typical[kind]))]
         std = np.maximum(1.4826 * typical[best.kind], LEAST_STD * scale)
         ratios[:, column] = best.remaining[:, column] / np.maximum(std, best.std[:, column])
-    limited, space = ratios * IMPROBABLE / LARGE, observed.space
-    points = space.scaled_inputs(observed.state, observed.command)
-    rows, names = np.flatnonzero(outliers_among(limited, np.ones_like(limited), follows, points)), space.state_names
-    return _few({int(row): _error_of(names, observed.error[row], np.abs(ratios[row])) for row in rows}, len(observed))
+    space = observed.space
+    rows = np.flatnonzero(large_and_alone(ratios, follows, space.scaled_inputs(observed.state, observed.command)))
+    errors = (_error_of(space.state_names, observed.error[row], np.abs(ratios[row])) for row in rows)
+    return _few(dict(zip(rows.tolist(), errors, strict=True)), len(observed))
+
+
+def large_and_alone(ratios: Array, follows: NDArray[np.bool_], points: Array) -> NDArray[np.bool_]:
+    """Which steps have an error that is `LARGE`, and alone.
+
+    Args:
+        ratios: Error of the prediction of each step from the others, in typical ones; shape (N, n).
+        follows: Whether each step is the one after the step in the row above; shape (N,).
+        points: State and command of each step; shape (N, n + m) [half ranges].
+
+    Returns:
+        Shape (N,). An error is not alone if that of its neighbour in time is large, too, in the same direction, or if
+        that of more than half of all similar steps is.
+    """
+    signs = np.where(np.abs(ratios) > LARGE, np.sign(ratios), 0)
+    same = ((signs[1:] == signs[:-1]) & (signs[1:] != 0)).any(axis=1) & follows[1:]
+    alone = signs.any(axis=1) & ~np.append(False, same) & ~np.append(same, False)
+    for row in np.flatnonzero(alone):
+        similar = (np.abs(points - points[row]) < SIMILAR).all(axis=1)
+        alike = (signs[similar] == signs[row])[:, signs[row] != 0].any(axis=1).sum()
+        alone[row] = alike <= max(1, similar.sum() / 2)
+    return alone
 
 
 def _error_of(names: tuple[str, ...], error: Array, ratio: Array) -> str:

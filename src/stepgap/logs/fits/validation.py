@@ -21,12 +21,12 @@ import numpy as np
 from scipy.special import stdtrit
 
 from stepgap.base.errors import StepGapWarning
-from stepgap.base.normal import INTERVAL_95, log_density
+from stepgap.base.normal import INTERVAL_95
 from stepgap.learning.observations import Observations
 from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_check import ResidualError, check_prediction
 from stepgap.learning.residual_fit import learned_residual
-from stepgap.learning.settings import LearningSettings
+from stepgap.learning.settings import AUTO, LearningSettings
 from stepgap.learning.steps import Labels
 from stepgap.learning.trust import PredictedStep, Trust
 from stepgap.step import Array
@@ -123,12 +123,6 @@ class HeldOut:
         return np.sqrt(np.mean(self.remaining**2, axis=0))
 
     @property
-    def log_density(self) -> Array:
-        """Mean log predictive density of a step [nats, SI units]; NaN without standard deviations; shape (n,)."""
-        std = np.where(self.std > 0, self.std, np.nan)
-        return np.mean(log_density(self.remaining, std), axis=0)
-
-    @property
     def coverage(self) -> Array:
         """Fraction of steps within the 95 % interval; NaN without standard deviations; shape (n,)."""
         inside = np.abs(self.remaining) <= INTERVAL_95 * self.std
@@ -188,6 +182,21 @@ def _reduction(one: Array, other: Array) -> float:
     return 1 - sqrt(np.mean(ratio))
 
 
+@dataclass(frozen=True)
+class Best:
+    """The residual that predicts held-out steps best, all state coordinates together.
+
+    Attributes:
+        kind: Its name.
+        gain: Reduction of the error without a correction.
+        alike: Other residuals than which it is not certainly better, besides `none`.
+    """
+
+    kind: str
+    gain: Reduction
+    alike: tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Validation:
     """Result of the cross-validation of several residuals.
@@ -203,6 +212,16 @@ class Validation:
     def reduction(self, kind: str, other: str, coordinates: Sequence[int]) -> Reduction:
         """Computes by how much one residual is better than another in these state coordinates."""
         return reduction(self.held_out[kind], self.held_out[other], self.folds.block, coordinates)
+
+    @property
+    def best(self) -> Best:
+        """The residual with the least error, the simplest of equal ones; never `auto`, which is one of the others."""
+        everything = range(self.held_out["none"].error.shape[1])
+        gain = {kind: self.reduction(kind, "none", everything) for kind in self.held_out if kind != AUTO}
+        best = max(gain, key=lambda kind: gain[kind].value)
+        others = (kind for kind in gain if kind not in ("none", best))
+        alike = (kind for kind in others if not self.reduction(best, kind, everything).certain)
+        return Best(best, gain[best], tuple(alike))
 
 
 def validate(
