@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 from sklearn.gaussian_process.kernels import Matern
-from tests.learning.test_gaussian_process import CENTRE, FIXED, SCALE, SLOPED, central_difference, sample, truth
+from tests.gauss.test_gaussian_process import CENTRE, FIXED, SCALE, SLOPED, central_difference, sample, truth
 
 from stepgap.gauss.exact_gaussian_process import ExactGaussianProcess, condition
 from stepgap.gauss.gaussian_process_fit import fit_gaussian_process, fit_hyper_parameters

@@ -15,9 +15,9 @@ from stepgap.cli.terminal import warn
 from stepgap.experiment.exploration import worthwhile
 from stepgap.experiment.loop import Observer, fails_no_later
 from stepgap.experiment.state_ranges import COMPARED_STEPS, far_states
+from stepgap.learning.alarm import Alarm
 from stepgap.learning.residual import Residual
 from stepgap.learning.steps import LoggedStep, Steps
-from stepgap.learning.trust import Alarm
 from stepgap.records.steps_csv import values_of
 from stepgap.records.summary import Deployment, deployment_entry
 from stepgap.report.diagnosis_sentences import offset_sentences
@@ -129,16 +129,13 @@ class RunProgress:
             )
 
     def _on_learned(self, residual: Residual) -> None:
-        count, lagged = len(residual.outliers), residual.history_inputs.lagged_inputs
+        lagged = residual.history_inputs.lagged_inputs
         if lagged != "none" and not self._quiet:
             self._console.print(
                 f"the step before helps to predict the next one: {lagged.replace('_', ' ')} is an input, too "
                 "(learning.lagged_inputs)",
                 soft_wrap=True,
             )
-        if count and not self._quiet:
-            steps = "step with an improbable error is" if count == 1 else "steps with improbable errors are"
-            self._console.print(f"{count} {steps} not learned from (learning.reject_outliers)", soft_wrap=True)
 
     def _on_alarm(self, alarm: Alarm) -> None:
         if not self._quiet:

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from stepgap.learning.observations import Observations
-from stepgap.learning.outliers import improbable_errors
 from stepgap.learning.polynomial import PRIOR_STD, fit_polynomial, monomials
 from stepgap.learning.regression import TrainingData
 from stepgap.robots.gap import Gap, differences
@@ -23,6 +22,12 @@ RESTS: Final = np.array([0.0, *np.geomspace(1e-3, 0.3, 9)])
 
 MOST_INACCURACY: Final = 0.6
 """Largest share of the square of a signature, or of a sum of signatures, that is ascribed to its inaccuracy."""
+
+IMPROBABLE: Final = 3.6
+"""Error of the polynomial, in standard deviations, from which on a step counts as disturbed."""
+
+LEAST_STD: Final = 0.02
+"""The polynomial is not taken to be more accurate than this [half ranges]."""
 
 LARGEST_SHARE: Final = 12.0
 """Largest size of a cause, in usual sizes."""
@@ -147,7 +152,7 @@ class RunError:
         left = steps.error / steps.space.state_scale - (
             monomials(steps.space.scaled_inputs(steps.state, steps.command), SIGNATURE_DEGREE) @ surface.weights.T
         )
-        steps = steps.selected((improbable_errors(left, noise_std) == 0).all(axis=1))
+        steps = steps.selected(np.all(np.abs(left) <= IMPROBABLE * np.maximum(noise_std, LEAST_STD), axis=1))
         _, noise_std = fit_surface(steps)
         basis = monomials(steps.space.scaled_inputs(steps.state, steps.command), SIGNATURE_DEGREE)
         q, r = np.linalg.qr(basis)

@@ -17,13 +17,12 @@ from stepgap.control.reach import reach_from
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.experiment.exploration import exploration_plan, goals_of
-from stepgap.learning.background import BackgroundThread, Deferred
+from stepgap.learning.alarm import Alarm
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.interval_calibration import IntervalCalibration
 from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.steps import LoggedStep
-from stepgap.learning.trust import Alarm
 from stepgap.plants.plant import Plant, Touchdown
 from stepgap.step import Array, StepFailed, StepMap, StepRecord, StepSpace, StepStatus
 
@@ -56,11 +55,6 @@ class AdaptiveMap(Protocol):
     @property
     def alarms(self) -> tuple[Alarm, ...]:
         """What was found to be no longer true, in this deployment so far."""
-        ...
-
-    @property
-    def pending(self) -> Deferred[Residual] | None:
-        """Computation that a thread may do while the robot moves."""
         ...
 
     def step_map(self) -> StepMap:
@@ -200,7 +194,7 @@ def deploy(
         ResidualError: The learned residual failed, or has no finite prediction of a step.
     """
     controller = DeploymentController.start(learner, control)
-    with BackgroundThread() as background, plant:
+    with plant:
         state = _checked_start(plant.start(), plant.space)
         if record := plant.first_step:
             logged = controller.logged_first(iteration, -exploration, record)
@@ -214,9 +208,8 @@ def deploy(
                 target = reference.targets[number - 1]
                 plan = controller.plan(plant.space.onward(state), target, reference.targets[number:])
             on_time("planning", perf_counter() - begin)
-            fit = partial(background.compute, controller.learner.pending)  # after the command: it causes no delay
             replan = partial(_replanned, reference, number, plan, on_time, on_warning)
-            record, plan = _taken(plant, controller, plan, replan, fit)
+            record, plan = _taken(plant, controller, plan, replan)
             target = asked(reference, number, plant.space, record.context) if number > 0 else plan.predicted
             logged = LoggedStep(iteration, number, target, plan.predicted, plan.std, record)
             yield logged
@@ -295,7 +288,6 @@ def _taken(
     controller: DeploymentController,
     plan: CautiousPlan,
     replan: Callable[[DeploymentController, Touchdown], CautiousPlan],
-    planned: Callable[[], None],
 ) -> tuple[StepRecord, CautiousPlan]:
     """A step as it was taken, and the plan of the command that acted, from the state that was found.
 
@@ -306,17 +298,14 @@ def _taken(
         controller: What is known before it.
         plan: Plan from the state as it is known before.
         replan: Plans the step again.
-        planned: Called when the command is known, as long as the robot moves.
     """
     if not plant.space.is_above_context:
-        planned()
         return plant.take_step(plan.command), plan
     plans = [plan]
 
     def at_touchdown(found: Touchdown) -> Array:
         knowing = replace(controller, learner=controller.learner.found(found.context))
         plans.append(replan(knowing, found))
-        planned()
         return plans[-1].command
 
     record = plant.take_replanned_step(plan.command, at_touchdown)

@@ -10,7 +10,7 @@ from stepgap.base.files import read_bounded_text, write_whole
 from stepgap.control.reference import Reference, read_reference, reference_text
 from stepgap.experiment.settings import LARGEST_NOMINAL_FILE, NO_PRIOR, PRIOR_OF_ROBOT, Experiment, with_files
 from stepgap.experiment.settings_text import experiment_toml
-from stepgap.learning.settings import AUTO, LearningSettings
+from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps, joined
 from stepgap.records.prior_file import PriorFile, read_prior
 from stepgap.records.steps_csv import RecordError, read_step_log, text_of
@@ -101,8 +101,8 @@ def load_priors(experiment: Experiment, space: StepSpace) -> list[PriorFile]:
     built_in, path = experiment.prior == PRIOR_OF_ROBOT, Path(experiment.prior)
     if built_in:
         shipped = experiment.robot.prior()
-        usual = experiment.learning.residual in (AUTO, LearningSettings().residual)
-        if shipped is None or not (experiment.learning.online and usual) or linear:
+        believes = experiment.learning.drift and experiment.learning.residual == LearningSettings().residual
+        if shipped is None or not believes or linear:
             return []
         path = shipped
     elif experiment.prior == NO_PRIOR:

@@ -24,12 +24,12 @@ from stepgap.experiment.deployment import AdaptiveMap, DeploymentController, Exe
 from stepgap.experiment.exploration import worth_of_steps, worthwhile
 from stepgap.experiment.outcome import estimate_noise_floor, summarise
 from stepgap.experiment.resume import Recording, warm_start_of
+from stepgap.learning.alarm import Alarm
 from stepgap.learning.learner import Learner
-from stepgap.learning.prior import PRIOR, Prior
+from stepgap.learning.prior import Prior
 from stepgap.learning.residual import Residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps, as_past
-from stepgap.learning.trust import Alarm
 from stepgap.plants.plant import Plant
 from stepgap.records.steps_csv import digest
 from stepgap.records.summary import Deployment, NoiseFloor, Summary
@@ -148,27 +148,22 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
     deployments = list[Deployment]()
     with one_blas_thread(), Recording(folder, nominal.space, seed, past, plants.replays) as recording:
         log = Steps(recording.space)
+        prepare = partial(Learner.start, nominal, Steps(recording.space) + past, setup.learning, 0, setup.priors)
         while True:
             iteration = len(deployments)
             observer.on_phase("learning", 0, 0)
             begin = perf_counter()
-            before = Steps(recording.space) + past + log
-            learner = Learner.start(nominal, before, setup.learning, iteration, priors=setup.priors)
+            learner = prepare()
             seconds = perf_counter() - begin
-            observer.on_learned(learner.residual)
-            if learner.left_out:
-                count, kept = len(learner.left_out), len(learner.log.iterations)
-                observer.on_warning(
-                    f"of {count + kept} deployments known, {count} of earlier runs left out: probably of another robot"
-                )
-            if iteration > 0 or len(past) or setup.priors:
+            observer.on_learned(learner.learned)
+            if iteration > 0 or len(past) or learner.beliefs:
                 observer.on_time(iteration, "fit", seconds)
                 recording.write_model(learner)
             latest = deque[AdaptiveMap]([learner], maxlen=1)
             execute = partial(_execute, learner, setup, observer, partial(_follow, latest, observer))
             steps = _observed(recording.steps(iteration, execute), recording.space, observer)
             log += steps
-            alarms = recording.alarms(iteration)
+            alarms, final = recording.alarms(iteration), _final(learner, latest[0], steps)
             floor = estimate_noise_floor(steps, reference)
             deployments.append(
                 summarise(
@@ -177,7 +172,7 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
                     _residual_name(learner),
                     learner.step_map(),
                     floor.any_phase,
-                    _final(learner, latest[0], steps).alarms if alarms is None else alarms,
+                    final.alarms if alarms is None else alarms,
                 )
             )
             summary = _summary(deployments, log, floor, seed, past)
@@ -185,11 +180,12 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
             observer.on_deployment(deployments[-1])
             if is_finished(deployments, scale, setup.learning):
                 break
+            prepare = partial(final.redeployed, Steps(recording.space) + past + log, setup.priors)
         recording.check_finished()
         if plants.measure_noise_floor:
             noise_floor = recording.measured_noise_floor(len(deployments))
             if noise_floor is None:
-                last_map = _final(learner, latest[0], steps).step_map()
+                last_map = final.step_map()
                 progress = partial(observer.on_phase, "measuring the noise floor")
                 noise_floor = plants.measure_noise_floor(last_map, random_stream(seed, iteration, 1), progress)
             summary = replace(summary, noise_floor=noise_floor, noise_floor_measured=True)
@@ -204,7 +200,7 @@ def _execute(
     iteration = learner.iteration
     observer.on_execution()
     exploration = 0 if iteration else setup.learning.exploration
-    if exploration and learner.residual.kind == PRIOR.name:
+    if exploration and setup.priors and learner.beliefs:
         controller = DeploymentController(learner, setup.control).step_controller
         worths = worth_of_steps(controller, learner.conditioned_residual, setup.reference, exploration)
         observer.on_exploration(worths)
@@ -225,7 +221,7 @@ def _follow(latest: deque[AdaptiveMap], observer: Observer, learner: AdaptiveMap
     latest.append(learner)
 
 
-def _final(first: Learner, latest: AdaptiveMap, steps: Steps) -> AdaptiveMap:
+def _final(first: Learner, latest: AdaptiveMap, steps: Steps) -> Learner:
     """The learner after a deployment; after one that was not executed here, it is found from the recorded steps.
 
     Args:
@@ -233,7 +229,9 @@ def _final(first: Learner, latest: AdaptiveMap, steps: Steps) -> AdaptiveMap:
         latest: The latest one while it was executed.
         steps: All steps of it.
     """
-    return latest if latest is not first else reduce(Learner.after, steps.completed(), first)
+    if isinstance(latest, Learner) and latest is not first:
+        return latest
+    return reduce(Learner.after, steps.completed(), first)
 
 
 def _observed(steps: ExecutedSteps, space: StepSpace, observer: Observer) -> Steps:
@@ -249,8 +247,9 @@ def _observed(steps: ExecutedSteps, space: StepSpace, observer: Observer) -> Ste
 
 
 def _residual_name(learner: Learner) -> str:
-    """Name of the residual of a deployment; an online learner may start without a residual."""
-    return learner.settings.residual if learner.learns else learner.residual.name
+    """Name of the residual of a deployment; one that learns may start without a residual."""
+    learns = learner.beliefs is not None or learner.settings.learns_in(learner.iteration)
+    return learner.settings.residual if learns else learner.residual.name
 
 
 def _summary(deployments: Sequence[Deployment], log: Steps, noise_floor: NoiseFloor, seed: int, past: Steps) -> Summary:

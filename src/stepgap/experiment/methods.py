@@ -44,9 +44,6 @@ METHODS: Mapping[str, Method] = {
             lagged_inputs="none",
             early_stop=False,
             drift=False,
-            remove_yaw_dependence=False,
-            reject_outliers=False,
-            monitor=False,
         ),
         ControlSettings(cautious=False, viability=False, avoid_failures=False, horizon=1),
     ),
@@ -56,15 +53,20 @@ METHODS: Mapping[str, Method] = {
             online=True,
             lagged_inputs="none",
             forgetting_time=forgetting_time(1 - INTEGRAL_GAIN),
+            drift=False,
         )
     ),
     "rls": Method(
         LearningSettings(
-            residual="linear", online=True, lagged_inputs="none", forgetting_time=forgetting_time(RLS_FORGETTING)
+            residual="linear",
+            online=True,
+            lagged_inputs="none",
+            forgetting_time=forgetting_time(RLS_FORGETTING),
+            drift=False,
         ),
         linear=True,
     ),
-    "affine": Method(LearningSettings(residual="linear", lagged_inputs="none"), linear=True),
+    "affine": Method(LearningSettings(residual="linear", lagged_inputs="none", drift=False), linear=True),
 }
 """Values of `method`, which sets the tables `[learning]` and `[control]` and `nominal.linear` before single keys.
 

@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 from stepgap.control.reach import reached_in_one_step, whole_states
 from stepgap.control.reference import Reference, mean_of_known, same_target
+from stepgap.learning.alarm import Alarm
 from stepgap.learning.steps import Steps
-from stepgap.learning.trust import Alarm
 from stepgap.records.summary import Deployment, NoiseFloor
 from stepgap.step import Array, StepMap
 

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Self
 
 from stepgap.experiment.deployment import ExecutedSteps
+from stepgap.learning.alarm import Alarm
 from stepgap.learning.learner import Learner
 from stepgap.learning.steps import LoggedStep, Steps
-from stepgap.learning.trust import Alarm
-from stepgap.records.model_files import read_model, write_model
+from stepgap.records.model_files import Model, read_model, write_model
 from stepgap.records.steps_csv import RecordError, StepWriter, digest, row_of
 from stepgap.records.summary import NoiseFloor, OtherSchema, Summary, WarmStart, read_summary, write_summary
 from stepgap.step import StepSpace
@@ -102,7 +102,7 @@ class Recording:
             except ValueError as error:
                 raise RecordError(f"{error}; {_REMEDY}, or start another run by --warm-start {folder}") from None
             return
-        write_model(folder, iteration, learner.residual, nominal)
+        write_model(folder, iteration, Model(learner.learned, learner.beliefs), nominal)
 
     def write_summary(self, summary: Summary) -> None:
         """Writes `summary.json`, unless there are recorded steps of later deployments, whose summary it would remove.

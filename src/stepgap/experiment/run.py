@@ -242,11 +242,11 @@ class Run:
     def residual(self, iteration: int) -> Residual | Missing:
         """Residual in `models/` with which a deployment began; a deployment with the nominal map has none."""
         try:
-            residual = read_model(self.folder, iteration, self.space)
+            model = read_model(self.folder, iteration, self.space)
         except (ValueError, OSError) as error:
             return Missing(message_of(error))
-        if residual is not None:
-            return residual
+        if model is not None:
+            return model.residual
         name = model_path(self.folder, iteration).relative_to(self.folder)
         return Missing(f"there is no {name}" if iteration else "deployment 0 used the nominal map")
 
@@ -258,7 +258,7 @@ class Run:
                 return part
         try:
             with one_blas_thread():
-                return self.learner().residual
+                return self.learner().learned
         except InputError as error:
             return Missing(str(error))
 
@@ -281,14 +281,16 @@ class Run:
         if not 0 <= number <= after:
             raise InputError(f"{self.folder}: has no deployment {number}; it may be 0 to {after}, the next one")
         try:
-            residual = read_model(self.folder, number, nominal.space, nominal)
+            model = read_model(self.folder, number, nominal.space, nominal)
         except (ValueError, OSError) as error:
             raise InputError(message_of(error)) from None
         log = Steps(self.recorded.space) + self.known + self.recorded.before(number)
-        if residual is None and number < after and len(log):
+        if model is not None:
+            return Learner.restored(nominal, log, settings.learning, number, *model)
+        if number < after and len(log):
             raise InputError(f"{self.folder}: there is no models/iteration_{number}.json, so the model is unknown")
         priors = [each.prior for each in load_priors(settings, nominal.space)]
-        return Learner.start(nominal, log, settings.learning, number, residual, priors)
+        return Learner.start(nominal, log, settings.learning, number, priors)
 
     def corrected(self, iteration: int | None = None) -> CorrectedMap:
         """The map with which a deployment began: nominal map and residual.
@@ -364,9 +366,9 @@ class Run:
 
     @property
     def has_unsaved_residual(self) -> bool:
-        """Whether deployment 0 is the last one and learned from the nominal map on: no file has its residual."""
+        """Whether deployment 0 is the last one and learned from the nominal map on: no file has what it learned."""
         last = self.shown_iterations[-1]
-        return last == 0 and self.residual_name(0) != "none" and not model_path(self.folder, 0).exists()
+        return last == 0 and self.residual_name(0) != "none" and not len(self.known)
 
     @property
     def compared_result(self) -> PublishedResult | None:

@@ -7,7 +7,6 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.learning.disturbance import Disturbance
 from stepgap.learning.residual import Residual, join_points
 from stepgap.step import Array, Outcome, StepMap, StepSpace
 
@@ -23,12 +22,12 @@ class CorrectedMap(StepMap):
         nominal: The map of the physics model. Not a corrected one: a residual is fitted to
             actual − nominal on all steps, so corrections never stack.
         residual: Model of actual − nominal, of the same sizes.
-        disturbance: Estimated disturbance of the next step, which is added, too; None for none.
+        offset: Measured minus true state at the start of the next step, as far as it is known; None for none.
     """
 
     nominal: StepMap
     residual: Residual
-    disturbance: Disturbance | None = None
+    offset: Array | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.nominal, CorrectedMap):
@@ -44,16 +43,14 @@ class CorrectedMap(StepMap):
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
         """Next states and status codes; never raises for a step that fails."""
-        next_state, status = self.nominal.evaluate(state, command)
+        next_state, status = self.nominal.evaluate(self._true(state), command)
         points = self._points(state, command)
-        added = self.disturbance.mean(self._inputs(points)) if self.disturbance else 0.0
-        return Outcome(next_state + self.residual.mean(points) + added, status)
+        return Outcome(next_state + self.residual.mean(points), status)
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails."""
-        added = self.disturbance.slopes / self._half_ranges if self.disturbance else 0.0
         of_residual = self.residual.mean_gradient(self._points(state, command))
-        return self.nominal.jacobian(state, command) + self._acting * of_residual + self._acting * added
+        return self.nominal.jacobian(self._true(state), command) + self._acting * of_residual
 
     @property
     def noise_std(self) -> Array:
@@ -61,23 +58,17 @@ class CorrectedMap(StepMap):
         return self.residual.noise_std
 
     def std(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """Standard deviation of the next state, residual and disturbance; shape (…, n) [units of the state]."""
-        points = self._points(state, command)
-        std = self.residual.std(points)
-        return np.hypot(std, self.disturbance.std(self._inputs(points))) if self.disturbance else std
+        """Standard deviation of the next state, without noise; shape (…, n) [units of the state]."""
+        return self.residual.std(self._points(state, command))
 
     def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂std/∂(state, command); shape (…, n, n + m)."""
-        points = self._points(state, command)
-        gradient = self._acting * self.residual.std_gradient(points)
-        if not self.disturbance:
-            return gradient
-        inputs, std = self._inputs(points), self.residual.std(points)
-        added = self.disturbance.std(inputs)
-        total = np.hypot(std, added)
-        shares = [np.divide(part, total, out=np.ones_like(total), where=total > 0) for part in (std, added)]
-        of_added = self._acting * self.disturbance.std_gradient(inputs) / self._half_ranges
-        return shares[0][..., None] * gradient + shares[1][..., None] * of_added
+        return self._acting * self.residual.std_gradient(self._points(state, command))
+
+    def _true(self, state: ArrayLike) -> Array:
+        """Measured states less their offset."""
+        state = np.asarray(state, float)
+        return state if self.offset is None else state - self.offset
 
     @cached_property
     def _acting(self) -> Array:
@@ -86,14 +77,4 @@ class CorrectedMap(StepMap):
 
     def _points(self, state: ArrayLike, command: ArrayLike) -> Array:
         """Points at which the residual is learned: distances begin at zero with each step; shape (…, n + m)."""
-        return join_points(self.space.onward(np.asarray(state, float)), command)
-
-    @property
-    def _half_ranges(self) -> Array:
-        """Half ranges of use of state and command; shape (n + m,)."""
-        return np.concatenate([self.space.state_scale, self.space.command_scale])
-
-    def _inputs(self, points: Array) -> Array:
-        """States and commands from the middle of their ranges on [half ranges]; shape (…, n + m)."""
-        centre = np.concatenate([self.space.state_centre, self.space.command_centre])
-        return (points - centre) / self._half_ranges
+        return join_points(self.space.onward(self._true(state)), command)

@@ -23,13 +23,15 @@ from scipy.special import stdtrit
 
 from stepgap.base.errors import InputError
 from stepgap.base.normal import INTERVAL_95
-from stepgap.learning.outliers import LEAST_KNOWN
 from stepgap.learning.residual import HistoryInputs, Residual
 from stepgap.step import Array, StepMap, StepSpace
 
 FALSE_ALARMS: Final = 0.05
 """Share of the sets of robots, alike but for a normal spread, in which some robot is named; of ten robots it is 0.07 to
 0.09, since Rosner's test is exact for many only."""
+
+LEAST_KNOWN: Final = 20
+"""Number of steps of each robot from which its traits can be found."""
 
 LEAST_ROBOTS: Final = 5
 """With fewer robots, the spread among them is not known well enough to name one."""

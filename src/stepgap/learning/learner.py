@@ -1,49 +1,39 @@
-"""The state of learning at every step: a residual fitted to a log, trusted or not, and updated online if wanted."""
+"""The state of learning at every step: what is believed of the robot's error, on top of a fitted residual if wanted."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import nan
-from typing import Self, final
+from typing import Final, Self, final
 
 import numpy as np
 
-from stepgap.learning.background import Deferred
+from stepgap.learning.alarm import Alarm
+from stepgap.learning.beliefs import Beliefs, Observed, features_of
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.earlier_runs import EarlierRuns
-from stepgap.learning.observations import context_inputs_of, error_of, history_after, next_history, observe
-from stepgap.learning.outliers import LEAST_KNOWN, improbable_errors
+from stepgap.learning.entry_points import load_residual_model
+from stepgap.learning.observations import (
+    Observations,
+    context_inputs_of,
+    error_of,
+    history_after,
+    next_history,
+    no_observations,
+    observe,
+)
+from stepgap.learning.posterior import POSTERIOR, Posterior
 from stepgap.learning.prior import Prior
-from stepgap.learning.residual import Residual, join_points
+from stepgap.learning.residual import HistoryInputs, Residual, join_points, no_residual
 from stepgap.learning.residual_check import check_prediction
-from stepgap.learning.residual_fit import explains_better, learned_residual
+from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.steps import LoggedStep, Steps
-from stepgap.learning.trust import Alarm, Trust, predicted_step
-from stepgap.learning.zero import NONE
-from stepgap.step import Array, StepMap, StepRecord, StepStatus
+from stepgap.learning.steps import LoggedStep, Steps, runs_before
+from stepgap.step import Array, StepMap, StepRecord, StepSpace, StepStatus
 
-REFIT_GROWTH = 1.1
-"""A new fit begins when the number of steps has grown by this factor."""
-FIRST_STEPS = 2
-"""A first fit, to at most this number of steps, takes no time, so that it is used at once."""
-FITTED_PER_STEP = 150
-"""Number of known steps for which a fit is given the time of one step of the robot; a slower fit is waited for."""
-_NO_FAILURE = (StepStatus.OK, StepStatus.DOUBTFUL)
+NO_FAILURE: Final = (StepStatus.OK, StepStatus.DOUBTFUL)
 """Statuses of steps that a controller need not avoid: a doubtful sensor is not due to the command."""
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Refit:
-    """A fit of new hyper-parameters that does not replace the present residual yet.
-
-    Attributes:
-        residual: Fitted to the steps known when the fit began, and updated with those since.
-        due: Number of known steps at which it replaces the present residual.
-    """
-
-    residual: Deferred[Residual]
-    due: int
+REFIT_GROWTH = 1.1
+"""A residual that learns alone is fitted again when the number of steps has grown by this factor."""
 
 
 @final
@@ -51,51 +41,27 @@ class Refit:
 class Learner:
     """State of learning between two steps of a deployment; `Learner.start` returns the first one, `after` the next one.
 
-    `Trust` decides by likelihood which map plans the next step: the corrected one with its disturbance, or the nominal
-    one. A learner that learns online updates its residual with every step before the next one is planned, and also
-    finds new hyper-parameters: the fit is deferred, so that a `BackgroundThread` can compute `pending` while the robot
-    moves, and its result is used from a fixed number of steps later on, by `FITTED_PER_STEP`. So the same steps give
-    the same learner, however long a fit takes.
+    The same steps give the same learner.
 
     Attributes:
         nominal: Map of the physics model.
-        settings: Which residual model is used, and whether steps of this deployment are learned from.
+        settings: Which residual model is used, and when it is learned.
         iteration: Number of the deployment.
         known: All steps known.
-        earlier: The earlier runs among them; None if there are none.
-        left_out: Numbers of the deployments of earlier runs that are probably of another robot.
-        log: The steps known, without those.
-        residual: The fitted residual, which may depend on the history of a step, too.
+        residual: The fitted residual about whose remaining error is believed; zero for the residual `posterior`.
+        beliefs: What is believed; None where nothing is learned during this deployment but by `residual`.
         history: History of the next step, as `observations` defines it; shape (2n + m + 1 + q,).
-        failures: Points (state, command) of the steps that failed; shape (k, n + m).
-        learns: Whether the next step is learned from: always online, else until exploration ends.
-        trust: Which map is trusted, and the disturbance of the corrected one.
-        outliers: Deployment and number of each step of this deployment that was an outlier when it was executed.
         alarms: Of the steps of this deployment.
-        changes: Row in the log of each step after a change of the robot, and by what it had changed there; shape (n,).
-        refit: The fit that is running, if there is one.
-        refit_from: Number of known steps from which the next fit may begin.
-        priors: Priors over robots, which compete; none if there are none.
     """
 
     nominal: StepMap
     settings: LearningSettings
     iteration: int
     known: Steps
-    earlier: EarlierRuns | None
-    left_out: frozenset[int]
-    log: Steps
     residual: Residual
+    beliefs: Beliefs | None
     history: Array
-    failures: Array
-    learns: bool
-    trust: Trust
-    outliers: tuple[tuple[int, int], ...]
-    alarms: tuple[Alarm, ...]
-    changes: tuple[tuple[int, Array], ...]
-    refit: Refit | None
-    refit_from: float
-    priors: Sequence[Prior] = ()
+    alarms: tuple[Alarm, ...] = ()
 
     @classmethod
     def start(
@@ -104,7 +70,6 @@ class Learner:
         known: Steps,
         settings: LearningSettings,
         iteration: int,
-        residual: Residual | None = None,
         priors: Sequence[Prior] = (),
     ) -> Self:
         """Returns the learner before a deployment.
@@ -112,58 +77,111 @@ class Learner:
         Args:
             nominal: Map of the physics model.
             known: Steps known before the deployment.
-            settings: Which residual model is used, and whether steps of this deployment are learned from.
+            settings: Which residual model is used, and when it is learned.
             iteration: Number of the deployment.
-            residual: The residual that was fitted to these steps; None to fit it.
             priors: Priors over robots, which compete.
+
+        Raises:
+            InputError: There is no residual model of this name, or it cannot be used.
+            ResidualError: The model failed, or what it returned is not valid.
         """
-        earlier = EarlierRuns.of(known, nominal, priors) if known.has_earlier_runs else None
-        left_out = earlier.of_others(observe(_own(known).planned(), nominal)) if earlier else frozenset[int]()
-        log = _without(known, left_out)
-        if residual is None:
-            residual = _fitted(nominal, log, settings, iteration, None, priors)
-        return cls(
-            nominal=nominal,
-            settings=settings,
-            iteration=iteration,
-            known=known,
-            earlier=earlier,
-            left_out=left_out,
-            log=log,
-            residual=residual,
-            history=next_history(log, nominal, iteration),
-            failures=_failures_in(log),
-            learns=settings.learns_in(iteration),
-            trust=_trust(nominal, settings, residual, log),
-            outliers=(),
-            alarms=(),
-            changes=(),
-            refit=None,
-            refit_from=max(1.0, REFIT_GROWTH * len(log)),
-            priors=priors,
-        )
+        believes = _believes(settings, known, iteration)
+        residual = _fitted(nominal, known, settings, believes=believes)
+        beliefs = _begun(nominal, known, residual, priors) if believes else None
+        return cls.restored(nominal, known, settings, iteration, residual, beliefs)
+
+    @classmethod
+    def restored(
+        cls,
+        nominal: StepMap,
+        known: Steps,
+        settings: LearningSettings,
+        iteration: int,
+        residual: Residual,
+        beliefs: Beliefs | None,
+    ) -> Self:
+        """Returns the learner before a deployment of which residual and beliefs are known; the others as of `start`."""
+        if beliefs and residual.kind == POSTERIOR.name:
+            residual = no_residual(*residual.sizes)  # they say the same
+        history = next_history(known, nominal, iteration)
+        return cls(nominal, settings, iteration, known, residual, beliefs, history)
+
+    def redeployed(self, known: Steps, priors: Sequence[Prior] = ()) -> "Learner":
+        """Returns the learner before the next deployment, with all steps known then; the priors are those of `start`.
+
+        A residual is fitted again. Beliefs go on, but for a deployment after which some of its steps proved doubtful.
+        """
+        iteration, settings = self.iteration + 1, self.settings
+        beliefs = self.beliefs if settings.residual == POSTERIOR.name else None
+        if beliefs is None or known.of_iteration(self.iteration).doubtful.any():
+            return Learner.start(self.nominal, known, settings, iteration, priors)
+        return self.restored(self.nominal, known, settings, iteration, self.residual, beliefs.redeployed())
 
     @property
-    def conditioned_residual(self) -> Residual:
-        """The residual of the next step, a function of state and command."""
-        return self.residual.conditioned_on(self.history)
+    def failures(self) -> Array:
+        """Points (state, command) of the steps that failed; shape (k, n + m)."""
+        failed = ~np.isin(self.known.status, NO_FAILURE)
+        return join_points(self.known.state[failed], self.known.requested[failed])
 
     @property
     def phase(self) -> float:
         """Phase of the periodic context quantity at which the next step starts [rad], NaN if it is unknown."""
-        last, periodic = self.log.last, self.log.space.periodic
-        if periodic is None or last is None or last.iteration != self.iteration:
-            return nan
-        return periodic.phase(last.record.context[periodic.name])
+        last = self.known.last
+        return (
+            nan if last is None or last.iteration != self.iteration else _phase_after(last.record, self.nominal.space)
+        )
 
     @property
-    def pending(self) -> Deferred[Residual] | None:
-        """The pending fit, which a thread may compute before it is due."""
-        return self.refit and self.refit.residual
+    def conditioned_residual(self) -> Residual:
+        """The error of the next step as far as it is known, a function of state and command."""
+        return self.step_map().residual
+
+    @cached_property
+    def learned(self) -> Residual:
+        """The error as far as it is known, with the steps from which it was learned, for reports and files."""
+        if self.beliefs is None or self.settings.residual != POSTERIOR.name:
+            return self.residual
+        seen = observe(self.known.planned(), self.nominal)
+        return self._believed(self.beliefs, seen)
 
     def step_map(self) -> CorrectedMap:
         """Returns the map that plans the next step."""
-        return self.trust.step_map(self.nominal, self.conditioned_residual, self.phase)
+        return self._step_map
+
+    @cached_property
+    def _step_map(self) -> CorrectedMap:
+        residual = self.residual
+        if self.beliefs is None:
+            return CorrectedMap(self.nominal, residual.conditioned_on(self.history))
+        nothing = no_observations(self.nominal.space)
+        believed = self._believed(self.beliefs, nothing).conditioned_on(self.history)
+        offset = self.beliefs.mixture(self.phase).offset * self.nominal.space.state_scale
+        return CorrectedMap(self.nominal, believed, offset=offset if offset.any() else None)
+
+    def _believed(self, beliefs: Beliefs, seen: Observations) -> Residual:
+        """The mixture of the beliefs, added to the fitted residual; with the steps `seen` as its data."""
+        mixture, space = beliefs.mixture(self.phase), self.nominal.space
+        base = self.residual if self.residual.kind != "none" else None
+        context = len(space.context_inputs)
+        inputs = base.history_inputs if base else HistoryInputs(context_inputs=context)
+        n, m = len(space.state), len(space.command)
+        data = [seen.training_data(inputs, coordinate) for coordinate in range(n)]
+        first = len(data[0].scale) - context - inputs.timed
+        used = (*range(n + m), *range(first, first + context))
+        regressions = tuple(
+            Posterior(
+                data=data[coordinate],
+                features=beliefs.features,
+                mean_weights=mixture.mean[coordinate],
+                covariance=mixture.covariance[coordinate],
+                side=mixture.side,
+                noise=float(np.sqrt(mixture.noise[coordinate])),
+                used=used,
+                base=base.regressions[coordinate] if base else None,
+            )
+            for coordinate in range(n)
+        )
+        return Residual(POSTERIOR, regressions, m, inputs)
 
     def found(self, context: Mapping[str, float]) -> Self:
         """Returns the learner at the touchdown of the next step, with the context inputs that it has found."""
@@ -176,169 +194,122 @@ class Learner:
         """Returns the learner after the step just executed.
 
         Raises:
-            ResidualError: The residual has no finite prediction of this step, or a new fit failed.
+            ResidualError: The residual has no finite prediction of this step.
         """
-        return self.found(logged.record.context)._after(logged)._without_other_robots(logged)
-
-    def _without_other_robots(self, logged: LoggedStep) -> "Learner":
-        """Begins again where a step shows that other earlier runs are of this robot than it seemed.
-
-        Until a fit to these runs is due, the residual is one that was fitted to this robot's own steps alone.
-        """
-        if self.earlier is None or not self.learns or len(self.known) - self.earlier.steps > LEAST_KNOWN:
-            return self
-        own = _own(self.known)
-        left_out = self.earlier.of_others(observe(own.planned(), self.nominal), self.left_out)
-        if left_out == self.left_out:
-            return self
-        log = _without(self.known, left_out)
-        residual = _fitted(self.nominal, own, self.settings, self.iteration, None, self.priors)
-        learner = replace(
-            self,
-            left_out=left_out,
-            log=log,
-            residual=residual,
-            history=next_history(log, self.nominal, self.iteration),
-            failures=_failures_in(log),
-            trust=_trust(self.nominal, self.settings, residual, log),
-            alarms=(*self.alarms, Alarm(logged.step, "other_robot")),
-            changes=(),
-            refit=None,
-            refit_from=REFIT_GROWTH * len(log) if len(log) == len(own) else 1.0,
-        )
-        return learner._with_refit()
+        return self.found(logged.record.context)._after(logged)
 
     def _after(self, logged: LoggedStep) -> "Learner":
-        record, log = logged.record, self.log + [logged]  # noqa: RUF005 they share memory
-        error, point = error_of(record, self.nominal), _point_of(record)
-        failed = record.status not in _NO_FAILURE
-        learner = replace(
-            self,
-            known=log if self.log is self.known else self.known + [logged],  # noqa: RUF005
-            log=log,
-            history=history_after(record, error, self.nominal.space, len(log)),
-            failures=np.vstack([self.failures, point]) if failed else self.failures,
-        )
-        ends = self.learns and not self.settings.online and logged.step >= 0
+        record, known = logged.record, self.known + [logged]  # noqa: RUF005 they share memory
+        error = error_of(record, self.nominal)
+        history = history_after(record, error, self.nominal.space, len(known))
+        learner = replace(self, known=known, history=history)
         if not np.isfinite(error).all():
-            return learner._ended() if ends else learner._with_refit()
-        residual = self.conditioned_residual
-        step = predicted_step(residual, record, self.nominal.space, error, self.phase)
-        check_prediction(residual.kind, step.mean, step.std)
-        trust = self.trust.after(residual, step) if logged.planned else self.trust
-        change, alarms = trust.change(step), [Alarm(logged.step, trust.alarm)] if trust.alarm else []
-        learner = replace(learner, trust=trust, alarms=(*self.alarms, *alarms))
-        if change.any():
-            learner = replace(learner, changes=(*self.changes, (len(self.log), change)))
-        if trust.outlier:
-            learner = replace(learner, outliers=(*self.outliers, (logged.iteration, logged.step)))
-        if ends:
-            return learner._ended()
-        if self.learns and not trust.outlier:
-            learner = learner._updated(self.history, point, error - change)
-        return learner._with_refit()
+            return replace(learner, beliefs=self.beliefs.unlinked()) if self.beliefs else learner
+        if self.residual.kind != "none":
+            residual, point = self.residual.conditioned_on(self.history), join_points(record.state, record.requested)
+            check_prediction(residual.kind, residual.mean(point), residual.std(point))
+            error = error - residual.mean(point) if self.beliefs else error
+        if self.beliefs is None:
+            return learner._fitted_on(self.history, error) if self.settings.online else learner
+        step = _observed(record, self.nominal, error, self.phase)
+        beliefs = self.beliefs.after(step) if logged.planned else self.beliefs.taught(step)
+        alarms = [Alarm(logged.step, beliefs.alarm)] if beliefs.alarm else []
+        return replace(learner, beliefs=beliefs, alarms=(*self.alarms, *alarms))
 
-    def _ended(self) -> "Learner":
-        """The learner after the last exploratory step, which has number 0: it learns no more, from all steps known."""
-        fitted = _fitted(self.nominal, self._lessons, self.settings, self.iteration, self.residual, self.priors)
-        return replace(self, learns=False, residual=fitted, refit=None)
+    def _fitted_on(self, history: Array, error: Array) -> "Learner":
+        """Learns the latest step by the residual: it is fitted again as soon as enough steps are new.
 
-    @property
-    def _lessons(self) -> Steps:
-        """The steps known, as the robot would have made them before it changed in this deployment."""
-        if not self.changes:
-            return self.log
-        next_state = self.log.next_state
-        for row, change in self.changes:
-            next_state[row] -= change
-        return self.log.with_columns(next_state=next_state)
-
-    def _updated(self, history: Array, point: Array, error: Array) -> "Learner":
-        """Learns a step: it updates the present residual or that of a fit that is due."""
-
-        def update(residual: Residual) -> Residual:
-            return residual.conditioned_on(history).append(point, error)
-
-        if self.refit is None:
-            return replace(self, residual=update(self.residual))
-        pending = self.refit.residual.then(update)
-        if len(self.log) >= self.refit.due:
-            return replace(self, residual=pending.result(), refit=None)
-        return replace(self, residual=update(self.residual), refit=Refit(pending, self.refit.due))
-
-    def _with_refit(self) -> "Learner":
-        """Begins a new fit if the number of steps has grown enough and no other fit is pending."""
-        count = len(self.log)
-        if self.refit or not self.learns or count < self.refit_from:
+        Args:
+            history: History of that step.
+            error: Error of the nominal map at it; shape (n,).
+        """
+        if self.settings.residual in ("none", POSTERIOR.name):
             return self
-        known = self.nominal, self._lessons, self.settings, self.iteration, self.residual, self.priors
-        due = count + 1 + count // FITTED_PER_STEP
-        if self.residual.kind == NONE.name and count <= FIRST_STEPS:
-            return replace(self, residual=_fitted(*known), refit_from=due)
-        refit = Refit(Deferred(lambda: _fitted(*known)), due)
-        return replace(self, refit=refit, refit_from=max(REFIT_GROWTH * count, due + 1))
+        count = len(self.residual.regressions[0].points)
+        if len(self.known) > REFIT_GROWTH * count:
+            return replace(self, residual=_fitted(self.nominal, self.known, self.settings, believes=False))
+        last = self.known.rows[-1]
+        residual = self.residual.conditioned_on(history).append(join_points(last["state"], last["requested"]), error)
+        return replace(self, residual=residual)
 
 
-def _without(known: Steps, left_out: frozenset[int]) -> Steps:
-    """The steps without some deployments; the same object if there are none, so that its memory is shared."""
-    return known.selected(~np.isin(known.iteration, [*left_out])) if left_out else known
+def _phase_after(record: StepRecord, space: StepSpace) -> float:
+    """Phase of the periodic context quantity at the end of a step [rad], NaN if it is unknown."""
+    periodic = space.periodic
+    return nan if periodic is None else periodic.phase(record.context.get(periodic.name, nan))
 
 
-def _failures_in(log: Steps) -> Array:
-    """Points (state, command) of the steps that failed; shape (k, n + m)."""
-    return join_points(log.state, log.requested)[~np.isin(log.status, _NO_FAILURE)]
+def _believes(settings: LearningSettings, known: Steps, iteration: int) -> bool:
+    """Whether beliefs plan a deployment; number 0 is the nominal map's, unless something is learned before or in it."""
+    begins = iteration > 0 or settings.learns_in(iteration) or len(known) > 0
+    return settings.residual != "none" and settings.drift and begins
 
 
-def _own(known: Steps) -> Steps:
-    """The steps of this run."""
-    return known.selected(known.iteration >= 0)
+def _fitted(nominal: StepMap, known: Steps, settings: LearningSettings, *, believes: bool) -> Residual:
+    """The residual of the settings, fitted to all steps known; zero where beliefs are all that is learned.
 
-
-def _trust(nominal: StepMap, settings: LearningSettings, residual: Residual, log: Steps) -> Trust:
-    """The hypotheses before the next step, with a residual that was fitted to a log."""
-    return Trust.start(
-        nominal.space.state_scale,
-        residual,
-        drift=settings.drift,
-        monitor=settings.monitor,
-        reject_outliers=settings.reject_outliers,
-        warm_start=log.has_earlier_runs,
-    )
-
-
-def _fitted(
-    nominal: StepMap,
-    log: Steps,
-    settings: LearningSettings,
-    iteration: int,
-    start: Residual | None,
-    priors: Sequence[Prior],
-) -> Residual:
-    """Fits the residual to all known steps, or where these explain the latest deployment worse, to this one alone.
-
-    The search for hyper-parameters starts at those of `start`. The first step of a plant, such as a hop from rest, is
-    not quite like others, and is left out as soon as enough of these are known.
+    The first step of a plant, such as a hop from rest, is not quite like others, and is left out.
     """
-    planned = log.planned()
-    log = planned if len(planned) >= LEAST_KNOWN else log
-    observations = observe(log, nominal)
-    residual = learned_residual(observations, settings, iteration, start, priors)
-    latest = observations.labels[:, 0] == observations.labels[-1:, 0]
-    if residual.kind == "none" or latest.all() or latest.sum() < LEAST_KNOWN or not _is_surprising(log):
-        return residual
-    alone = learned_residual(observations.selected(latest), settings, iteration, start)
-    return alone if explains_better(alone, residual, observations) else residual
+    seen = observe(known.planned(), nominal)
+    alone = believes and settings.residual == POSTERIOR.name
+    name = "none" if alone or not len(seen) else settings.residual
+    if name != settings.residual:
+        load_residual_model(settings.residual)  # if it cannot be loaded, no robot moves
+    return fit_residual(name, seen, settings.lagged_inputs, settings.forgetting_time)
 
 
-def _is_surprising(log: Steps) -> bool:
-    """Whether the latest deployment had improbable steps one after the other, or one that the nominal map planned."""
-    steps = log.of_iteration(int(log.iteration[-1])).completed()
-    error, scale = steps.next_state - steps.predicted, log.space.state_scale
-    signs = improbable_errors(np.nan_to_num(error) / scale, steps.std / scale)
-    improbable = np.any(signs != 0, axis=1)
-    return bool(np.any(improbable[1:] & improbable[:-1]) or np.any(steps.std == 0))
+def _begun(nominal: StepMap, known: Steps, residual: Residual, priors: Sequence[Prior]) -> Beliefs:
+    """The beliefs before a deployment: about what a fitted residual leaves, or about all steps known."""
+    space = nominal.space
+    n, m, context = len(space.state), len(space.command), len(space.context_inputs)
+    features = features_of(n + m + context)
+    if residual.kind != "none":
+        return Beliefs.start(features, (n, m), (), residual.noise_std / space.state_scale)
+    beliefs = Beliefs.start(features, (n, m), [prior.family(space, features) for prior in priors], None)
+    runs = [list(_observed_in(known.selected(np.isin(known.iteration, run)), nominal)) for run in runs_before(known)]
+    if any(runs):
+        beliefs = beliefs.with_runs([run for run in runs if run])
+    for iteration in (number for number in known.iterations if number >= 0):
+        for step, follows in _observed_in(known.of_iteration(iteration), nominal):
+            beliefs = (beliefs if follows else beliefs.unlinked()).after(step)
+        beliefs = beliefs.redeployed()
+    return beliefs
 
 
-def _point_of(record: StepRecord) -> Array:
-    """State and requested command of a step; shape (n + m,)."""
-    return join_points(record.state, record.requested)
+def _observed_in(steps: Steps, nominal: StepMap) -> Iterator[tuple[Observed, bool]]:
+    """The steps of one or more deployments that have an error and no doubtful state; whether each follows the last."""
+    phases, doubtful, follows, last = steps.phase, steps.doubtful, steps.follows, -1
+    for row, logged in enumerate(steps):
+        error = error_of(logged.record, nominal)
+        if logged.planned and np.isfinite(error).all() and not doubtful[row]:
+            yield _observed(logged.record, nominal, error, phases[row]), bool(follows[row]) and last == row - 1
+            last = row
+
+
+def _observed(record: StepRecord, nominal: StepMap, error: Array, phase: float) -> Observed:
+    """A step as beliefs see it.
+
+    Args:
+        record: The step.
+        nominal: Map of the physics model.
+        error: What is believed about: its error, less that of a fitted residual; shape (n,) [units of the state].
+        phase: Phase at which it started [rad], NaN if it is unknown.
+    """
+    space, context = nominal.space, context_inputs_of(record.context, nominal.space)
+
+    def point(state: Array) -> Array:
+        return np.concatenate([space.scaled_inputs(space.onward(state), record.requested), context])
+
+    def from_elsewhere(offset: Array) -> tuple[Array, Array, Array] | None:
+        start = record.state - offset * space.state_scale
+        slope = nominal.jacobian(start, record.requested)[:, : len(offset)]
+        moved = (
+            nominal.evaluate(record.state, record.requested).next_state
+            - nominal.evaluate(start, record.requested).next_state
+        )
+        found = (error + moved) / space.state_scale
+        slope = slope * space.state_scale / space.state_scale[:, None]
+        return (point(start), found, slope) if np.isfinite(found).all() and np.isfinite(slope).all() else None
+
+    command = space.point_of(record.requested)
+    return Observed(point(record.state), error / space.state_scale, phase, command, from_elsewhere)

@@ -110,6 +110,13 @@ class Observations:
         )
 
 
+def no_observations(space: StepSpace) -> Observations:
+    """Observations of no step."""
+    n, m = len(space.state), len(space.command)
+    history = np.empty((0, 2 * n + m + 1 + len(space.context_inputs)))
+    return Observations(space, np.empty((0, n)), np.empty((0, m)), np.empty((0, n)), history)
+
+
 def observe(log: Steps, nominal: StepMap) -> Observations:
     """Computes the nominal map's error at the steps of a log that ended at their section, at the commands requested.
 

@@ -10,15 +10,16 @@ together, do no harm: weights that the data do not determine remain uncertain, a
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
 from stepgap.base.json_data import as_object, number, numbers
 from stepgap.base.ranges import require
+from stepgap.gauss.monomials import monomials, monomials_gradient, number_of_monomials
 from stepgap.learning.regression import BatchRegression, Parameter, Prediction, Regression, ResidualModel, TrainingData
 from stepgap.step import Array
 
@@ -249,7 +250,7 @@ class Polynomial(BatchRegression):
         return monomials(self._scaled(point), self.degree) * _one_or_nan(point)
 
     def _basis_gradient(self, point: ArrayLike) -> Array:
-        gradient = _monomials_gradient(self._scaled(point), self.degree)
+        gradient = monomials_gradient(self._scaled(point), self.degree)
         time = np.zeros((*gradient.shape[:-1], int(self.data.timed)))
         return np.concatenate([gradient, time], axis=-1) / self.data.scale * _one_or_nan(point)[..., None]
 
@@ -278,33 +279,6 @@ def weak_prior(data: TrainingData, degree: int) -> Moments:
 def _one_or_nan(point: ArrayLike) -> Array:
     """1 for each point that is finite, otherwise NaN; (…, d) to (…, 1)."""
     return np.where(np.isfinite(point).all(axis=-1, keepdims=True), 1.0, np.nan)
-
-
-@cache
-def _pairs(inputs: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Factors i ≤ j of all products; a planner asks for them some hundred times a step."""
-    return np.triu_indices(inputs)
-
-
-def number_of_monomials(inputs: int, degree: int) -> int:
-    """Number of monomials up to a degree, d_φ."""
-    return sum([1, inputs, inputs * (inputs + 1) // 2][: degree + 1])
-
-
-def monomials(x: Array, degree: int) -> Array:
-    """1, xᵢ, xᵢ xⱼ (i ≤ j) up to a degree; (…, d) to (…, d_φ)."""
-    i, j = _pairs(x.shape[-1])
-    parts = [np.ones((*x.shape[:-1], 1)), x, x[..., i] * x[..., j]][: degree + 1]
-    return np.concatenate(parts, axis=-1)
-
-
-def _monomials_gradient(x: Array, degree: int) -> Array:
-    """∂monomial/∂x; (…, d) to (…, d_φ, d)."""
-    d = x.shape[-1]
-    (i, j), unit = _pairs(d), np.eye(d)
-    products = unit[i] * x[..., j, None] + unit[j] * x[..., i, None]
-    parts = [np.zeros((*x.shape[:-1], 1, d)), np.broadcast_to(unit, (*x.shape[:-1], d, d)), products][: degree + 1]
-    return np.concatenate(parts, axis=-2)
 
 
 def _fit(data: TrainingData, start: Regression | None, degree: int) -> Polynomial:

@@ -16,10 +16,13 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from stepgap.gauss.features import Features
+from stepgap.gauss.monomials import monomials, number_of_monomials
+from stepgap.learning.beliefs import Family, unknown
 from stepgap.learning.observations import Observations
-from stepgap.learning.polynomial import QUADRATIC, Moments, fit_polynomial, monomials, weak_prior
+from stepgap.learning.polynomial import QUADRATIC, Moments, fit_polynomial, weak_prior
 from stepgap.learning.regression import ResidualModel, TrainingData
-from stepgap.step import Array
+from stepgap.step import Array, StepSpace
 
 DEGREE = 2
 """Degree of the polynomials."""
@@ -87,6 +90,27 @@ class Prior:
         projection[kept] = block @ mean * unit
         squares = (NOISE_COUNT - 2) * (found.noise_std * unit) ** 2 + float(mean @ block @ mean) * unit**2
         return Moments(information, projection, squares, NOISE_COUNT)
+
+    def family(self, space: StepSpace, features: Features) -> Family:
+        """The prior for beliefs about a robot with these ranges, in half ranges.
+
+        Args:
+            space: Ranges of state and command, which may differ from those of the prior.
+            features: Of state, command and context inputs, on which robots of the family do not depend.
+        """
+        d, n = len(self.names), len(space.state)
+        centre = np.concatenate([space.state_centre, space.command_centre])
+        back = self._converted(centre, np.concatenate([space.state_scale, space.command_scale]))
+        size = number_of_monomials(d, features.degree)
+        kept = _kept(d, features.inputs)[:size]
+        found = unknown(features, n)
+        for row, coordinate in enumerate(self.coordinates):
+            unit = self.scale[row] / space.state_scale[row]
+            covariance = unit**2 * (back @ coordinate.covariance @ back.T)[:size, :size]
+            found.mean[row, kept] = unit * (coordinate.mean @ back.T)[:size]
+            found.covariance[row][np.ix_(kept, kept)] = (covariance + covariance.T) / 2
+            found.noise_std[row] = unit * coordinate.noise_std
+        return found
 
     def _converted(self, centre: Array, scale: Array) -> Array:
         """The matrix that converts weights of this prior to those of inputs with other ranges; shape (k, k)."""

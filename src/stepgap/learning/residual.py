@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.base.ranges import require
-from stepgap.learning.outliers import LEAST_KNOWN
 from stepgap.learning.regression import Regression, ResidualModel
 from stepgap.learning.residual_check import ResidualError
 from stepgap.learning.settings import LAGGED_INPUTS, LaggedInputs
@@ -102,11 +101,6 @@ class Residual:
     def sizes(self) -> tuple[int, int]:
         """Number of state coordinates n and of command coordinates m."""
         return len(self.regressions), self.command_size
-
-    @property
-    def is_known(self) -> bool:
-        """Whether enough steps were learned from for a judgement on which map is right."""
-        return len(self.regressions[0].points) >= LEAST_KNOWN
 
     @property
     def kind(self) -> str:

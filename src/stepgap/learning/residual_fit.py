@@ -7,21 +7,16 @@ from math import inf
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stepgap.base.json_data import integer, number, numbers
 from stepgap.base.normal import log_density
 from stepgap.learning.diagnosis import diagnose
-from stepgap.learning.disturbance import LEAST_EVIDENCE, without_periodic_part
 from stepgap.learning.entry_points import load_residual_model, residual_models
 from stepgap.learning.observations import Observations
-from stepgap.learning.outliers import LEAST_KNOWN, MOST_OUTLIERS, outliers_among
-from stepgap.learning.prior import Prior
-from stepgap.learning.prior_evidence import applies, most_probable
 from stepgap.learning.regression import Regression, ResidualModel
 from stepgap.learning.residual import HistoryInputs, Residual, no_residual
 from stepgap.learning.residual_check import check_regression, failed, naming_model
-from stepgap.learning.settings import AUTO, LAGGED_INPUTS, LaggedInputs, LearningSettings
+from stepgap.learning.settings import AUTO, LAGGED_INPUTS, LaggedInputs
 from stepgap.learning.zero import NONE
 
 SELECTION_FOLDS = 5
@@ -77,128 +72,6 @@ def fit_residual(
         more = [_fit(found.model, each, observations, start) for each in inputs]
         found = _best([found, *more], observations)
     return found
-
-
-def learned_residual(
-    observations: Observations,
-    settings: LearningSettings,
-    iteration: int,
-    start: Residual | None = None,
-    priors: Sequence[Prior] = (),
-) -> Residual:
-    """Fits the residual of the settings as a deployment does.
-
-    If the settings want it, outliers are left out, and so is the periodic part of the errors.
-
-    Args:
-        observations: Observations to learn from; if there are none, the residual is zero.
-        settings: Which residual model is used, and what is left out.
-        iteration: Number of the deployment that is running, from whose errors nothing is removed.
-        start: A residual fitted to fewer observations, from which a search for hyper-parameters may start.
-        priors: Priors over robots, of which the most probable is used where it applies and predicts better.
-
-    Raises:
-        InputError: There is no model of this name, or it cannot be used; even if there are no observations.
-        ResidualError: The model failed, or what it returned is not valid.
-    """
-    residual = _learned_residual(observations, settings, iteration, start, priors)
-    if not settings.reject_outliers:
-        return residual
-    kept, without_outliers = np.arange(len(observations)), residual
-    while len(kept) >= LEAST_KNOWN and without_outliers.kind != "none":
-        outliers = _outliers_of(without_outliers, observations.selected(kept))
-        if not outliers.any():
-            break
-        kept = kept[~outliers]
-        if len(kept) < (1 - MOST_OUTLIERS) * len(observations):
-            return residual
-        without_outliers = _learned_residual(observations.selected(kept), settings, iteration, without_outliers, priors)
-    left_out = np.delete(observations.labels, kept, axis=0)
-    return replace(without_outliers, outliers=tuple((int(deployment), int(number)) for deployment, number in left_out))
-
-
-def _learned_residual(
-    observations: Observations,
-    settings: LearningSettings,
-    iteration: int,
-    start: Residual | None,
-    priors: Sequence[Prior],
-) -> Residual:
-    """Fits to all observations, which may include outliers: the residual of the settings, or that with the prior."""
-    residual = _residual_of_settings(observations, settings, iteration, start)
-    if not priors or settings.residual == NONE.name:
-        return residual
-    used = observations
-    if settings.remove_yaw_dependence and len(observations):
-        used = without_periodic_part(observations, iteration)
-    expected = most_probable(priors, used)
-    if not applies(expected, used):
-        return residual
-    if residual.kind == NONE.name:
-        return expected
-    gain = len(used) * (held_out_score(residual, used) - held_out_score(expected, used))
-    return residual if gain > LEAST_EVIDENCE else expected
-
-
-def _residual_of_settings(
-    observations: Observations, settings: LearningSettings, iteration: int, start: Residual | None
-) -> Residual:
-    """Fits the residual of the settings to all observations, which may include outliers."""
-    model = AUTO if settings.residual == AUTO else load_residual_model(settings.residual)
-    if not len(observations):
-        model = NONE  # that of the settings was loaded nevertheless: if it cannot be, no robot moves
-    if settings.remove_yaw_dependence and model != NONE:
-        cleaned = without_periodic_part(observations, iteration)
-        residual = fit_residual(model, cleaned, settings.lagged_inputs, settings.forgetting_time, start)
-        if residual.kind != NONE.name:
-            return residual
-        model = NONE  # without a correction no disturbance is estimated: it counts as noise
-    return fit_residual(model, observations, settings.lagged_inputs, settings.forgetting_time, start)
-
-
-def _outliers_of(residual: Residual, observations: Observations) -> NDArray[np.bool_]:
-    """Which of the steps that a residual was fitted to are outliers, each predicted from the others; shape (N,)."""
-    labels, scale = observations.labels, observations.space.state_scale
-    each = [slice(row, row + 1) for row in range(len(labels))]
-    predictions = [regression.left_out(each) for regression in residual.regressions]
-    error = [one.values - predicted.mean for one, predicted in zip(residual.regressions, predictions, strict=True)]
-    same, next_one = np.diff(labels, axis=0, prepend=labels[:1]).T
-    std = np.stack([predicted.std for predicted in predictions], axis=1)
-    space, follows = observations.space, (same == 0) & (next_one == 1)
-    points = space.scaled_inputs(observations.state, observations.command)
-    return outliers_among(np.stack(error, axis=1) / scale, std / scale, follows, points)
-
-
-def explains_better(residual: Residual, other: Residual, observations: Observations) -> bool:
-    """Whether a residual that was fitted to the latest deployment alone predicts it better than one fitted to all.
-
-    Each of its steps is predicted from those outside its part of the deployment.
-
-    Args:
-        residual: Fitted to the latest deployment.
-        other: Fitted to all observations.
-        observations: All of them.
-    """
-    latest = observations.selected(observations.labels[:, 0] == observations.labels[-1, 0])
-    own, of_all = _held_out_densities(residual, latest), _held_out_densities(other, observations)
-    gains = np.array([own[label] - of_all[label] for label in own.keys() & of_all.keys()])
-    return bool(gains.sum() > LEAST_EVIDENCE + 2 * np.sqrt(np.sum(gains**2)))
-
-
-def _held_out_densities(residual: Residual, observations: Observations) -> dict[tuple[int, int], float]:
-    """Log density of each step of the latest deployment, predicted from those outside its part of it, by its label.
-
-    The residual was fitted to all observations but its outliers.
-    """
-    labels = [(int(deployment), int(number)) for deployment, number in observations.labels]
-    kept = [label for label in labels if label not in residual.outliers]
-    rows = np.flatnonzero([label[0] == labels[-1][0] for label in kept])
-    blocks = [slice(part[0], part[-1] + 1) for part in np.array_split(rows, SELECTION_FOLDS) if len(part)]
-    before, total = rows[0], np.zeros(len(rows))
-    for regression in residual.regressions:
-        mean, std = regression.left_out([slice(0, before), *blocks] if before else blocks)
-        total += log_density(regression.values[rows] - mean[rows], std[rows])
-    return dict(zip(kept[before:], total.tolist(), strict=True))
 
 
 def held_out_score(residual: Residual, observations: Observations) -> float:

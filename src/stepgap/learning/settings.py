@@ -13,8 +13,12 @@ RESIDUALS: Final = "stepgap.residuals"
 """Entry points of this group are residual models; their names are those of the setting `residual`."""
 
 GONE: Final[Mapping[str, str]] = {
+    "learning.monitor": "gone, since beliefs compete by how probable they make the steps of the robot; leave it out",
+    "learning.remove_yaw_dependence": "gone, since beliefs know what returns with the yaw; leave it out, or set "
+    "learning.drift = false to learn between deployments only",
+    "learning.reject_outliers": "gone, since a step counts as far as it was probably not disturbed; leave it out",
     "learning.feature_map": "gone, since feature maps did not lower the error; leave it out, and for a state of many "
-    'numbers keep learning.residual = "gp_on_linear"',
+    'numbers try learning.residual = "gp_on_linear"',
 }
 """Dotted names of the settings of former versions, with what to write now, for users; recorded runs may have them."""
 
@@ -33,7 +37,8 @@ class LearningSettings:
     """Settings of the residual model: its kind, its inputs, and when it is learned.
 
     Attributes:
-        residual: Name of the installed residual model of the map's error from the first redeployment on, or `auto`.
+        residual: Name of the installed residual model of the map's error from the first redeployment on, or `auto`;
+            with `posterior`, beliefs are all that is learned, with another one they are about what it leaves.
         iterations: Redeployments at most; the first deployment, number 0, uses the nominal map, unless
             steps were known before.
         tolerance: Redeploying stops when the tracking error has not fallen by this fraction of the
@@ -43,28 +48,20 @@ class LearningSettings:
         forgetting_time: Number of steps in which the influence of a step falls to 1/e; for a Gaussian process, length
             scale of the time; inf: it never falls.
         early_stop: Whether redeploying stops before `iterations` when the error no longer falls.
-        drift: Whether a correction is shifted during a deployment by its recent errors and those near the same yaw, and
-            follows a change of the robot.
-        remove_yaw_dependence: Whether the yaw-dependent part of the errors of earlier deployments is removed before a
-            residual is fitted to them.
-        reject_outliers: Whether single steps with improbable errors, such as those of a push, are not learned from.
-        monitor: Whether a residual that predicted the latest steps worse than the nominal map is not used, nor one that
-            does not explain why the robot does not follow commands near their bounds.
-        online: Whether to learn after every step, from the first one on.
+        drift: Whether beliefs about the error follow the robot from step to step, also when it changes; without them
+            the residual alone is learned.
+        online: Whether to learn after every step, from the first one of deployment 0 on.
         exploration: Number of steps before the first deployment's tracking whose commands are the most informative;
             with a prior over robots fewer, if a further step would cost more than it saves.
     """
 
-    residual: str = "gp_on_linear"
+    residual: str = "posterior"
     iterations: int = 4
     tolerance: float = field(default=0.01, metadata={FORMER_NAME: "least_gain"})
     lagged_inputs: LaggedInputs | Literal["auto"] = field(default=AUTO, metadata={FORMER_NAME: "features"})
     forgetting_time: float = field(default=inf, metadata={FORMER_NAME: "memory"})
     early_stop: bool = True
     drift: bool = True
-    remove_yaw_dependence: bool = True
-    reject_outliers: bool = True
-    monitor: bool = True
     online: bool = False
     exploration: int = field(default=0, metadata={FORMER_NAME: "calibration"})
 

@@ -315,6 +315,17 @@ def joined(parts: Sequence[Steps]) -> Steps:
     return merged
 
 
+def runs_before(known: Steps) -> list[list[int]]:
+    """Numbers of the deployments of each earlier run; they are negative, and one is missing between two runs."""
+    found = list[list[int]]()
+    for number in (each for each in known.iterations if each < 0):
+        if found and number == found[-1][-1] + 1:
+            found[-1].append(number)
+        else:
+            found.append([number])
+    return found
+
+
 def as_past(known: Steps) -> Steps:
     """Steps renumbered as deployments before number 0."""
     count = max(known.iterations, default=-1) + 1

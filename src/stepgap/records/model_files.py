@@ -10,12 +10,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
 from stepgap.base.files import write_whole
+from stepgap.base.json_data import as_object
 from stepgap.base.ranges import require
+from stepgap.learning.beliefs import Beliefs
+from stepgap.learning.beliefs_data import beliefs_from_dict, beliefs_to_dict
 from stepgap.learning.residual import Residual
 from stepgap.learning.residual_check import naming_model
 from stepgap.learning.residual_fit import residual_from_dict
@@ -60,18 +63,34 @@ def model_path(folder: Path, iteration: int) -> Path:
     return folder / "models" / f"iteration_{iteration}.json"
 
 
-def write_model(folder: Path, iteration: int, residual: Residual, nominal: StepMap) -> None:
-    """Writes the residual with which a deployment begins, and what identifies its nominal map, into the run folder."""
-    write_whole(model_path(folder, iteration), saved_model_text(residual, nominal.space, NominalSource(MAP, nominal)))
+class Model(NamedTuple):
+    """What is known of the error of a nominal map before a deployment.
+
+    Attributes:
+        residual: The residual; with the name `posterior`, that which the beliefs say.
+        beliefs: The beliefs; None for a residual without.
+    """
+
+    residual: Residual
+    beliefs: Beliefs | None
 
 
-def saved_model_text(residual: Residual, space: StepSpace, nominal: NominalSource) -> str:
+def write_model(folder: Path, iteration: int, model: Model, nominal: StepMap) -> None:
+    """Writes what is known before a deployment, and what identifies its nominal map, into the run folder."""
+    text = saved_model_text(model.residual, nominal.space, NominalSource(MAP, nominal), model.beliefs)
+    write_whole(model_path(folder, iteration), text)
+
+
+def saved_model_text(
+    residual: Residual, space: StepSpace, nominal: NominalSource, beliefs: Beliefs | None = None
+) -> str:
     """Content of the model file of a residual.
 
     Args:
         residual: The residual.
         space: Names and units of its state and command.
         nominal: Source of the nominal next states whose error it predicts.
+        beliefs: From which a deployment goes on learning.
 
     Raises:
         ResidualError: What a regression saves cannot be written as JSON.
@@ -82,11 +101,13 @@ def saved_model_text(residual: Residual, space: StepSpace, nominal: NominalSourc
     }
     steps = {"nominal_steps": _steps_of(nominal.step_map)} if nominal.step_map is not None else {}
     with naming_model(residual.model):
-        return json.dumps({"schema": SCHEMA, **names, "nominal": nominal.name, **steps, **residual.to_dict()})
+        believed = {} if beliefs is None else {"beliefs": beliefs_to_dict(beliefs)}
+        parts = {"schema": SCHEMA, **names, "nominal": nominal.name, **steps, **residual.to_dict(), **believed}
+        return json.dumps(parts)
 
 
-def read_model(folder: Path, iteration: int, space: StepSpace, nominal: StepMap | None = None) -> Residual | None:
-    """Reads the residual with which a deployment began; None if no model was saved, as for the nominal map.
+def read_model(folder: Path, iteration: int, space: StepSpace, nominal: StepMap | None = None) -> Model | None:
+    """Reads what was known before a deployment; None if no model was saved, as for the nominal map.
 
     Args:
         folder: The run folder.
@@ -107,7 +128,18 @@ def read_model(folder: Path, iteration: int, space: StepSpace, nominal: StepMap 
     _check_sizes(path, residual, space)
     if nominal is not None:
         _check_nominal(path, data, nominal)
-    return residual
+    return Model(residual, _beliefs(path, data, residual))
+
+
+def _beliefs(path: Path, data: Mapping[str, Any], residual: Residual) -> Beliefs | None:
+    """The beliefs in a model file; raises ValueError with one line if they are damaged."""
+    if data.get("beliefs") is None:
+        return None
+    try:
+        return beliefs_from_dict(as_object(data["beliefs"], "beliefs"), residual.sizes)
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+        short = " ".join(str(error).split())[:120]
+        raise ValueError(f"{path}: not a model ({short}); it must be one that a run wrote") from None
 
 
 def read_saved_model(path: Path, space: StepSpace, nominal: NominalSource) -> Residual:

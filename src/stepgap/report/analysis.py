@@ -10,12 +10,10 @@ from typing import final
 import numpy as np
 
 from stepgap.experiment.run import Run
-from stepgap.learning.disturbance import without_periodic_part
-from stepgap.learning.observations import observe
 from stepgap.learning.residual import HistoryInputs, join_points
 from stepgap.records.missing import Missing
 from stepgap.records.motion_file import Replay
-from stepgap.report.learned_residual import LearnedResidual, steps_before
+from stepgap.report.learned_residual import LearnedResidual
 from stepgap.report.measured_loop import MeasuredLoop, measured_loop
 from stepgap.report.reference_gait import ReferenceGait, reference_gait
 from stepgap.step import Array, Quantity, StepSpace
@@ -47,22 +45,6 @@ class Analysis:
         if isinstance(final, Missing):
             return Missing(f"deployment 0 learned while it ran, so no model was saved before it, and {final.reason}")
         return LearnedResidual(1, final)
-
-    @cached_property
-    def removed_periodic_part(self) -> Array:
-        """RMS of what was removed from the errors before the residual was fitted, because it returned with the phase.
-
-        Shape (n,); zero where nothing was removed, or if it is not known.
-        """
-        run, settings, nominal, learned = self.run, self.run.settings, self.run.nominal, self.learned
-        nothing = np.zeros(len(run.space.state))
-        if isinstance(settings, Missing) or isinstance(nominal, Missing) or isinstance(learned, Missing):
-            return nothing
-        if not settings.learning.remove_yaw_dependence or not learned.steps:
-            return nothing
-        seen = observe(steps_before(run, learned.iteration), nominal)
-        change = seen.error - without_periodic_part(seen, learned.iteration).error
-        return np.sqrt(np.mean(change**2, axis=0))
 
     @property
     def has_learned_steps(self) -> bool:

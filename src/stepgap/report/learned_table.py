@@ -13,7 +13,7 @@ from stepgap.records.missing import Missing
 from stepgap.report.analysis import Analysis, input_quantities
 from stepgap.report.html import table
 from stepgap.report.learned_residual import LearnedResidual
-from stepgap.report.text import decimal, listed, unit_suffix, with_unit
+from stepgap.report.text import decimal, listed, with_unit
 from stepgap.step import Array
 
 UNIT_NOTES: Final = {
@@ -39,20 +39,10 @@ def learned_sentences(analysis: Analysis) -> list[str]:
     parameters = [parameter for each in learned.residual.regressions for parameter in each.parameters()]
     return [
         f"{model}: for each state coordinate {learned.residual.model.description}, fitted to actual − nominal of "
-        f"{learned.steps} earlier steps.{_removed(analysis)}",
+        f"{learned.steps} earlier steps.",
         *_outliers(learned.residual.outliers),
         *dict.fromkeys(parameter.meaning for parameter in parameters if parameter.meaning),
     ]
-
-
-def _removed(analysis: Analysis) -> str:
-    """Sentence on the periodic part that was removed from the errors; empty if none was."""
-    periodic, parts = analysis.run.steps.space.periodic, analysis.removed_periodic_part
-    pairs = zip(analysis.run.space.state, parts, strict=True)
-    sizes = [f"{decimal(part, 2)}{unit_suffix(quantity)} in {quantity.name}" for quantity, part in pairs if part > 0]
-    if periodic is None or not sizes:
-        return ""
-    return f" Before, the part that returned with the {periodic.name} was removed: RMS {listed(sizes)}."
 
 
 def _outliers(outliers: Sequence[tuple[int, int]]) -> list[str]:

@@ -3,16 +3,16 @@
 from typing import Final
 
 from stepgap.experiment.run import Run
-from stepgap.learning.trust import Alarm
+from stepgap.learning.alarm import Alarm
 
 MOST_ALARMS: Final = 6
 """A deployment with more alarms gets a sentence on their number."""
 
 _FOUND: Final = {
-    "changed": "the robot was not the same as before: how it differs was estimated from then on",
-    "nominal": "the residual was worse than none: the robot was compared with the nominal map from then on",
+    "changed": "the robot was not the same as before: what had changed was learned from then on",
+    "nominal": "the residual was worse than none, by the rules of a former version",
     "earlier": "the robot was again as before",
-    "other_robot": "it was judged again which earlier runs are of this robot: it learned from these alone from then on",
+    "other_robot": "it was judged again which earlier runs are of this robot, by the rules of a former version",
 }
 
 

@@ -1,0 +1,525 @@
+"""All that is known of a robot's error: a few beliefs that compete by how probable they make its steps.
+
+Beliefs differ in where they begin. Before a step each of them predicts its error. After it, the weight of each is
+multiplied by the density that it gave to the error (multiple-model estimation: Blom and Bar-Shalom, The interacting
+multiple model algorithm, 1988), and each learns the step. That density is a mixture of three explanations:
+
+- the step was *regular*: Student's t with the belief's own mean and variance;
+- it was *wrong*: a push, or a wrong measurement of the state at its end: much wider, with heavy tails;
+- the step *before* was measured wrongly, so that this one began elsewhere, namely where the step before was predicted
+  to end: it is as regular as any other, from there.
+
+A robot may change before any step. Then the most probable belief, widened by a part of what robots differ by, is born
+as another one. It becomes the current one as soon as it is the most probable by far, and what was believed before is
+kept for the case that the robot changes back.
+
+The features are common to all beliefs, so the moments of their mixture are exact, and it is their mixture that plans: a
+belief that may be right makes the map uncertain where it disagrees with the others, and cautious control stays away.
+
+`docs/learning.md` has the equations, and says by which measurement each number here was chosen.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import exp, inf, log
+from typing import Final, NamedTuple, Self, final
+
+import numpy as np
+
+from stepgap.gauss.features import Features
+from stepgap.gauss.monomials import number_of_monomials
+from stepgap.gauss.student import log_student
+from stepgap.gauss.weights import Predicted, Weights
+from stepgap.learning.belief import Belief, Kind
+from stepgap.step import Array
+
+RATES: Final = (0.0, 0.1)
+"""Random walk of constant and periodic part in a step, of two beliefs that are otherwise equal [noise deviations]."""
+PERIODIC_STD: Final = 0.3
+"""Prior standard deviation of the periodic part [noise deviations]."""
+ERROR_BEFORE_STD, COMMAND_BEFORE_STD = 0.05, 0.03
+"""Prior standard deviations of the weights of the step before: of its error, and of its command [half ranges]."""
+WAVE_STD: Final = 0.03
+"""Prior standard deviation of the part that no quadratic has [half ranges]."""
+UNKNOWN_STDS: Final = ((0.3, 0.08), (0.6, 0.6))
+"""Prior standard deviations of the weights of robots of which nothing is known: up to degree 1, and of degree 2."""
+UNKNOWN_NOISE, NOMINAL_NOISE = 0.03, 0.1
+"""Expected standard deviation of their noise, and of that of a nominal map that is right [half ranges]."""
+RIGHT_STD: Final = 1e-3
+"""Prior standard deviation of the weights where a map is right [half ranges]."""
+NOISE_COUNT: Final = 8.0
+"""Number of steps that an expected noise is worth."""
+RUN_COUNT: Final = 50.0
+"""Number of steps that the noise of an earlier run is worth at most."""
+RIVAL: Final = 0.02
+"""Probability of each rival of what is expected of a robot, before its first step."""
+CHANGE: Final = 0.25
+"""Part of the covariance between robots by which a robot changes."""
+HAZARD, RETURN_HAZARD, FIRST_HAZARD = 3e-4, 1e-3, 0.05
+"""Probability of a change before a step, of a return to what was before, and of a change between two deployments."""
+WRONG: Final = 0.02
+"""Probability of a push or a wrong measurement in a step."""
+WRONG_WIDTH, WRONG_FREEDOM = 10.0, 2.0
+"""Width of the error of such a step, in noise deviations, and its degrees of freedom: its tails are heavy, or a single
+large jump would make a newborn belief certain."""
+SUSPECT: Final = 0.1
+"""From this probability of a wrong step on, the next one may have begun elsewhere."""
+WRONG_MEASUREMENTS: Final = (0.1, 0.9)
+"""Numbers of wrong steps that were, and were not, wrong measurements, before the first one."""
+LEAST_TRUST: Final = 1e-3
+"""A wrong step is learned with at least this weight."""
+LEAST_WEIGHT: Final = 0.01
+"""A belief that is less probable does not plan. With a tenth, a belief that was surer and wrong planned a hop alone."""
+SAME_MEAN, SAME_SPREAD = 0.3, 0.5
+"""Beliefs are one if their predictions differ by less than this part of their standard deviation, and their variances
+by less than this factor's logarithm, at `PROBES` points and at the latest steps."""
+PROBES, RECENT = 12, 4
+"""Numbers of these points and steps."""
+MOST, YOUNG = 10, 3
+"""Number of beliefs that are kept, and the age up to which a belief is kept besides: it could not yet speak."""
+MOST_MONOMIALS: Final = 150
+"""With more monomials of degree 2 beliefs are about degree 1: no deployment tells so many weights apart."""
+WAVES, WAVE_LENGTH = 30, 2.0
+"""Number and length scale of the waves among the features [half ranges]."""
+REPORTED_ODDS, SUDDEN = 30.0, 10
+"""A change is reported from these odds on, within this number of steps from its beginning: a belief that wins later is
+a better model, not a change."""
+
+
+class Family(NamedTuple):
+    """What robots of a kind have in common: distributions of the weights of the monomials, in half ranges.
+
+    Attributes:
+        mean: Shape (n, d_φ).
+        covariance: Shape (n, d_φ, d_φ).
+        noise_std: Of a step's error; shape (n,).
+    """
+
+    mean: Array
+    covariance: Array
+    noise_std: Array
+
+
+class Observed(NamedTuple):
+    """A step as beliefs see it.
+
+    Attributes:
+        point: State, command and context inputs [half ranges]; shape (d,).
+        error: Of the nominal map [half ranges]; shape (n,).
+        phase: At which it started [rad], NaN if it is unknown.
+        command: Of the step [half ranges]; shape (m,).
+        from_elsewhere: Point, error and ∂error/∂state of the step if its true start was the measured one less an offset
+            (n,) [half ranges]; None where the nominal map makes no step.
+    """
+
+    point: Array
+    error: Array
+    phase: float
+    command: Array
+    from_elsewhere: Callable[[Array], tuple[Array, Array, Array] | None]
+
+
+class Suspicion(NamedTuple):
+    """What is known of the step before, which was probably wrong.
+
+    Attributes:
+        wrong: Probability that it was wrong.
+        measured_wrongly: Probability that its end was measured wrongly, by `offset`.
+        offset: Measured minus predicted end [half ranges]; shape (n,).
+        variance: Of that prediction [half ranges²]; shape (n,).
+    """
+
+    wrong: float
+    measured_wrongly: float
+    offset: Array
+    variance: Array
+
+
+class Mixture(NamedTuple):
+    """Moments of the beliefs that plan the next step [half ranges].
+
+    Attributes:
+        mean: Of the weights; shape (n, k).
+        covariance: Shape (n, k, k).
+        noise: Variance of the noise; shape (n,).
+        side: Features of the step that do not depend on its state and command; shape (k − p,).
+        offset: Measured minus expected state at its start; shape (n,).
+    """
+
+    mean: Array
+    covariance: Array
+    noise: Array
+    side: Array
+    offset: Array
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Beliefs:
+    """The beliefs between two steps; immutable. `start` makes the first ones, `after` those after a step.
+
+    Attributes:
+        features: Of state, command and context inputs.
+        beliefs: The most probable one need not be the first.
+        change: Covariance that a change adds to the weights; shape (n, k, k).
+        before: Error and command of the step before, zero where there is none; shape (n + m,) [half ranges].
+        suspicion: What is known of the step before if that was probably wrong.
+        wrong_measurements: Numbers of wrong steps that were wrong measurements, and that were not.
+        recent: Features of the latest steps; shape (≤ 4, k).
+        alarm: Kind of the belief that became the current one with the latest step; None for none.
+    """
+
+    features: Features
+    beliefs: tuple[Belief, ...]
+    change: Array
+    before: Array
+    suspicion: Suspicion | None
+    wrong_measurements: tuple[float, float]
+    recent: Array
+    alarm: Kind | None = None
+
+    @classmethod
+    def start(
+        cls, features: Features, sizes: tuple[int, int], families: Sequence[Family], fitted: Array | None
+    ) -> Self:
+        """Returns the beliefs before the first step of a robot.
+
+        Args:
+            features: Of state, command and context inputs.
+            sizes: Number of state coordinates n and of command coordinates m.
+            families: Priors over robots, equally probable ones.
+            fitted: Noise of a fitted residual, whose remaining error is believed about; shape (n,) [half ranges].
+        """
+        n, _ = sizes
+        count, zero = features.monomials, np.zeros((n, features.monomials))
+        nothing_known = [unknown(features, n, stds) for stds in UNKNOWN_STDS]
+        right = np.tile(RIGHT_STD**2 * np.eye(count), (n, 1, 1))
+        expected: list[tuple[Kind, Family]] = [("family", each) for each in families]
+        if fitted is not None:
+            expected = [("fitted", Family(zero, right, fitted))]
+        rivals: list[tuple[Kind, Family]] = [("unknown", each) for each in nothing_known]
+        nominal: list[tuple[Kind, Family]] = [("nominal", Family(zero, right, np.full(n, NOMINAL_NOISE)))]
+        groups = [(1 - 2 * RIVAL, expected), (2 * RIVAL, rivals)] if expected else [(1 - 2 * RIVAL, rivals)]
+        if fitted is None:
+            groups.append((RIVAL, nominal))
+        beliefs = [
+            _belief(kind, family, log(share / len(group) / len(RATES)), rate, features, sizes)
+            for share, group in groups
+            for kind, family in group
+            for rate in RATES
+        ]
+        size = beliefs[0].weights.mean.shape[1]
+        change = CHANGE * beliefs[0].weights.covariance
+        if fitted is not None:
+            change = CHANGE * beliefs[len(RATES)].weights.covariance
+        before = np.zeros(sum(sizes))
+        return cls(features, tuple(beliefs), change, before, None, WRONG_MEASUREMENTS, np.empty((0, size)))
+
+    def with_runs(self, runs: Sequence[Sequence[tuple[Observed, bool]]]) -> "Beliefs":
+        """The beliefs with earlier runs as further ones, which have half of the probability.
+
+        Args:
+            runs: The steps of each, and whether each follows the one before it.
+        """
+        begun = [self._after_run(steps, log(1 / len(runs))) for steps in runs]
+        return replace(self, beliefs=(*self.beliefs, *begun))
+
+    def _after_run(self, steps: Sequence[tuple[Observed, bool]], log_weight: float) -> Belief:
+        """The belief that the robot is that of an earlier run."""
+        beliefs = replace(self, beliefs=(self.beliefs[0],))
+        belief = self.beliefs[0]
+        for step, follows in steps:
+            side = beliefs.side(step.phase) if follows else replace(beliefs, before=0 * self.before).side(step.phase)
+            features = self.all_features(step.point, side)
+            mean, variance = belief.weights.predicted(features)
+            far = np.max(np.abs(step.error - mean) / np.sqrt(variance + belief.noise)) > 4
+            belief = belief.learned(features, step.error, 0.01 if far else 1.0)
+            beliefs = replace(beliefs, before=np.concatenate([step.error, step.command]))
+        freedom = np.minimum(belief.freedom, RUN_COUNT)
+        noise = belief.noise
+        return Belief("run", belief.weights, freedom, noise * (freedom - 2), log_weight)
+
+    def side(self, phase: float) -> Array:
+        """Features of the next step that do not depend on its state and command; shape (2 + n + m,).
+
+        Args:
+            phase: At which it starts [rad], NaN if it is unknown.
+        """
+        return np.concatenate([np.nan_to_num([np.sin(phase), np.cos(phase)]), self.before])
+
+    def all_features(self, point: Array, side: Array) -> Array:
+        """All k features of a step."""
+        return np.concatenate([self.features(point), side])
+
+    @property
+    def _walking(self) -> list[int]:
+        """Places of the weights of constant and periodic part."""
+        return [0, self.features.count, self.features.count + 1]
+
+    @property
+    def probabilities(self) -> Array:
+        """Probability of each belief."""
+        weights = np.array([each.log_weight for each in self.beliefs])
+        shares = np.exp(weights - weights.max())
+        return shares / shares.sum()
+
+    def mixture(self, phase: float) -> Mixture:
+        """The mixture of the beliefs that plan the next step, which starts at a phase [rad]."""
+        shares = self.probabilities
+        kept = [
+            (share, belief.walked(self._walking))
+            for share, belief in zip(shares, self.beliefs, strict=True)
+            if share > LEAST_WEIGHT or share == shares.max()
+        ]
+        total = sum(share for share, _ in kept)
+        mean = sum(share / total * belief.weights.mean for share, belief in kept)
+        covariance, noise = np.zeros_like(self.change), np.zeros(len(self.change))
+        for share, belief in kept:
+            away = belief.weights.mean - mean
+            covariance += share / total * (belief.weights.covariance + away[:, :, None] * away[:, None, :])
+            noise += share / total * belief.noise
+        doubt = self.suspicion
+        offset = doubt.measured_wrongly * doubt.offset if doubt else np.zeros(len(noise))
+        return Mixture(np.asarray(mean), covariance, noise, self.side(phase), offset)
+
+    def redeployed(self) -> "Beliefs":
+        """The beliefs before another deployment: the robot may have changed, and the zero of the phase is another."""
+        places = self._walking[1:]
+        fresh = []
+        for belief in self.beliefs:
+            if belief.kind == "earlier":
+                continue
+            periodic = np.tile(PERIODIC_STD**2 * belief.noise[:, None], (1, 2))
+            weights = belief.weights.restarted(places, periodic).walked([0], belief.noise)
+            fresh.append(replace(belief, weights=weights))
+        changed = self._changed(fresh[0], log(FIRST_HAZARD))
+        return replace(self._forgetting(), beliefs=(*fresh, changed), alarm=None)
+
+    def _forgetting(self) -> "Beliefs":
+        """Nothing is known of the step before."""
+        return replace(self, before=np.zeros_like(self.before), suspicion=None)
+
+    def unlinked(self) -> "Beliefs":
+        """The beliefs after a step whose error is not known."""
+        return replace(self._forgetting(), alarm=None)
+
+    def _changed(self, belief: Belief, log_weight: float) -> Belief:
+        """The belief that the robot has just changed."""
+        weights = belief.weights.widened(self.change)
+        return replace(belief, kind="changed", weights=weights, log_weight=log_weight, rate=0.0, age=0)
+
+    def taught(self, step: Observed) -> "Beliefs":
+        """The beliefs after a step that is learned without a judgement, such as the first one of a plant."""
+        features = self.all_features(step.point, self.side(step.phase))
+        beliefs = tuple(each.learned(features, step.error, 1.0) for each in self.beliefs)
+        before = np.concatenate([step.error, step.command])
+        return replace(self, beliefs=beliefs, before=before, suspicion=None, alarm=None)
+
+    def after(self, step: Observed) -> "Beliefs":
+        """The beliefs after a step."""
+        beliefs = [each.walked(self._walking) for each in self.beliefs]
+        best = max(beliefs, key=lambda each: each.log_weight)
+        settled = max(
+            (each for each in beliefs if each.kind not in ("changed", "earlier")),
+            key=lambda each: each.log_weight,
+            default=best,
+        )
+        if len(self.recent):
+            least = best.log_weight + log(RETURN_HAZARD)
+            beliefs = [
+                replace(each, log_weight=max(each.log_weight, least)) if each.kind == "earlier" else each
+                for each in beliefs
+            ]
+            beliefs.append(self._changed(best, best.log_weight + log(HAZARD)))
+        features = self.all_features(step.point, self.side(step.phase))
+        elsewhere = self._elsewhere(step)
+        judged = _judged(beliefs, best, features, step.error, elsewhere)
+        return self._settled(judged, best, settled, features, step, elsewhere)
+
+    def _elsewhere(self, step: Observed) -> "_Elsewhere | None":
+        """The step as it was if the one before was measured wrongly."""
+        doubt = self.suspicion
+        if doubt is None or (moved := step.from_elsewhere(doubt.offset)) is None:
+            return None
+        point, error, slope = moved
+        unknown = replace(self, before=np.concatenate([0 * error, self.before[len(error) :]]))
+        features = self.all_features(point, unknown.side(step.phase))
+        return _Elsewhere(doubt.measured_wrongly, features, error, (slope**2) @ doubt.variance)
+
+    def _settled(
+        self,
+        judged: "_Judged",
+        best: Belief,
+        settled: Belief,
+        features: Array,
+        step: Observed,
+        elsewhere: "_Elsewhere | None",
+    ) -> "Beliefs":
+        """The beliefs after their judgement: one may become the current one, equal ones are joined."""
+        yes, no = self.wrong_measurements
+        if elsewhere is not None and self.suspicion is not None:
+            yes, no = yes + judged.elsewhere, no + max(0.0, self.suspicion.wrong - judged.elsewhere)
+        suspicion = None
+        if judged.wrong > SUSPECT:
+            mean, variance = best.weights.predicted(features)
+            suspicion = Suspicion(
+                judged.wrong, judged.wrong * yes / (yes + no), step.error - mean, variance + best.noise
+            )
+        beliefs, alarm = _reported(judged.beliefs, settled)
+        recent = np.vstack([self.recent, features])[-RECENT:]
+        right = 1 - suspicion.measured_wrongly if suspicion else 1.0
+        return replace(
+            self,
+            beliefs=_joined(beliefs, np.vstack([self._probes, recent])),
+            before=np.concatenate([right * step.error, step.command]),
+            suspicion=suspicion,
+            wrong_measurements=(yes, no),
+            recent=recent,
+            alarm=alarm,
+        )
+
+    @property
+    def _probes(self) -> Array:
+        """Features at points of the range of use, at which beliefs are compared; shape (`PROBES`, k)."""
+        points = np.random.default_rng(1).uniform(-0.8, 0.8, (PROBES, self.features.inputs))
+        return np.hstack([self.features(points), np.zeros((PROBES, 2 + len(self.before)))])
+
+
+def features_of(inputs: int) -> Features:
+    """Features of beliefs about errors that depend on a number of inputs."""
+    degree = 2 if number_of_monomials(inputs, 2) <= MOST_MONOMIALS else 1
+    return Features.drawn(inputs, degree, WAVES, WAVE_LENGTH, np.random.default_rng(0))
+
+
+def unknown_belief(features: Features) -> Belief:
+    """A belief about one coordinate of a robot of which nothing is known, without what was before a step."""
+    family = unknown(features, 1, UNKNOWN_STDS[0])
+    size = features.count
+    covariance = WAVE_STD**2 * np.eye(size)[None]
+    covariance[:, : features.monomials, : features.monomials] = family.covariance
+    freedom = np.full(1, NOISE_COUNT)
+    weights = Weights(np.zeros((1, size)), np.sqrt(covariance))
+    return Belief("unknown", weights, freedom, (freedom - 2) * family.noise_std**2, 0.0)
+
+
+def unknown(features: Features, coordinates: int, stds: tuple[float, float] = UNKNOWN_STDS[0]) -> Family:
+    """The weights of robots of which nothing is known, with standard deviations up to degree 1 and of degree 2."""
+    linear = np.arange(features.monomials) <= features.inputs
+    covariance = np.diag(np.where(linear, *stds) ** 2)
+    zero = np.zeros((coordinates, features.monomials))
+    return Family(zero, np.tile(covariance, (coordinates, 1, 1)), np.full(coordinates, UNKNOWN_NOISE))
+
+
+class _Elsewhere(NamedTuple):
+    """A step from where the one before was predicted to end: how probable that is, features, error, its variance."""
+
+    probability: float
+    features: Array
+    error: Array
+    variance: Array
+
+
+class _Judged(NamedTuple):
+    """Beliefs after a step, and the probabilities that it was wrong, and that it began elsewhere."""
+
+    beliefs: list[Belief]
+    wrong: float
+    elsewhere: float
+
+
+def _judged(
+    beliefs: Sequence[Belief], best: Belief, features: Array, error: Array, elsewhere: _Elsewhere | None
+) -> _Judged:
+    """Weighs the beliefs by the density that each gives to an error, and lets each learn the step."""
+    predictions = [each.weights.predicted(features) for each in beliefs]
+    totals = [each.noise + found.variance for each, found in zip(beliefs, predictions, strict=True)]
+    # A wrong step is as wide as the widest belief at least: otherwise every large error would be a change.
+    wide = np.maximum(np.max(totals, axis=0), WRONG_WIDTH**2 * best.noise)
+    doubt = elsewhere.probability if elsewhere else 0.0
+    found, evidence, wrongs, moved = list[Belief](), list[float](), list[float](), list[float]()
+    for belief, (mean, _), total in zip(beliefs, predictions, totals, strict=True):
+        # The density of the error by each explanation, in logarithms.
+        regular = log(max(1 - WRONG - doubt, 1e-9)) + belief.log_density(error - mean, total)
+        wrong = log(WRONG) + log_student(error - mean, wide, WRONG_FREEDOM)
+        after = _log_density_elsewhere(belief, elsewhere) if elsewhere else -inf
+        density = float(np.logaddexp(np.logaddexp(regular, wrong), after))
+        # It is learned by the more probable of the two that explain it, as far as it was not wrong.
+        trust = max(LEAST_TRUST, exp(max(regular, after) - density))
+        lesson = (elsewhere.features, elsewhere.error) if elsewhere and after > regular else (features, error)
+        learned = belief if belief.kind == "earlier" else belief.learned(*lesson, trust)
+        found.append(replace(learned, log_weight=belief.log_weight + density))
+        evidence.append(found[-1].log_weight)
+        wrongs.append(exp(wrong - density))
+        moved.append(exp(after - density))
+    shares = np.exp(np.array(evidence) - max(evidence))
+    shares /= shares.sum()
+    return _Judged(found, float(shares @ wrongs), float(shares @ moved))
+
+
+def _log_density_elsewhere(belief: Belief, elsewhere: _Elsewhere) -> float:
+    """Logarithm of the density of a step's error if it began elsewhere."""
+    mean, variance = belief.weights.predicted(elsewhere.features)
+    total = variance + belief.noise + elsewhere.variance
+    return log(elsewhere.probability + 1e-12) + belief.log_density(elsewhere.error - mean, total)
+
+
+def _reported(beliefs: Sequence[Belief], settled: Belief) -> tuple[list[Belief], Kind | None]:
+    """The beliefs after a change, if there was one, and its kind if it is reported.
+
+    Args:
+        beliefs: After a step.
+        settled: The most probable one before it that is neither newborn nor what was believed earlier.
+    """
+    top = max(each.log_weight for each in beliefs)
+    found = [replace(each, log_weight=each.log_weight - top) for each in beliefs]
+    first = max(found, key=lambda each: each.log_weight)
+    others = [each.log_weight for each in found if each.kind not in ("changed", "earlier")]
+    if first.kind not in ("changed", "earlier") or first.log_weight <= log(REPORTED_ODDS) + max(others, default=-inf):
+        return found, None
+    alarm = first.kind if first.kind == "earlier" or first.age <= SUDDEN else None
+    if alarm:
+        before = replace(settled, kind="earlier", log_weight=log(RETURN_HAZARD))
+        found = [each for each in found if each.kind not in ("current", "earlier") or each is first]
+        found = [*found, before]
+    return [replace(each, kind="current") if each is first else each for each in found], alarm
+
+
+def _joined(beliefs: Sequence[Belief], probes: Array) -> tuple[Belief, ...]:
+    """The beliefs, from the most probable on, of which those that predict the same are one, and few are kept."""
+    kept = list[tuple[Belief, Predicted]]()
+    for belief in sorted(beliefs, key=lambda each: -each.log_weight):
+        mean, variance = belief.weights.predicted(probes)
+        found = Predicted(mean, variance + belief.noise)
+        same = next((row for row, (other, there) in enumerate(kept) if _agree(belief, found, other, there)), None)
+        if same is not None:
+            other, there = kept[same]
+            kept[same] = replace(other, log_weight=float(np.logaddexp(other.log_weight, belief.log_weight))), there
+        elif len(kept) < MOST or belief.age <= YOUNG or belief.kind == "earlier":
+            kept.append((belief, found))
+    return tuple(belief for belief, _ in kept)
+
+
+def _agree(one: Belief, of_one: Predicted, other: Belief, of_other: Predicted) -> bool:
+    """Whether two beliefs predict the same; what was believed earlier stays apart, and so do the rates of one kind."""
+    if "earlier" in (one.kind, other.kind) or (one.kind == other.kind and one.rate != other.rate):
+        return False
+    near = np.abs(of_one.mean - of_other.mean) < SAME_MEAN * np.sqrt(of_other.variance)
+    alike = np.abs(np.log(of_one.variance / of_other.variance)) < SAME_SPREAD
+    return bool(near.all() and alike.all())
+
+
+def _belief(
+    kind: Kind, family: Family, log_weight: float, rate: float, features: Features, sizes: tuple[int, int]
+) -> Belief:
+    """A belief before the first step."""
+    n, m = sizes
+    count, size = features.monomials, features.count + 2 + n + m
+    mean, covariance = np.zeros((n, size)), np.zeros((n, size, size))
+    mean[:, :count], covariance[:, :count, :count] = family.mean, family.covariance
+    for coordinate, noise in enumerate(family.noise_std):
+        parts = [(features.waves, WAVE_STD), (2, PERIODIC_STD * noise), (n, ERROR_BEFORE_STD), (m, COMMAND_BEFORE_STD)]
+        stds = np.concatenate([np.full(number, std) for number, std in parts])
+        covariance[coordinate, range(count, size), range(count, size)] = stds**2
+    freedom = np.full(n, NOISE_COUNT)
+    weights = Weights.of_moments(mean, covariance)
+    return Belief(kind, weights, freedom, (freedom - 2) * family.noise_std**2, log_weight, rate)

@@ -1,0 +1,244 @@
+"""The residual `posterior`: what the beliefs about a robot's error say of it, as a function of state and command.
+
+Its value is that of another regression, if there is one, plus a weighted sum of features of state and command, whose
+weights are normal. The features are common to all beliefs, so the mixture of these has exact first moments: the mean
+and the covariance of the weights, which are all that a plan needs.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stepgap.base.json_data import as_object, integer, number, numbers
+from stepgap.base.ranges import require
+from stepgap.gauss.features import Features
+from stepgap.learning.beliefs import features_of, unknown_belief
+from stepgap.learning.regression import Parameter, Prediction, Regression, ResidualModel, TrainingData
+from stepgap.step import Array
+
+LARGEST_DIMENSION: Final = 1000
+"""Largest number of features that is read."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Posterior(Regression):
+    """The error of one state coordinate, as far as it is known.
+
+    Attributes:
+        data: The steps that were learned from, for reports, and the ranges of the inputs; values in its units.
+        features: Features of the inputs `used`, in half ranges.
+        mean_weights: Expected weights of the features, and of what follows them; shape (k,) [half ranges].
+        covariance: Their covariance; shape (k, k) [half ranges²].
+        side: What follows the features and does not depend on the inputs; shape (k − p,).
+        noise: Standard deviation of a step's error about the expected one [half ranges].
+        used: Numbers of the inputs that the features have.
+        base: Regression with the same inputs to which all of this is added; None for none.
+    """
+
+    data: TrainingData
+    features: Features
+    mean_weights: Array
+    covariance: Array
+    side: Array
+    noise: float
+    used: tuple[int, ...]
+    base: Regression | None = None
+
+    @property
+    def points(self) -> Array:
+        """Inputs of the steps that were learned from; shape (N, d)."""
+        return self.data.points
+
+    @property
+    def values(self) -> Array:
+        """Errors of these steps; shape (N,)."""
+        return self.data.values
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs d."""
+        return len(self.data.scale)
+
+    @property
+    def noise_std(self) -> float:
+        """Standard deviation of a new value about the expected one."""
+        return self.noise * self.data.value_scale
+
+    def mean(self, point: ArrayLike) -> Array:
+        """Expected value; shape (…)."""
+        own = self.data.value_scale * (self._features(point) @ self._own + self._constant)
+        return own + self.base.mean(point) if self.base else own
+
+    def mean_gradient(self, point: ArrayLike) -> Array:
+        """∂mean/∂point; shape (…, d)."""
+        own = self._by_point(np.einsum("...pd,p->...d", self._gradient(point), self._own), point)
+        return own + self.base.mean_gradient(point) if self.base else own
+
+    def std(self, point: ArrayLike) -> Array:
+        """Standard deviation; shape (…)."""
+        own = self.data.value_scale * self._own_std(point)[1]
+        return np.hypot(own, self.base.std(point)) if self.base else own
+
+    def std_gradient(self, point: ArrayLike) -> Array:
+        """∂std/∂point; shape (…, d)."""
+        product, std = self._own_std(point)
+        count = self.features.count
+        slopes = np.einsum("...pd,...p->...d", self._gradient(point), product[..., :count])
+        own = self._by_point(
+            np.divide(slopes, std[..., None], out=np.zeros_like(slopes), where=std[..., None] > 0), point
+        )
+        if self.base is None:
+            return own
+        # std² = own² + base², so its derivative has each part in proportion.
+        parts = self.data.value_scale * std, self.base.std(point)
+        total = np.hypot(*parts)
+        shares = [np.divide(part, total, out=np.zeros_like(total), where=total > 0)[..., None] for part in parts]
+        return shares[0] * own + shares[1] * self.base.std_gradient(point)
+
+    def left_out(self, blocks: Sequence[slice]) -> Prediction:
+        """Predictions, with noise, of each value from those outside its block, as if all had been learned equally.
+
+        With S the covariance that a block's values have left without noise, what they have said is taken back by
+        (1 − S / noise²)⁻¹ (predicted residual sum of squares: Allen, 1974).
+        """
+        rows = np.concatenate([self._features(self.points), np.zeros((len(self.points), len(self.side)))], axis=-1)
+        expected, unit = self.mean(self.points), self.data.value_scale
+        mean, std = np.empty(len(self.values)), np.empty(len(self.values))
+        for block in blocks:
+            known = rows[block] @ self.covariance @ rows[block].T / self.noise**2
+            values, vectors = np.linalg.eigh(known)
+            kept = 1 - np.minimum(values, 1 - 1e-3)  # a step that was distrusted said less than this takes back
+            error = self.values[block] - expected[block]
+            mean[block] = self.values[block] - vectors @ (vectors.T @ error / kept)
+            std[block] = unit * self.noise * np.sqrt((vectors**2) @ (1 / kept))
+        return Prediction(mean, std)
+
+    def append(self, point: ArrayLike, value: float) -> "Posterior":
+        """Conditions the weights on one more value."""
+        point = np.asarray(point, float)
+        product, std = self._own_std(point)
+        gain = product / (std**2 + self.noise**2)
+        error = (value - float(self.mean(point))) / self.data.value_scale
+        return replace(
+            self,
+            data=self.data.append(point, value),
+            mean_weights=self.mean_weights + gain * error,
+            covariance=self.covariance - np.outer(gain, product),
+        )
+
+    def parameters(self) -> list[Parameter]:
+        """Noise, and the value and slopes in the middle of the range of use."""
+        middle, centre = self.data.centre, "in the middle"
+        slopes = Parameter(f"slope {centre}", self.mean_gradient(middle), "value per input")
+        return [*super().parameters(), Parameter(centre, float(self.mean(middle)), "value"), slopes]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Converts the regression to JSON-ready data; that of `base` is the model's own."""
+        return {
+            **self.data.to_dict(),
+            "features": features_to_dict(self.features),
+            "weights": self.mean_weights.tolist(),
+            "covariance": self.covariance.tolist(),
+            "noise": self.noise,
+            "used": list(self.used),
+        }
+
+    @property
+    def _own(self) -> Array:
+        """Expected weights of the features that depend on the inputs; shape (p,)."""
+        return self.mean_weights[: self.features.count]
+
+    @cached_property
+    def _constant(self) -> float:
+        return float(self.side @ self.mean_weights[self.features.count :])
+
+    def _own_std(self, point: ArrayLike) -> tuple[Array, Array]:
+        """Covariance of the weights with the sum, (…, k), and standard deviation of the sum, (…) [half ranges]."""
+        features = self._features(point)
+        side = np.broadcast_to(self.side, (*features.shape[:-1], len(self.side)))
+        rows = np.concatenate([features, side], axis=-1)
+        product = rows @ self.covariance
+        return product, np.sqrt(np.maximum(np.sum(product * rows, axis=-1), 0.0))
+
+    def _scaled(self, point: ArrayLike) -> Array:
+        return self.data.scaled(point)[..., self.used]
+
+    def _features(self, point: ArrayLike) -> Array:
+        return self.features(self._scaled(point))
+
+    def _gradient(self, point: ArrayLike) -> Array:
+        return self.features.gradient(self._scaled(point))
+
+    def _by_point(self, slopes: Array, point: ArrayLike) -> Array:
+        """Derivatives by the inputs from those by the scaled inputs of the features; (…, used) to (…, d)."""
+        found = np.zeros((*np.shape(point)[:-1], self.inputs))
+        found[..., self.used] = slopes
+        return found * (self.data.value_scale / self.data.scale)
+
+
+def posterior_from_dict(saved: Mapping[str, Any]) -> Posterior:
+    """Restores what `Posterior.to_dict` saved; a ValueError names the wrong key."""
+    data, features = TrainingData.from_dict(saved), features_from_dict(as_object(saved.get("features"), "features"))
+    weights, covariance = numbers(saved, "weights", 1), numbers(saved, "covariance", 2)
+    size, used = len(weights), tuple(int(each) for each in numbers(saved, "used", 1))
+    require(size >= features.count, "weights", weights, f"have at least {features.count} numbers")
+    require(covariance.shape == (size, size), "covariance.shape", covariance.shape, f"be {(size, size)}")
+    require(len(used) == features.inputs, "used", used, f"have {features.inputs} numbers")
+    require(all(0 <= each < len(data.scale) for each in used), "used", used, f"lie between 0 and {len(data.scale) - 1}")
+    noise = number(saved, "noise")
+    require(noise > 0, "noise", noise, "be positive")
+    return Posterior(data, features, weights, covariance, np.zeros(size - features.count), noise, used)
+
+
+def features_to_dict(features: Features) -> dict[str, Any]:
+    """Converts features to JSON-ready data, which `features_from_dict` reads."""
+    return {
+        "inputs": features.inputs,
+        "degree": features.degree,
+        "frequencies": features.frequencies.tolist(),
+        "shifts": features.shifts.tolist(),
+    }
+
+
+def features_from_dict(saved: Mapping[str, Any]) -> Features:
+    """Restores features; a ValueError names the wrong key."""
+    inputs, degree, shifts = integer(saved, "inputs"), integer(saved, "degree"), numbers(saved, "shifts", 1)
+    require(1 <= inputs <= LARGEST_DIMENSION, "features.inputs", inputs, f"lie between 1 and {LARGEST_DIMENSION}")
+    require(degree in (1, 2), "features.degree", degree, "be 1 or 2")
+    frequencies = numbers(saved, "frequencies", 2) if len(shifts) else np.empty((0, inputs))
+    wanted = (len(shifts), inputs)
+    require(frequencies.shape == wanted, "features.frequencies.shape", frequencies.shape, f"be {wanted}")
+    features = Features(inputs, degree, frequencies, shifts)
+    require(
+        features.count <= LARGEST_DIMENSION, "features.inputs", inputs, f"give at most {LARGEST_DIMENSION} features"
+    )
+    return features
+
+
+def _fit(data: TrainingData, start: Regression | None) -> Posterior:
+    """Conditions the weights of a robot of which nothing is known on the data, one value after the other."""
+    inputs = len(data.scale) - data.timed
+    features = features_of(inputs)
+    belief = unknown_belief(features)
+    points, values = data.scaled(data.points)[:, :inputs], data.values / data.value_scale
+    for row, value in zip(features(points), values, strict=True):
+        belief = belief.learned(row, np.array([value]), 1.0)
+    weights, noise = belief.weights, float(np.sqrt(belief.noise[0]))
+    nothing = np.zeros(0)
+    return Posterior(data, features, weights.mean[0], weights.covariance[0], nothing, noise, tuple(range(inputs)))
+
+
+POSTERIOR: Final = ResidualModel(
+    "posterior",
+    "what is believed of it: a quadratic polynomial and a part that is smooth, with a prior",
+    _fit,
+    posterior_from_dict,
+    candidate=True,
+    complexity=5,
+)
+"""The residual `posterior`."""
