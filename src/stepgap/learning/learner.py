@@ -10,20 +10,19 @@ import numpy as np
 
 from stepgap.learning.alarm import Alarm
 from stepgap.learning.beliefs import Beliefs, Observed, features_of
+from stepgap.learning.believed import believed, observed, planning_map
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.entry_points import load_residual_model
 from stepgap.learning.observations import (
-    Observations,
     context_inputs_of,
     error_of,
     history_after,
     next_history,
-    no_observations,
     observe,
 )
-from stepgap.learning.posterior import POSTERIOR, Posterior
+from stepgap.learning.posterior import POSTERIOR
 from stepgap.learning.prior import Prior
-from stepgap.learning.residual import HistoryInputs, Residual, join_points, no_residual
+from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.settings import LearningSettings
@@ -101,7 +100,7 @@ class Learner:
         beliefs: Beliefs | None,
     ) -> Self:
         """Returns the learner before a deployment of which residual and beliefs are known; the others as of `start`."""
-        if beliefs and residual.kind == POSTERIOR.name:
+        if beliefs and settings.residual == POSTERIOR.name:
             residual = no_residual(*residual.sizes)  # they say the same
         history = next_history(known, nominal, iteration)
         return cls(nominal, settings, iteration, known, residual, beliefs, history)
@@ -142,7 +141,7 @@ class Learner:
         if self.beliefs is None or self.settings.residual != POSTERIOR.name:
             return self.residual
         seen = observe(self.known.planned(), self.nominal)
-        return self._believed(self.beliefs, seen)
+        return believed(self.residual, self.beliefs, self.phase, seen)
 
     def step_map(self) -> CorrectedMap:
         """Returns the map that plans the next step."""
@@ -150,38 +149,7 @@ class Learner:
 
     @cached_property
     def _step_map(self) -> CorrectedMap:
-        residual = self.residual
-        if self.beliefs is None:
-            return CorrectedMap(self.nominal, residual.conditioned_on(self.history))
-        nothing = no_observations(self.nominal.space)
-        believed = self._believed(self.beliefs, nothing).conditioned_on(self.history)
-        offset = self.beliefs.mixture(self.phase).offset * self.nominal.space.state_scale
-        return CorrectedMap(self.nominal, believed, offset=offset if offset.any() else None)
-
-    def _believed(self, beliefs: Beliefs, seen: Observations) -> Residual:
-        """The mixture of the beliefs, added to the fitted residual; with the steps `seen` as its data."""
-        mixture, space = beliefs.mixture(self.phase), self.nominal.space
-        base = self.residual if self.residual.kind != "none" else None
-        context = len(space.context_inputs)
-        inputs = base.history_inputs if base else HistoryInputs(context_inputs=context)
-        n, m = len(space.state), len(space.command)
-        data = [seen.training_data(inputs, coordinate) for coordinate in range(n)]
-        first = len(data[0].scale) - context - inputs.timed
-        used = (*range(n + m), *range(first, first + context))
-        regressions = tuple(
-            Posterior(
-                data=data[coordinate],
-                features=beliefs.features,
-                mean_weights=mixture.mean[coordinate],
-                covariance=mixture.covariance[coordinate],
-                side=mixture.side,
-                noise=float(np.sqrt(mixture.noise[coordinate])),
-                used=used,
-                base=base.regressions[coordinate] if base else None,
-            )
-            for coordinate in range(n)
-        )
-        return Residual(POSTERIOR, regressions, m, inputs)
+        return planning_map(self.nominal, self.residual, self.beliefs, self.phase, self.history)
 
     def found(self, context: Mapping[str, float]) -> Self:
         """Returns the learner at the touchdown of the next step, with the context inputs that it has found."""
@@ -211,7 +179,9 @@ class Learner:
             error = error - residual.mean(point) if self.beliefs else error
         if self.beliefs is None:
             return learner._fitted_on(self.history, error) if self.settings.online else learner
-        step = _observed(record, self.nominal, error, self.phase)
+        step = observed(record, self.nominal, error, self.phase)
+        if step is None:
+            return replace(learner, beliefs=self.beliefs.unlinked())
         beliefs = self.beliefs.after(step) if logged.planned else self.beliefs.taught(step)
         alarms = [Alarm(logged.step, beliefs.alarm)] if beliefs.alarm else []
         return replace(learner, beliefs=beliefs, alarms=(*self.alarms, *alarms))
@@ -282,34 +252,7 @@ def _observed_in(steps: Steps, nominal: StepMap) -> Iterator[tuple[Observed, boo
     for row, logged in enumerate(steps):
         error = error_of(logged.record, nominal)
         if logged.planned and np.isfinite(error).all() and not doubtful[row]:
-            yield _observed(logged.record, nominal, error, phases[row]), bool(follows[row]) and last == row - 1
-            last = row
-
-
-def _observed(record: StepRecord, nominal: StepMap, error: Array, phase: float) -> Observed:
-    """A step as beliefs see it.
-
-    Args:
-        record: The step.
-        nominal: Map of the physics model.
-        error: What is believed about: its error, less that of a fitted residual; shape (n,) [units of the state].
-        phase: Phase at which it started [rad], NaN if it is unknown.
-    """
-    space, context = nominal.space, context_inputs_of(record.context, nominal.space)
-
-    def point(state: Array) -> Array:
-        return np.concatenate([space.scaled_inputs(space.onward(state), record.requested), context])
-
-    def from_elsewhere(offset: Array) -> tuple[Array, Array, Array] | None:
-        start = record.state - offset * space.state_scale
-        slope = nominal.jacobian(start, record.requested)[:, : len(offset)]
-        moved = (
-            nominal.evaluate(record.state, record.requested).next_state
-            - nominal.evaluate(start, record.requested).next_state
-        )
-        found = (error + moved) / space.state_scale
-        slope = slope * space.state_scale / space.state_scale[:, None]
-        return (point(start), found, slope) if np.isfinite(found).all() and np.isfinite(slope).all() else None
-
-    command = space.point_of(record.requested)
-    return Observed(point(record.state), error / space.state_scale, phase, command, from_elsewhere)
+            step = observed(logged.record, nominal, error, phases[row])
+            if step is not None:
+                yield step, bool(follows[row]) and last == row - 1
+                last = row

@@ -1,0 +1,101 @@
+"""How beliefs meet a step map: a step as they see it, and the map that they plan with.
+
+A run and every exported controller do both by the functions here.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from stepgap.learning.beliefs import Beliefs, Observed
+from stepgap.learning.corrected_map import CorrectedMap
+from stepgap.learning.observations import Observations, context_inputs_of, no_observations
+from stepgap.learning.posterior import POSTERIOR, Posterior
+from stepgap.learning.residual import HistoryInputs, Residual
+from stepgap.step import Array, StepMap, StepRecord
+
+LARGEST: Final = 1e6
+"""Largest number of a step that is learned from [half ranges]: the square of a larger one could be no number."""
+
+
+def observed(record: StepRecord, nominal: StepMap, error: Array, phase: float) -> Observed | None:
+    """A step as beliefs see it; None if a number of it is missing, or far from every range.
+
+    Args:
+        record: The step.
+        nominal: Map of the physics model.
+        error: What is believed about: its error, less that of a fitted residual; shape (n,) [units of the state].
+        phase: Phase at which it started [rad], NaN if it is unknown.
+    """
+    space, context = nominal.space, context_inputs_of(record.context, nominal.space)
+
+    def point(state: Array) -> Array:
+        return np.concatenate([space.scaled_inputs(space.onward(state), record.requested), context])
+
+    def from_elsewhere(offset: Array) -> tuple[Array, Array, Array] | None:
+        start = record.state - offset * space.state_scale
+        slope = nominal.jacobian(start, record.requested)[:, : len(offset)]
+        moved = (
+            nominal.evaluate(record.state, record.requested).next_state
+            - nominal.evaluate(start, record.requested).next_state
+        )
+        found = (error + moved) / space.state_scale
+        slope = slope * space.state_scale / space.state_scale[:, None]
+        return (point(start), found, slope) if np.isfinite(found).all() and np.isfinite(slope).all() else None
+
+    inputs, scaled = point(record.state), error / space.state_scale
+    if not (np.abs(np.concatenate([inputs, scaled])) <= LARGEST).all():
+        return None
+    return Observed(inputs, scaled, phase, space.point_of(record.requested), from_elsewhere)
+
+
+def believed(residual: Residual, beliefs: Beliefs, phase: float, seen: Observations) -> Residual:
+    """The mixture of the beliefs about a step, added to a fitted residual.
+
+    Args:
+        residual: The fitted residual.
+        beliefs: What is believed of its remaining error.
+        phase: Phase at which the step starts [rad], NaN if it is unknown.
+        seen: Steps that become the data of the result, for reports.
+    """
+    mixture, space = beliefs.mixture(phase), seen.space
+    base = residual if residual.kind != "none" else None
+    context = len(space.context_inputs)
+    inputs = base.history_inputs if base else HistoryInputs(context_inputs=context)
+    n, m = len(space.state), len(space.command)
+    data = [seen.training_data(inputs, coordinate) for coordinate in range(n)]
+    first = len(data[0].scale) - context - inputs.timed
+    used = (*range(n + m), *range(first, first + context))
+    regressions = tuple(
+        Posterior(
+            data=data[coordinate],
+            features=beliefs.features,
+            mean_weights=mixture.mean[coordinate],
+            covariance=mixture.covariance[coordinate],
+            side=mixture.side,
+            noise=float(np.sqrt(mixture.noise[coordinate])),
+            used=used,
+            base=base.regressions[coordinate] if base else None,
+        )
+        for coordinate in range(n)
+    )
+    return Residual(POSTERIOR, regressions, m, inputs)
+
+
+def planning_map(
+    nominal: StepMap, residual: Residual, beliefs: Beliefs | None, phase: float, history: Array
+) -> CorrectedMap:
+    """The map that plans a step.
+
+    Args:
+        nominal: Map of the physics model.
+        residual: The fitted residual.
+        beliefs: What is believed of its remaining error; None for nothing.
+        phase: Phase at which the step starts [rad], NaN if it is unknown.
+        history: History of the step, as `observations` defines it.
+    """
+    if beliefs is None:
+        return CorrectedMap(nominal, residual.conditioned_on(history))
+    found = believed(residual, beliefs, phase, no_observations(nominal.space)).conditioned_on(history)
+    offset = beliefs.mixture(phase).offset * nominal.space.state_scale
+    return CorrectedMap(nominal, found, offset=offset if offset.any() else None)
