@@ -2,7 +2,7 @@
 
 from typing import Final, NamedTuple
 
-SOURCES: Final = ("changed", "earlier", "nominal", "other_robot")
+ALARM_SOURCES: Final = ("changed", "earlier", "nominal", "other_robot")
 """Values of `Alarm.source`; the last two are in the summaries of former versions only."""
 
 

@@ -47,13 +47,13 @@ UNKNOWN_NOISE, NOMINAL_NOISE = 0.03, 0.1
 """Expected standard deviation of their noise, and of that of a nominal map that is right [half ranges]."""
 RIGHT_STD: Final = 1e-3
 """Prior standard deviation of the weights where a map is right [half ranges]."""
-NOISE_COUNT: Final = 8.0
+EXPECTED_NOISE_COUNT: Final = 8.0
 """Number of steps that an expected noise is worth."""
 RUN_COUNT: Final = 50.0
 """Number of steps that the noise of an earlier run is worth at most."""
 RIVAL: Final = 0.02
 """Probability of each rival of what is expected of a robot, before its first step."""
-CHANGE: Final = 0.25
+CHANGED_PART: Final = 0.25
 """Part of the covariance between robots by which a robot changes."""
 HAZARD, RETURN_HAZARD, FIRST_HAZARD = 3e-4, 1e-3, 0.05
 """Probability of a change before a step, of a return to what was before, and of a change between two deployments."""
@@ -209,9 +209,9 @@ class Beliefs:
             for rate in RATES
         ]
         size = beliefs[0].weights.mean.shape[1]
-        change = CHANGE * beliefs[0].weights.covariance
+        change = CHANGED_PART * beliefs[0].weights.covariance
         if fitted is not None:
-            change = CHANGE * beliefs[len(RATES)].weights.covariance
+            change = CHANGED_PART * beliefs[len(RATES)].weights.covariance
         before = np.zeros(sum(sizes))
         return cls(features, tuple(beliefs), change, before, None, WRONG_MEASUREMENTS, np.empty((0, size)))
 
@@ -280,7 +280,7 @@ class Beliefs:
             noise += share / total * belief.noise
         doubt = self.suspicion
         offset = doubt.measured_wrongly * doubt.offset if doubt else np.zeros(len(noise))
-        return Mixture(np.asarray(mean), covariance, noise, self.side(phase), offset)
+        return Mixture(np.asarray(mean), covariance, noise, side=self.side(phase), offset=offset)
 
     def redeployed(self) -> "Beliefs":
         """The beliefs before another deployment: the robot may have changed, and the zero of the phase is another."""
@@ -397,7 +397,7 @@ def unknown_belief(features: Features) -> Belief:
     size = features.count
     covariance = WAVE_STD**2 * np.eye(size)[None]
     covariance[:, : features.monomials, : features.monomials] = family.covariance
-    freedom = np.full(1, NOISE_COUNT)
+    freedom = np.full(1, EXPECTED_NOISE_COUNT)
     weights = Weights(np.zeros((1, size)), np.sqrt(covariance))
     return Belief("unknown", weights, freedom, (freedom - 2) * family.noise_std**2, 0.0)
 
@@ -520,6 +520,6 @@ def _belief(
         parts = [(features.waves, WAVE_STD), (2, PERIODIC_STD * noise), (n, ERROR_BEFORE_STD), (m, COMMAND_BEFORE_STD)]
         stds = np.concatenate([np.full(number, std) for number, std in parts])
         covariance[coordinate, range(count, size), range(count, size)] = stds**2
-    freedom = np.full(n, NOISE_COUNT)
+    freedom = np.full(n, EXPECTED_NOISE_COUNT)
     weights = Weights.of_moments(mean, covariance)
     return Belief(kind, weights, freedom, (freedom - 2) * family.noise_std**2, log_weight, rate)

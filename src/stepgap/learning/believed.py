@@ -46,7 +46,7 @@ def observed(record: StepRecord, nominal: StepMap, error: Array, phase: float) -
     inputs, scaled = point(record.state), error / space.state_scale
     if not (np.abs(np.concatenate([inputs, scaled])) <= LARGEST).all():
         return None
-    return Observed(inputs, scaled, phase, space.point_of(record.requested), from_elsewhere)
+    return Observed(inputs, scaled, phase, command=space.point_of(record.requested), from_elsewhere=from_elsewhere)
 
 
 def believed(residual: Residual, beliefs: Beliefs, phase: float, seen: Observations) -> Residual:

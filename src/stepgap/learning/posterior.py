@@ -20,7 +20,7 @@ from stepgap.learning.beliefs import features_of, unknown_belief
 from stepgap.learning.regression import Parameter, Prediction, Regression, ResidualModel, TrainingData
 from stepgap.step import Array
 
-LARGEST_DIMENSION: Final = 1000
+MOST_FEATURES_READ: Final = 1000
 """Largest number of features that is read."""
 
 
@@ -208,14 +208,14 @@ def features_to_dict(features: Features) -> dict[str, Any]:
 def features_from_dict(saved: Mapping[str, Any]) -> Features:
     """Restores features; a ValueError names the wrong key."""
     inputs, degree, shifts = integer(saved, "inputs"), integer(saved, "degree"), numbers(saved, "shifts", 1)
-    require(1 <= inputs <= LARGEST_DIMENSION, "features.inputs", inputs, f"lie between 1 and {LARGEST_DIMENSION}")
+    require(1 <= inputs <= MOST_FEATURES_READ, "features.inputs", inputs, f"lie between 1 and {MOST_FEATURES_READ}")
     require(degree in (1, 2), "features.degree", degree, "be 1 or 2")
     frequencies = numbers(saved, "frequencies", 2) if len(shifts) else np.empty((0, inputs))
     wanted = (len(shifts), inputs)
     require(frequencies.shape == wanted, "features.frequencies.shape", frequencies.shape, f"be {wanted}")
     features = Features(inputs, degree, frequencies, shifts)
     require(
-        features.count <= LARGEST_DIMENSION, "features.inputs", inputs, f"give at most {LARGEST_DIMENSION} features"
+        features.count <= MOST_FEATURES_READ, "features.inputs", inputs, f"give at most {MOST_FEATURES_READ} features"
     )
     return features
 

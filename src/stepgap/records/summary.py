@@ -11,7 +11,7 @@ import numpy as np
 from stepgap.base.errors import InputError, StepGapError
 from stepgap.base.files import read_bounded_text, write_whole
 from stepgap.base.json_data import as_object, describe_value, integer, is_measurement, parse_json
-from stepgap.learning.alarm import SOURCES, Alarm
+from stepgap.learning.alarm import ALARM_SOURCES, Alarm
 from stepgap.step import Array
 
 SUMMARY_SCHEMA = 1
@@ -297,8 +297,8 @@ def _alarms(entries: Any, source: str) -> tuple[Alarm, ...]:
     found = list[Alarm]()
     for entry in entries if isinstance(entries, list) else [None]:
         fields = as_object(entry, f"{source}: alarms")
-        if (trusted := fields.get("source")) not in SOURCES:
-            wanted = ", ".join(SOURCES)
+        if (trusted := fields.get("source")) not in ALARM_SOURCES:
+            wanted = ", ".join(ALARM_SOURCES)
             raise ValueError(f"{source}: alarms: source is {describe_value(trusted)}, but it must be one of {wanted}")
         found.append(Alarm(integer(fields, "step", -(2**31), f"{source}: alarms: "), trusted))
     return tuple(found)
