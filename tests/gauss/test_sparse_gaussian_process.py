@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 from sklearn.gaussian_process.kernels import Matern
-from tests.gauss.test_gaussian_process import CENTRE, FIXED, SCALE, SLOPED, central_difference, sample, truth
 
+from stepgap.gauss import gaussian_process_fit, sparse_gaussian_process
 from stepgap.gauss.exact_gaussian_process import ExactGaussianProcess, condition
 from stepgap.gauss.gaussian_process_fit import fit_gaussian_process, fit_hyper_parameters
 from stepgap.gauss.sparse_gaussian_process import (
@@ -19,10 +19,11 @@ from stepgap.gauss.sparse_gaussian_process import (
     process_from_dict,
     spread_points,
 )
-from stepgap.learning import gaussian_process_fit, gaussian_process_regression, sparse_gaussian_process
+from stepgap.learning import gaussian_process_regression
 from stepgap.learning.gaussian_process_regression import FITRGP
 from stepgap.learning.regression import TrainingData
 from stepgap.step import Array
+from tests.gauss.test_gaussian_process import CENTRE, FIXED, SCALE, SLOPED, central_difference, sample, truth
 
 METHODS = ("mean", "mean_gradient", "std", "std_gradient", "kriging_std", "kriging_std_gradient")
 BOTH = pytest.mark.parametrize("hyper_parameters", [FIXED, SLOPED], ids=["constant", "linear"])
