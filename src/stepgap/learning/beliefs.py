@@ -293,7 +293,7 @@ class Beliefs:
             weights = belief.weights.restarted(places, periodic).walked([0], belief.noise)
             fresh.append(replace(belief, weights=weights))
         changed = self._changed(fresh[0], log(FIRST_HAZARD))
-        return replace(self._forgetting(), beliefs=(*fresh, changed), alarm=None)
+        return replace(self._forgetting(), beliefs=(*fresh, changed), recent=self.recent[:0], alarm=None)
 
     def _forgetting(self) -> "Beliefs":
         """Nothing is known of the step before."""
@@ -370,7 +370,7 @@ class Beliefs:
         right = 1 - suspicion.measured_wrongly if suspicion else 1.0
         return replace(
             self,
-            beliefs=_joined(beliefs, np.vstack([self._probes, recent])),
+            beliefs=_joined(beliefs, np.vstack([self._probed, recent])),
             before=np.concatenate([right * step.error, step.command]),
             suspicion=suspicion,
             wrong_measurements=(yes, no),
@@ -379,10 +379,14 @@ class Beliefs:
         )
 
     @property
-    def _probes(self) -> Array:
-        """Features at points of the range of use, at which beliefs are compared; shape (`PROBES`, k)."""
-        points = np.random.default_rng(1).uniform(-0.8, 0.8, (PROBES, self.features.inputs))
-        return np.hstack([self.features(points), np.zeros((PROBES, 2 + len(self.before)))])
+    def probes(self) -> Array:
+        """Points of the range of use at which beliefs are compared; shape (`PROBES`, d) [half ranges]."""
+        return np.random.default_rng(1).uniform(-0.8, 0.8, (PROBES, self.features.inputs))
+
+    @property
+    def _probed(self) -> Array:
+        """Features at these points; shape (`PROBES`, k)."""
+        return np.hstack([self.features(self.probes), np.zeros((PROBES, 2 + len(self.before)))])
 
 
 def features_of(inputs: int) -> Features:

@@ -56,12 +56,12 @@ def beliefs_from_dict(saved: Mapping[str, Any], sizes: tuple[int, int]) -> Belie
     entries = saved.get("beliefs")
     if not isinstance(entries, list) or not 0 < len(entries) <= MOST_READ:
         raise ValueError(f"beliefs must be a list of 1 to {MOST_READ}")
-    found = tuple(_belief(as_object(each, "beliefs"), n, size, features) for each in entries)
+    found = tuple(_belief_from(as_object(each, "beliefs"), n, size, features) for each in entries)
     change = root @ np.swapaxes(root, 1, 2)
     return Beliefs(features, found, change, np.zeros(n + m), None, (counts[0], counts[1]), np.empty((0, size)))
 
 
-def _belief(saved: Mapping[str, Any], n: int, size: int, features: Features) -> Belief:
+def _belief_from(saved: Mapping[str, Any], n: int, size: int, features: Features) -> Belief:
     kinds: dict[Any, Kind] = {each: each for each in get_args(Kind)}
     if (kind := kinds.get(saved.get("kind"))) is None:
         raise ValueError(f"beliefs: kind must be one of {', '.join(kinds)}, not {saved.get('kind')!r:.40}")

@@ -9,9 +9,9 @@ import numpy as np
 
 from stepgap.learning.beliefs import Beliefs, Observed
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.observations import Observations, context_inputs_of, no_observations
+from stepgap.learning.observations import Observations, context_inputs_of, error_of, no_observations
 from stepgap.learning.posterior import POSTERIOR, Posterior
-from stepgap.learning.residual import HistoryInputs, Residual
+from stepgap.learning.residual import HistoryInputs, Residual, join_points
 from stepgap.step import Array, StepMap, StepRecord
 
 LARGEST: Final = 1e6
@@ -47,6 +47,25 @@ def observed(record: StepRecord, nominal: StepMap, error: Array, phase: float) -
     if not (np.abs(np.concatenate([inputs, scaled])) <= LARGEST).all():
         return None
     return Observed(inputs, scaled, phase, command=space.point_of(record.requested), from_elsewhere=from_elsewhere)
+
+
+def believed_after(
+    beliefs: Beliefs, nominal: StepMap, residual: Residual, record: StepRecord, phase: float
+) -> tuple[Beliefs, bool]:
+    """What is believed after a step that was planned, and whether the step was learned.
+
+    Args:
+        beliefs: What was believed before.
+        nominal: Map of the physics model.
+        residual: The fitted residual, a function of state and command.
+        record: The step.
+        phase: Phase at which it started [rad], NaN if it is unknown.
+    """
+    error = error_of(record, nominal)
+    if residual.kind != "none":
+        error = error - residual.mean(join_points(record.state, record.requested))
+    step = observed(record, nominal, error, phase)
+    return (beliefs.unlinked(), False) if step is None else (beliefs.after(step), True)
 
 
 def believed(residual: Residual, beliefs: Beliefs, phase: float, seen: Observations) -> Residual:
