@@ -1,6 +1,7 @@
-"""Steps of a robot that is pushed, changes, becomes again what it was, and does not follow its commands for a while."""
+"""A robot that is measured wrongly, is pushed, changes, and becomes again what it was."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
@@ -8,49 +9,60 @@ from stepgap.export.controller.portable_controller import PortableController
 from stepgap.step import Array, StepRecord, StepStatus
 from tests.export.controller.learned import CENTRE, SCALE, SPACE
 
-PUSHES = (17, 30)
-SHIFTS = {"loaded": (0.5, -0.4), "heavier": (-0.6, 0.3)}
-SLOPES = {
-    "loaded": ((0.1, 0.0, -0.1, 0.05), (0.0, 0.1, 0.0, 0.1)),
-    "heavier": ((0.0, 0.0, 0.2, 0.0), (0.1, 0.0, 0.0, 0.0)),
-}
-LIFE = (
-    ("as learned", 40), ("loaded", 20), ("heavier", 20), ("as learned", 20), ("loaded", 4), ("as learned", 16),
-    ("nominal", 25), ("as learned", 25), ("stuck", 8), ("as learned", 12),
-)  # fmt: skip
+WRONGLY_MEASURED: Final = (14, 31)
+"""Numbers of the steps whose end is measured wrongly."""
+
+PUSHED: Final = (24,)
+SHIFT: Final = (0.5, -0.4)
+SLOPES: Final = ((0.1, 0.0, -0.1, 0.05), (0.0, 0.1, 0.0, 0.1))
+LIFE: Final = (("as learned", 18), ("loaded", 22), ("as learned", 15))
 """What the robot is like, and for how many steps."""
 
 
-@dataclass(frozen=True)
-class ChangingStep:
-    """A step, and the phase at which it started [rad], NaN for the first one."""
+@dataclass
+class ChangingRobot:
+    """The robot on its way; `step` makes a step.
 
-    record: StepRecord
-    phase: float
+    Attributes:
+        controller: Its map is that of the robot as it was learned.
+        seed: Of its noise.
+        life: What it is like, and for how many steps.
+    """
 
+    controller: PortableController
+    seed: int = 6
+    life: tuple[tuple[str, int], ...] = LIFE
+    number: int = 0
+    phase: float = np.nan
+    state: Array = field(default_factory=lambda: SPACE.state_centre)
+    measured: Array = field(default_factory=lambda: SPACE.state_centre)
 
-def changing_steps(controller: PortableController, life: tuple[tuple[str, int], ...] = LIFE) -> list[ChangingStep]:
-    """The steps of a deployment with such a robot."""
-    rng, steps, yaw = np.random.default_rng(6), list[ChangingStep](), np.nan
-    for name in [name for name, count in life for _ in range(count)]:
-        point = rng.uniform(-0.8, 0.8, 4)
-        if name == "stuck":
-            point[2:] = np.sign(point[2:])
-        state, command = np.split(CENTRE + SCALE * point, [2])
-        after = _next_state(controller, name, point) + 0.01 * SPACE.state_scale * rng.normal(size=2)
-        after = after + SPACE.state_scale * [0.05 * np.nan_to_num(np.sin(yaw)), 0.02]
-        if len(steps) in PUSHES:
-            after = after + SPACE.state_scale * [0.7, 0.0]
-        if name == "stuck":
-            after = after + SPACE.state_scale * rng.uniform(0.5, 1.0, 2) * rng.choice([-1, 1], 2)
-        steps.append(ChangingStep(StepRecord(state, command, command, after, StepStatus.OK), yaw))
-        yaw = np.nan_to_num(yaw) + rng.uniform(0, 0.7)
-    return steps
+    def __post_init__(self) -> None:
+        self._rng = np.random.default_rng(self.seed)
+        self._names = [name for name, count in self.life for _ in range(count)]
 
+    @property
+    def is_on_its_way(self) -> bool:
+        """Whether it makes a further step."""
+        return self.number < len(self._names)
 
-def _next_state(controller: PortableController, name: str, point: Array) -> Array:
-    state, command = np.split(CENTRE + SCALE * point, [2])
-    if name == "nominal":
-        return controller.map.nominal(state, command)
-    changed = np.array(SHIFTS[name]) + np.array(SLOPES[name]) @ point if name in SHIFTS else 0.0
-    return controller.map(state, command) + SPACE.state_scale * changed
+    def target(self) -> Array:
+        """A random target."""
+        return SPACE.state_centre + SPACE.state_scale * self._rng.uniform(-0.5, 0.5, 2)
+
+    def step(self, command: Array) -> tuple[StepRecord, float]:
+        """Makes a step; returns it as it was measured, and the phase at which it started [rad]."""
+        start, before = self.measured, self.phase
+        moved = self.controller.map(self.state, command) + SPACE.state_scale * 0.01 * self._rng.normal(size=2)
+        moved = moved + SPACE.state_scale * [0.05 * np.nan_to_num(np.sin(self.phase)), 0.02]
+        if self._names[self.number] == "loaded":
+            point = (np.concatenate([self.state, command]) - CENTRE) / SCALE
+            moved = moved + SPACE.state_scale * (SHIFT + np.array(SLOPES) @ point)
+        if self.number in PUSHED:
+            moved = moved + SPACE.state_scale * [0.9, 0.0]
+        self.state = moved
+        wrong = np.array([0.8, -0.6]) if self.number in WRONGLY_MEASURED else 0.0
+        self.measured = moved + SPACE.state_scale * wrong
+        self.number += 1
+        self.phase = float(np.nan_to_num(self.phase) + self._rng.uniform(0, 0.7))
+        return StepRecord(start, command, command, self.measured, StepStatus.OK), before

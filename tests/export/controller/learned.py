@@ -4,12 +4,14 @@ import numpy as np
 
 from stepgap.control.settings import ALL_RULES
 from stepgap.export.controller.portable_controller import PortableController
+from stepgap.gauss.features import Features
 from stepgap.gauss.gaussian_process import HyperParameters
 from stepgap.gauss.sparse_gaussian_process import condition_sparse
-from stepgap.learning.corrected_map import CorrectedMap
+from stepgap.learning.beliefs import Beliefs, Family, Observed
 from stepgap.learning.entry_points import load_residual_model
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.polynomial import fit_polynomial
+from stepgap.learning.posterior import POSTERIOR
 from stepgap.learning.regression import Regression, TrainingData
 from stepgap.learning.residual import Residual, no_residual
 from stepgap.robots.nominal_maps.affine_map import AffineMap
@@ -22,7 +24,7 @@ SPACE = StepSpace(
 )
 CENTRE = np.concatenate([SPACE.state_centre, SPACE.command_centre])
 SCALE = np.concatenate([SPACE.state_scale, SPACE.command_scale])
-KINDS = ("none", "quadratic", "gp", "gp_on_linear", "fitrgp")
+KINDS = ("none", "posterior", "quadratic", "gp", "gp_on_linear", "fitrgp")
 
 
 def surrogate(rng: np.random.Generator, *, failing: bool) -> SurrogateMap:
@@ -49,22 +51,40 @@ def regression(kind: str, scale: float, rng: np.random.Generator) -> Regression:
     values = 0.1 * scale * (np.sin(3 * (points - CENTRE) / SCALE).sum(axis=1) + 0.1 * rng.normal(size=40))
     if kind == "quadratic":
         return fit_polynomial(TrainingData(points, values, CENTRE, SCALE, scale), 2)
+    if kind == "posterior":
+        return POSTERIOR.fit(TrainingData(points, values, CENTRE, SCALE, scale), None)
     slope_std = 0.05 * scale if kind == "gp_on_linear" else 0.0
     found = HyperParameters(np.array([0.9, 1.3, 2.0, 0.7]), 0.2 * scale, 0.02 * scale, slope_std)
     process = condition_sparse(points, values, SCALE, found, points[:15])
     return GaussianProcessRegression(process, plug_in=kind == "fitrgp")
 
 
-def learned(kind: str, *, failing: bool = False, linear: bool = False, seed: int = 0) -> PortableController:
-    """A controller with a residual of this kind."""
+def beliefs_about(noise: Array | None, rng: np.random.Generator, *, degree: int = 2, waves: int = 6) -> Beliefs:
+    """Beliefs that have seen some steps of a robot whose errors are small; about a fitted residual if it has noise."""
+    features = Features.drawn(4, degree, waves, 2.0, np.random.default_rng(0))
+    size = features.monomials
+    family = Family(0.05 * rng.normal(size=(2, size)), np.tile(0.01 * np.eye(size), (2, 1, 1)), np.full(2, 0.05))
+    beliefs = Beliefs.start(features, (2, 2), [] if noise is not None else [family], noise)
+    for point in rng.uniform(-0.8, 0.8, (12, 4)):
+        error = 0.05 * point[:2] + 0.03 * rng.normal(size=2) + ([0.0, 0.0] if noise is not None else [0.1, -0.1])
+        beliefs = beliefs.after(Observed(point, error, 0.3, point[2:], lambda _: None))
+    return beliefs.redeployed()
+
+
+def learned(
+    kind: str, *, failing: bool = False, linear: bool = False, seed: int = 0, drift: bool = True, degree: int = 1
+) -> PortableController:
+    """A controller with a residual of this kind; `posterior` has beliefs alone, or without drift a regression."""
     rng = np.random.default_rng(seed)
     nominal = affine(rng) if linear else surrogate(rng, failing=failing)
-    residual = no_residual(2, 2)
-    if kind != "none":
+    residual, noise = no_residual(2, 2), None
+    if kind != "none" and (kind != "posterior" or not drift):
         parts = tuple(regression(kind, scale, rng) for scale in SPACE.state_scale)
         residual = Residual(load_residual_model(kind), parts, 2)
+        noise = residual.noise_std / SPACE.state_scale
     failures = CENTRE + SCALE * rng.uniform(-1, 1, (2, 4))
-    return PortableController(CorrectedMap(nominal, residual), failures, ALL_RULES, drift=kind != "none", monitor=True)
+    beliefs = beliefs_about(noise, rng, degree=degree) if drift and kind != "none" else None
+    return PortableController(nominal, residual, beliefs, failures, ALL_RULES)
 
 
 def steps(count: int, spread: float = 1.6, seed: int = 1) -> tuple[Array, Array]:

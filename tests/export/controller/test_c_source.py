@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from stepgap.base.errors import InputError
+from stepgap.export.controller.c_source import KINDS as BELIEF_KINDS
 from stepgap.export.controller.c_source import Real, c_source
 from stepgap.export.controller.portable_controller import PortableController
 from stepgap.export.controller.step_filter import UNCORRECTED
@@ -30,6 +31,15 @@ OPTIMISED_MAPS = (("quadratic", "double"), ("gp", "float"))
 """Maps whose code is optimised, for which the compiler takes five times as long; that of plans is optimised, too."""
 
 
+READING = """
+int controller_size(void);
+int controller_alarm(const controller_filter *filter);
+int controller_size(void) { return (int)sizeof(controller_filter); }
+int controller_alarm(const controller_filter *filter) { return filter->alarm; }
+"""
+"""What is read of a filter here."""
+
+
 class Compiled:
     """The functions of a controller in C; equal controllers are compiled once in a folder."""
 
@@ -39,7 +49,7 @@ class Compiled:
         library = folder / "controller.so"
         if not library.exists():
             folder.mkdir()
-            (folder / "controller.c").write_text(source.code)
+            (folder / "controller.c").write_text(source.code + READING)
             (folder / "controller.h").write_text(source.header)
             output = ["-fPIC", "-shared", "-nostdlib", folder / "controller.c", "-o", library, "-lgcc", "-lc"]
             command = [str(each) for each in (COMPILER, *STRICT, optimisation, *output)]
@@ -47,8 +57,14 @@ class Compiled:
         self.n, self.m = len(controller.space.state), len(controller.space.command)
         self._library, self._real = ctypes.CDLL(str(library)), np.float64 if real == "double" else np.float32
         self._number = ctypes.c_double if real == "double" else ctypes.c_float
-        self.filter = ctypes.create_string_buffer(2**18)
+        self.filter = ctypes.create_string_buffer(self._library.controller_size())
         self._library.controller_filter_init(self.filter)
+
+    @property
+    def alarm(self) -> str | None:
+        """What the latest step showed."""
+        number = self.call("alarm", self.filter)
+        return BELIEF_KINDS[number] if number else None
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Calls a function with arrays, numbers and None; arrays are written in place."""

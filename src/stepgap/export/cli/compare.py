@@ -72,10 +72,10 @@ def _robot(path: Path, name: str) -> _Robot:
     if path.is_file():
         controller = read_portable(path)
         name = controller.passport.get("name") or name
-        return _Robot(name, controller.passport, Individual(name, controller.map.nominal, controller.map.residual))
+        return _Robot(name, controller.passport, Individual(name, controller.nominal, controller.learned))
     run = Run(path).checked()
     try:
-        residual = without_lagged_inputs(run.learner()).residual
+        residual = without_lagged_inputs(run.learner()).learned
         return _Robot(name, passport_of(run, None), Individual(name, run.needed(run.nominal), residual), run)
     except InputError as error:
         return _Robot(name, {}, str(error), run)

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, get_args
 
 if TYPE_CHECKING:
-    from stepgap.experiment.run import Run
     from stepgap.export.controller.portable_controller import PortableController
 
 ControllerFormat = Literal["model", "python", "onnx", "casadi", "fmu"]
@@ -42,7 +41,7 @@ def controller_file(
 
     run = load_run(folder)
     controller = portable_controller(run, deployment, random_stream(run.needed(run.settings).seed, 0, 3), name)
-    content = _content(run, controller, to, deployment, fmi)
+    content = _content(controller, to, fmi)
     for sentence in (*map(str, controller.approximations), *controller.notes):
         print(sentence, file=sys.stderr)
     return content
@@ -79,11 +78,9 @@ def c_files(
     return {target: source.code, target.with_suffix(".h"): source.header}
 
 
-def _content(
-    run: "Run", controller: "PortableController", to: str, deployment: int | None, fmi: Literal[2, 3]
-) -> str | bytes:
+def _content(controller: "PortableController", to: str, fmi: Literal[2, 3]) -> str | bytes:
     from stepgap.export.controller.casadi_function import casadi_text
-    from stepgap.export.controller.model_document import model_document, model_text, trust_at_end
+    from stepgap.export.controller.model_document import model_document, model_text
     from stepgap.export.controller.onnx_model import onnx_model
     from stepgap.export.controller.python_source import python_source
 
@@ -97,5 +94,4 @@ def _content(
         return onnx_model(model_document(controller))
     if to == "casadi":
         return casadi_text(model_document(controller))
-    steps = run.recorded.of_iteration(deployment) if deployment is not None else None
-    return model_text(controller, trust_at_end(controller, steps) if steps else None)
+    return model_text(controller)

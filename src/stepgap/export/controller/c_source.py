@@ -1,6 +1,6 @@
 """A portable controller as C99: one source file and its header, without libraries, dynamic memory or global variables.
 
-The code is that of `controller.c.txt`, a port of `CautiousController`, of the searches that it uses and of `Trust`.
+The code is that of `controller.c.txt`, a port of `CautiousController`, of the searches that it uses and of `Beliefs`.
 This module writes the numbers into it: the ranges, the nominal map, the residual, the failures, and the settings and
 constants of the Python modules, so that both agree.
 """
@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Final, Literal, NamedTuple, final
+from typing import Final, Literal, NamedTuple, Self, final, get_args
 from unicodedata import normalize
 
 import numpy as np
@@ -22,11 +22,14 @@ from stepgap.control.box_points import box_points, composite_design, irrational_
 from stepgap.export.controller.passport import passport_lines
 from stepgap.export.controller.portable_controller import SAMPLE_RESOLUTION, PortableController
 from stepgap.export.controller.step_filter import UNCORRECTED
+from stepgap.gauss.features import Features
 from stepgap.gauss.kernel import SQUARED_EXPONENTIAL
 from stepgap.gauss.sparse_gaussian_process import SparseGaussianProcess
-from stepgap.learning import disturbance, outliers, trust
+from stepgap.learning import beliefs, believed
+from stepgap.learning.belief import Kind
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.polynomial import Polynomial
+from stepgap.learning.posterior import Posterior, features_to_dict
 from stepgap.learning.regression import Regression
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.surrogate_map import SurrogateMap, exponents_of
@@ -42,8 +45,8 @@ _WORDS = (
 KEYWORDS: Final = frozenset(_WORDS.split())
 """Words that cannot begin the names of the functions."""
 
-HYPOTHESES: Final = 3 + 3 * trust.CANDIDATES
-"""Most hypotheses at once: current, nominal, a change at this step, and those of earlier changes that are kept."""
+KINDS: Final = get_args(Kind)
+"""Where a belief began, by its number in C."""
 
 PER_LINE: Final = 6
 """Numbers in a line of an array."""
@@ -160,7 +163,7 @@ def _template(name: str) -> str:
 
 def _header(controller: PortableController, arithmetic: _Arithmetic, stack: int) -> str:
     space = controller.space
-    noise = zip(space.state, controller.map.noise_std, strict=True)
+    noise, sizes = zip(space.state, controller.map.noise_std, strict=True), _Sizes.of(controller)
     notes = [*map(str, controller.approximations), *controller.notes]
     statuses = {**{each.name: each.value for each in StepStatus}, "UNCORRECTED": UNCORRECTED}
     noises = ", ".join(f"{quantity.name} {std:.3g} {quantity.unit}" for quantity, std in noise)
@@ -177,9 +180,13 @@ def _header(controller: PortableController, arithmetic: _Arithmetic, stack: int)
         "noise": _in_comment(noises),
         "approximations": "\n".join(f"   - {_in_comment(note)}" for note in notes) or "   none",
         "real": arithmetic.type,
-        "filters": str(len(disturbance.FORGETTING)),
-        "hypotheses": str(HYPOTHESES),
-        "size": str(_filter_size(len(space.state), len(space.command), arithmetic.type)),
+        "features": str(sizes.features),
+        "beliefs": str(sizes.beliefs),
+        "recent": str(beliefs.RECENT),
+        "compared": str(beliefs.PROBES + beliefs.RECENT),
+        "changed": str(KINDS.index("changed")),
+        "earlier": str(KINDS.index("earlier")),
+        "size": str(sizes.memory(arithmetic.type)),
         "statuses": ",\n".join(f"    PREFIX_{name} = {value}" for name, value in statuses.items()),
         "angle": f"{arithmetic.largest_angle:g}",
         "stack": str(stack),
@@ -187,11 +194,58 @@ def _header(controller: PortableController, arithmetic: _Arithmetic, stack: int)
     return re.sub("@([a-z]+)@", lambda found: fields[found[1]], _template("controller.h.txt"))
 
 
-def _filter_size(n: int, m: int, real: Real) -> int:
-    """About how large the state of trust is [kB]."""
-    filters, regressors = len(disturbance.FORGETTING), 3 + n + m
-    bank = filters * (regressors * n + regressors * (regressors + 1) // 2) + (1 + filters) * n + 2
-    return -(-HYPOTHESES * bank * (8 if real == "double" else 4) // 1000)
+@final
+@dataclass(frozen=True)
+class _Sizes:
+    """Sizes of the arrays of a controller.
+
+    Attributes:
+        states: n.
+        commands: m.
+        features: Features of state and command.
+        beliefs: Most beliefs at once: those at the start or those that are kept, young ones, what was believed earlier,
+            and while a step is learned one that is born and one that becomes an earlier one.
+    """
+
+    states: int
+    commands: int
+    features: int
+    beliefs: int
+
+    @classmethod
+    def of(cls, controller: PortableController) -> Self:
+        """The sizes of a controller."""
+        n, m = len(controller.space.state), len(controller.space.command)
+        known = controller.beliefs
+        most = 1 if known is None else max(len(known.beliefs), beliefs.MOST) + beliefs.YOUNG + 3
+        return cls(n, m, features_used(controller).count, most)
+
+    @property
+    def weights(self) -> int:
+        """Weights of each state coordinate, k."""
+        return self.features + 2 + self.states + self.commands
+
+    def memory(self, real: Real) -> int:
+        """About how large the state of a filter is [kB]."""
+        k, n, rows = self.weights, self.states, beliefs.PROBES + beliefs.RECENT
+        moments = n * (k + k * (k + 1) // 2)
+        numbers = self.beliefs * (moments + 2 * n * (1 + rows) + 2) + moments + beliefs.RECENT * k
+        return -(-(numbers * (8 if real == "double" else 4) + 12 * self.beliefs) // 1000)
+
+
+def features_used(controller: PortableController) -> Features:
+    """The features of the beliefs and of a fitted residual; none but a constant and the inputs if there are neither.
+
+    Raises:
+        InputError: They are not the same.
+    """
+    parts = [each.features for each in controller.residual.regressions if isinstance(each, Posterior)]
+    known = [*parts, *([controller.beliefs.features] if controller.beliefs else [])]
+    inputs = len(controller.space.names)
+    for each in known[1:]:
+        if features_to_dict(each) != features_to_dict(known[0]):
+            raise InputError("beliefs and residual have different features, which C cannot have; run again")
+    return known[0] if known else Features(inputs, 1, np.empty((0, inputs)), np.empty(0))
 
 
 def _quantities(quantities: Iterable[Quantity], what: str) -> str:
@@ -229,10 +283,11 @@ class _Tables:
             *(f"#define {name} R({value!r})" for name, value in self._numbers().items()),
             f"enum {{ {', '.join(f'{name} = {value}' for name, value in self._sizes().items())} }};",
             "enum { AFFINE, POLYNOMIAL_MAP };",
-            "enum { ZERO, POLYNOMIAL, GAUSSIAN_PROCESS };",
+            "enum { ZERO, POLYNOMIAL, POSTERIOR, GAUSSIAN_PROCESS };",
             "enum { MATERN_52, SQUARED_EXPONENTIAL };",
             *self._space(),
-            *self._filters(),
+            *self._features(),
+            *self._beliefs(),
             self._nominal(),
             self._residual(),
         ]
@@ -244,11 +299,12 @@ class _Tables:
         sizes = self._sizes()
         variables, rows = sizes["HORIZON"] * m, 2 * n * sizes["HORIZON"]
         search = variables * (3 * (rows + variables) + variables + rows)
-        numbers = 600 + 4 * sizes["CENTRES"] + 10 * n * (n + m) + search
+        size = _Sizes.of(self.controller)
+        learning = size.beliefs * (2 * n + 4) + 12 * size.weights
+        numbers = max(600 + 4 * sizes["CENTRES"] + 10 * n * (n + m) + 4 * size.weights + search, learning)
         return -(-numbers * (8 if self.arithmetic.type == "double" else 4) // 1000)
 
     def _numbers(self) -> dict[str, float]:
-        first = trust.first_hazards(warm_start=self.controller.warm_start)
         return {
             **self.arithmetic.tolerances,
             "NEARBY": gauss_newton.NEARBY,
@@ -262,28 +318,29 @@ class _Tables:
             "RISK": cautious_controller.RISK,
             "SEPARATION": bounded_search.SEPARATION,
             "FAILURE_RADIUS": cautious_controller.FAILURE_RADIUS,
-            "SCORE_MEMORY": disturbance.SCORE_MEMORY,
-            "SWITCHING_PENALTY": disturbance.SWITCHING_PENALTY,
-            "CHANGE_STD": disturbance.CHANGE_STD,
-            "SLOPE_STD": disturbance.SLOPE_STD,
-            "LOG_FIRST_CHANGED": math.log(first["changed"]),
-            "LOG_FIRST_NOMINAL": math.log(first["nominal"]),
-            "LOG_SWITCHING_ODDS": math.log(trust.SWITCHING_ODDS),
-            "STRAINING": trust.STRAINING,
-            "LEAST_ERROR": trust.LEAST_ERROR,
-            "LARGEST_DEVIATION": trust.LARGEST_DEVIATION,
             "SAMPLE_RESOLUTION": SAMPLE_RESOLUTION,
-            "IMPROBABLE": outliers.IMPROBABLE,
-            "LEAST_STD": outliers.LEAST_STD,
-            "OUTLIER_WIDTH": outliers.OUTLIER_WIDTH,
-            "LOG_REGULAR": math.log1p(-outliers.OUTLIER_PROBABILITY),
-            "LOG_OUTLIER": math.log(outliers.OUTLIER_PROBABILITY),
+            "WAVE_AMPLITUDE": math.sqrt(2.0 / max(features_used(self.controller).waves, 1)),
+            "PERIODIC_STD": beliefs.PERIODIC_STD,
+            "LOG_HAZARD": math.log(beliefs.HAZARD),
+            "LOG_RETURN_HAZARD": math.log(beliefs.RETURN_HAZARD),
+            "LOG_FIRST_HAZARD": math.log(beliefs.FIRST_HAZARD),
+            "WRONG": beliefs.WRONG,
+            "WRONG_WIDTH": beliefs.WRONG_WIDTH,
+            "WRONG_FREEDOM": beliefs.WRONG_FREEDOM,
+            "SUSPECT": beliefs.SUSPECT,
+            "LEAST_TRUST": beliefs.LEAST_TRUST,
+            "LEAST_WEIGHT": beliefs.LEAST_WEIGHT,
+            "SAME_MEAN": beliefs.SAME_MEAN,
+            "LEAST_RATIO": math.exp(-beliefs.SAME_SPREAD),
+            "MOST_RATIO": math.exp(beliefs.SAME_SPREAD),
+            "LOG_REPORTED_ODDS": math.log(beliefs.REPORTED_ODDS),
+            "LARGEST": believed.LARGEST,
             "LARGEST_ANGLE": self.arithmetic.largest_angle,
         }
 
     def _sizes(self) -> dict[str, int]:
         settings, m = self.controller.settings, len(self.controller.space.command)
-        nominal, regressions = self.controller.map.nominal, self.controller.map.residual.regressions
+        nominal, regressions = self.controller.nominal, self.controller.residual.regressions
         coarse, fine = (len(box_points(count, m)) for count in bounded_search.SEARCHED)
         design = len(composite_design(m))
         half = settings.evaluations // 2
@@ -306,13 +363,15 @@ class _Tables:
             "CAUTIOUS": int(settings.cautious),
             "VIABILITY": int(settings.viability),
             "AVOID_FAILURES": int(settings.avoid_failures),
-            "DRIFT": int(self.controller.drift),
-            "MONITOR": int(self.controller.monitor),
-            "JUDGES": int(self.controller.judges),
-            "REJECT_OUTLIERS": int(self.controller.reject_outliers),
-            "CANDIDATES": trust.CANDIDATES,
-            "MOST_STRAINED": trust.MOST_STRAINED,
-            "YOUNG": trust.YOUNG,
+            "BELIEVES": int(self.controller.beliefs is not None),
+            "START_COUNT": len(self.controller.beliefs.beliefs) if self.controller.beliefs else 0,
+            "FEATURE_DEGREE": features_used(self.controller).degree,
+            "WAVES": features_used(self.controller).waves,
+            "PROBES": beliefs.PROBES,
+            "MOST": beliefs.MOST,
+            "YOUNG": beliefs.YOUNG,
+            "SUDDEN": beliefs.SUDDEN,
+            "CURRENT": KINDS.index("current"),
         }
 
     def _space(self) -> list[str]:
@@ -323,19 +382,45 @@ class _Tables:
         arrays.append(self._array("irrational_steps", irrational_steps(len(space.command))))
         return [*arrays, self._array("failures", failures), f"static const int failure_count = {len(failures)};"]
 
-    def _filters(self) -> list[str]:
-        strengths = np.repeat(disturbance.FILTER_STRENGTHS, len(disturbance.RATES))
+    def _features(self) -> list[str]:
+        used = features_used(self.controller)
+        return [self._array("wave_frequency", used.frequencies), self._array("wave_shift", used.shifts)]
+
+    def _beliefs(self) -> list[str]:
+        """What is believed at the start: roots column by column, as the transposed matrices row by row."""
+        known, sizes = self.controller.beliefs, _Sizes.of(self.controller)
+        if known is None:
+            names = ("probes", "change", "start_mixture_mean", "start_mixture_covariance", "start_noise", "start_mean")
+            others = ("start_root", "start_freedom", "start_squares", "start_log_weight", "start_rate")
+            arrays = [self._array(name, np.empty(0)) for name in (*names, *others)]
+            counts = [_integers(name, "int", np.empty(0)) for name in ("start_kind", "start_age")]
+            return [*arrays, *counts, "#define START_WRONG_ENDS 0", "#define START_RIGHT_ENDS 0"]
+        mixture, each, upper = known.mixture(math.nan), known.beliefs, np.triu_indices(sizes.weights)
+        lower, count = np.tril_indices(sizes.features), sizes.features
+        arrays = {
+            "probes": known.probes,
+            "change": known.change[:, *upper],
+            "start_mixture_mean": mixture.mean[:, :count],
+            "start_mixture_covariance": mixture.covariance[:, *lower],
+            "start_noise": np.sqrt(mixture.noise),
+            "start_mean": np.array([one.weights.mean for one in each]),
+            "start_root": np.array([np.swapaxes(one.weights.root, 1, 2)[:, *upper] for one in each]),
+            "start_freedom": np.array([one.freedom for one in each]),
+            "start_squares": np.array([one.squares for one in each]),
+            "start_log_weight": np.array([one.log_weight for one in each]),
+            "start_rate": np.array([one.rate for one in each]),
+        }
+        ends = zip(("START_WRONG_ENDS", "START_RIGHT_ENDS"), known.wrong_measurements, strict=True)
         return [
-            self._array("filter_strength", strengths),
-            self._array("filter_forgetting", disturbance.FORGETTING),
-            self._array(
-                "log_hazard", np.log([1.0, *(trust.HAZARDS[key] for key in ("changed", "nominal", "earlier"))])
-            ),
+            *(self._array(name, values) for name, values in arrays.items()),
+            _integers("start_kind", "int", np.array([KINDS.index(one.kind) for one in each])),
+            _integers("start_age", "int", np.array([one.age for one in each])),
+            *(f"#define {name} R({float(value)!r})" for name, value in ends),
         ]
 
     def _nominal(self) -> str:
         """The nominal map: `centre` and `scale` are those of its inputs."""
-        nominal = self.controller.map.nominal
+        nominal = self.controller.nominal
         declaration = (
             "static const struct {\n    int kind, terms, sample_count;\n"
             "    const real *centre, *scale, *next_state, *weights;\n"
@@ -377,7 +462,7 @@ class _Tables:
             "    const real *origin, *scale, *weights, *posterior, *centres, *factor, *slope_scale;\n} regression;"
         )
         arrays, rows = [], []
-        for i, each in enumerate(self.controller.map.residual.regressions):
+        for i, each in enumerate(self.controller.residual.regressions):
             found, row = self._regression(f"residual_{i}", each)
             arrays += found
             rows.append(f"    {{{row}}}")
@@ -399,6 +484,17 @@ class _Tables:
             pointers = ", ".join(f"{name}_{each}" for each in arrays)
             head = f"POLYNOMIAL, {regression.degree}, 0, 0, 0, {noise}, {self._literal(0.0)}"
             row = f"{head}, {pointers}, NULL, NULL, NULL"
+        elif isinstance(regression, Posterior):
+            count = regression.features.count
+            arrays = {
+                "origin": regression.data.centre,
+                "scale": regression.data.scale,
+                "weights": regression.mean_weights[:count],
+                "posterior": _triangle(regression.covariance[:count, :count]),
+            }
+            pointers = ", ".join(f"{name}_{each}" for each in arrays)
+            row = f"POSTERIOR, 0, 0, 0, 0, {noise}, {self._literal(regression.data.value_scale)}, {pointers}"
+            row += ", NULL, NULL, NULL"
         elif isinstance(regression, GaussianProcessRegression):
             process = _process(regression)
             inducing, mean = process.inducing, process.posterior.mean

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepgap.base.versions import optional_package
-from stepgap.export.controller.formulas import nominal_state, regression
+from stepgap.export.controller.formulas import corrections, nominal_state
+from stepgap.export.controller.model_document import believed_regressions
 
 
 def casadi_function(document: Mapping[str, Any]) -> Any:
@@ -26,7 +27,7 @@ def casadi_function(document: Mapping[str, Any]) -> Any:
     algebra = _CasADi(casadi)
     state, command = (casadi.MX.sym(key, len(document[key])) for key in ("state", "command"))
     point = casadi.vertcat(state, command).T
-    parts = [regression(algebra, each, point) for each in document["residual"]["regressions"]]
+    parts = corrections(algebra, document["residual"]["regressions"], believed_regressions(document), point)
     mean, std = (casadi.vertcat(*column) for column in zip(*parts, strict=True))
     next_state = nominal_state(algebra, document["nominal"], point).T + mean
     names = ["state", "command"], ["next_state", "std"]
@@ -50,6 +51,9 @@ class _CasADi:
 
     def exp(self, x: Any) -> Any:
         return self.casadi.exp(x)
+
+    def cos(self, x: Any) -> Any:
+        return self.casadi.cos(x)
 
     def sqrt(self, x: Any) -> Any:
         return self.casadi.sqrt(x)

@@ -35,6 +35,9 @@ class Algebra(Protocol):
     def sqrt(self, x: Value) -> Value:
         """Square root, number by number."""
 
+    def cos(self, x: Value) -> Value:
+        """Cosine, number by number."""
+
     def clipped(self, x: Value, lower: float, upper: float) -> Value:
         """The nearest numbers within limits."""
 
@@ -89,7 +92,49 @@ def regression(algebra: Algebra, part: Mapping[str, Any], point: Value) -> tuple
     if part["kind"] == "zero":
         nothing = algebra.sum_of_squares(point * 0.0)
         return nothing, nothing
-    return (_polynomial if part["kind"] == "polynomial" else _gaussian_process)(algebra, part, point)
+    formulas = {"polynomial": _polynomial, "posterior": _posterior, "gaussian_process": _gaussian_process}
+    return formulas[part["kind"]](algebra, part, point)
+
+
+def corrections(
+    algebra: Algebra, fitted: Sequence[Mapping[str, Any]], believed: Sequence[Mapping[str, Any]], point: Value
+) -> list[tuple[Value, Value]]:
+    """Mean and standard deviation of the error of each state coordinate; (B, 1) each.
+
+    Args:
+        algebra: Functions of values.
+        fitted: The regressions of the fitted residual.
+        believed: Those of what is believed of its remaining error; none if there are no beliefs.
+        point: Rows of states and commands.
+    """
+    parts = [regression(algebra, each, point) for each in fitted]
+    if not believed:
+        return parts
+    others = [regression(algebra, each, point) for each in believed]
+    return [
+        (mean + added, algebra.sqrt(std * std + more * more))
+        for (mean, std), (added, more) in zip(parts, others, strict=True)
+    ]
+
+
+def _posterior(algebra: Algebra, part: Mapping[str, Any], point: Value) -> tuple[Value, Value]:
+    features = _features(algebra, part["features"], scaled_point(algebra, part, point))
+    spread = features @ algebra.constant(np.linalg.cholesky(np.array(part["covariance"])))
+    mean, unit = features @ _upright(algebra, part["weights"]), float(part["value_scale"])
+    return mean * unit, algebra.sqrt(algebra.sum_of_squares(spread)) * unit
+
+
+def _features(algebra: Algebra, features: Mapping[str, Any], scaled: Value) -> Value:
+    """Monomials and waves of scaled points; (B, p)."""
+    inputs, waves = features["inputs"], len(features["shifts"])
+    rows, columns = np.triu_indices(inputs)
+    parts = [_column(algebra, scaled, 0) * 0.0 + 1.0, scaled]
+    if features["degree"] == 2:
+        parts.append(algebra.chosen(scaled, rows) * algebra.chosen(scaled, columns))
+    if waves:
+        angles = scaled @ algebra.constant(np.transpose(features["frequencies"]))
+        parts.append(algebra.cos(angles + algebra.constant(features["shifts"])) * float(np.sqrt(2.0 / waves)))
+    return algebra.joined(parts)
 
 
 def _polynomial(algebra: Algebra, part: Mapping[str, Any], point: Value) -> tuple[Value, Value]:

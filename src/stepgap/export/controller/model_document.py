@@ -4,7 +4,9 @@ docs/model_file.md has its keys and formulas. What is exported to ONNX and CasAD
 """
 
 import json
+from collections.abc import Mapping
 from importlib.metadata import version
+from math import nan
 from typing import Any, Final
 
 import numpy as np
@@ -13,14 +15,16 @@ from stepgap.base.errors import InputError
 from stepgap.control.cautious_controller import FAILURE_RADIUS, RISK
 from stepgap.control.goal import CAUTION
 from stepgap.export.controller.portable_controller import PortableController
-from stepgap.export.controller.trust_document import trust_document
 from stepgap.gauss.kernel import MATERN_52, SQUARED_EXPONENTIAL
 from stepgap.gauss.sparse_gaussian_process import SparseGaussianProcess
+from stepgap.learning import beliefs as rules
+from stepgap.learning.beliefs import Beliefs
+from stepgap.learning.beliefs_data import beliefs_from_dict, beliefs_to_dict
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
+from stepgap.learning.observations import no_observations
 from stepgap.learning.polynomial import Polynomial, monomials
+from stepgap.learning.posterior import Posterior, features_to_dict
 from stepgap.learning.regression import Regression
-from stepgap.learning.steps import Steps
-from stepgap.learning.trust import Trust
 from stepgap.learning.zero import Zero
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.surrogate_map import NEIGHBOURS, SurrogateMap, exponents_of
@@ -29,21 +33,26 @@ from stepgap.step import Quantity, StepMap, StepStatus
 FORMAT: Final = "StepGap model"
 """Value of the key `format`."""
 
-MODEL_SCHEMA: Final = 3
+MODEL_SCHEMA: Final = 4
 """Number of the format; it grows with every change that a reader must know of."""
 
+CONSTANTS: Final = (
+    "PERIODIC_STD", "HAZARD", "RETURN_HAZARD", "FIRST_HAZARD", "WRONG", "WRONG_WIDTH", "WRONG_FREEDOM", "SUSPECT",
+    "LEAST_TRUST", "LEAST_WEIGHT", "SAME_MEAN", "SAME_SPREAD", "RECENT", "MOST", "YOUNG", "REPORTED_ODDS", "SUDDEN",
+)  # fmt: skip
+"""Names of the constants in `learning.beliefs` that say what happens after a step; the rest has happened before."""
 
-def model_document(controller: PortableController, last: Trust | None = None) -> dict[str, Any]:
+
+def model_document(controller: PortableController) -> dict[str, Any]:
     """The documented model of a controller, as objects for JSON.
 
     Args:
         controller: The controller.
-        last: Which map is trusted after the last step of the deployment; None if there was none.
 
     Raises:
         InputError: Its residual has a kernel that is not documented.
     """
-    residual, settings = controller.map.residual, controller.settings
+    residual, settings = controller.residual, controller.settings
     return {
         "format": FORMAT,
         "schema": MODEL_SCHEMA,
@@ -51,12 +60,12 @@ def model_document(controller: PortableController, last: Trust | None = None) ->
         "passport": dict(controller.passport),
         "state": [{**_quantity(each), "weight": each.weight} for each in controller.space.state],
         "command": [_quantity(each) for each in controller.space.command],
-        "nominal": _nominal(controller.map.nominal),
+        "nominal": _nominal(controller.nominal),
         "residual": {
             "kind": residual.kind,
             "regressions": [_regression(each) for each in residual.regressions],
         },
-        **trust_document(controller, last),
+        "beliefs": None if controller.beliefs is None else _beliefs(controller, controller.beliefs),
         "control": {
             "cautious": settings.cautious,
             "viability": settings.viability,
@@ -74,19 +83,33 @@ def model_document(controller: PortableController, last: Trust | None = None) ->
     }
 
 
-def model_text(controller: PortableController, last: Trust | None = None) -> str:
-    """Text of the model file of a controller; its arguments are those of `model_document`."""
-    return json.dumps(model_document(controller, last), ensure_ascii=False, allow_nan=False) + "\n"
+def model_text(controller: PortableController) -> str:
+    """Text of the model file of a controller."""
+    return json.dumps(model_document(controller), ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def trust_at_end(controller: PortableController, steps: Steps) -> Trust:
-    """Which map is trusted after the steps of one deployment, as an exported controller computes it."""
-    trust = controller.trust
-    for logged, phase in zip(steps, steps.phase, strict=True):
-        if not logged.planned:
-            continue  # it says nothing of the map: a hop from rest is not quite like others
-        trust = controller.trust_after(trust, logged.record, phase)
-    return trust
+def believed_regressions(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The mixture of the beliefs in a document before a first step of unknown phase, as regressions; none without."""
+    if document["beliefs"] is None:
+        return []
+    space = document["state"] + document["command"]
+    lower, upper = (np.array([each[key] for each in space]) for key in ("lower", "upper"))
+    sizes = len(document["state"]), len(document["command"])
+    beliefs = beliefs_from_dict(document["beliefs"], sizes)
+    mixture, count = beliefs.mixture(nan), beliefs.features.count
+    return [
+        {
+            "kind": "posterior",
+            "centre": ((lower + upper) / 2).tolist(),
+            "scale": ((upper - lower) / 2).tolist(),
+            "value_scale": (upper - lower)[coordinate] / 2,
+            "features": document["beliefs"]["features"],
+            "weights": mixture.mean[coordinate, :count].tolist(),
+            "covariance": mixture.covariance[coordinate, :count, :count].tolist(),
+            "noise_std": float(np.sqrt(mixture.noise[coordinate])) * (upper - lower)[coordinate] / 2,
+        }
+        for coordinate in range(sizes[0])
+    ]
 
 
 def _quantity(quantity: Quantity) -> dict[str, Any]:
@@ -117,12 +140,37 @@ def _regression(regression: Regression) -> dict[str, Any]:
     data = {"noise_std": regression.noise_std, "data": regression.to_dict()}
     if isinstance(regression, Zero):
         return {"kind": "zero", **data}
+    if isinstance(regression, Posterior):
+        return {"kind": "posterior", **_posterior(regression), **data}
     if isinstance(regression, Polynomial):
         return {"kind": "polynomial", **_polynomial(regression), **data}
     if isinstance(regression, GaussianProcessRegression) and isinstance(regression.process, SparseGaussianProcess):
         numbers = _gaussian_process(regression.process)
         return {"kind": "gaussian_process", "constant_is_exact": regression.plug_in, **numbers, **data}
     raise TypeError(f"{type(regression).__name__} is not portable")
+
+
+def _posterior(posterior: Posterior) -> dict[str, Any]:
+    count = posterior.features.count
+    return {
+        "centre": posterior.data.centre.tolist(),
+        "scale": posterior.data.scale.tolist(),
+        "value_scale": posterior.data.value_scale,
+        "features": features_to_dict(posterior.features),
+        "weights": posterior.mean_weights[:count].tolist(),
+        "covariance": posterior.covariance[:count, :count].tolist(),
+    }
+
+
+def _beliefs(controller: PortableController, beliefs: Beliefs) -> dict[str, Any]:
+    """The beliefs before the first step, what their arithmetic needs, and the steps that they were learned from."""
+    steps = no_observations(controller.space) if controller.steps is None else controller.steps
+    return {
+        **beliefs_to_dict(beliefs),
+        "constants": {name.lower(): getattr(rules, name) for name in CONSTANTS},
+        "probes": beliefs.probes.tolist(),
+        "steps": {"state": steps.state.tolist(), "command": steps.command.tolist(), "error": steps.error.tolist()},
+    }
 
 
 def _polynomial(polynomial: Polynomial) -> dict[str, Any]:

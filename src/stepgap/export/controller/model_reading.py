@@ -14,8 +14,9 @@ from stepgap.control.settings import ControlSettings
 from stepgap.export.controller.model_document import FORMAT, MODEL_SCHEMA, model_document
 from stepgap.export.controller.passport import checked_robot_name
 from stepgap.export.controller.portable_controller import PortableController
-from stepgap.export.controller.trust_document import sized, trust_from
-from stepgap.learning.corrected_map import CorrectedMap
+from stepgap.learning.beliefs import Beliefs
+from stepgap.learning.beliefs_data import beliefs_from_dict
+from stepgap.learning.observations import Observations
 from stepgap.learning.residual import Residual
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.records.summary import read_text
@@ -49,10 +50,12 @@ def read_portable(path: Path) -> PortableController:
         saved = json.loads(text)
         if not isinstance(saved, dict) or saved.get("format") != FORMAT:
             raise ValueError(f'format must be "{FORMAT}"')
+        if saved.get("schema") in range(1, MODEL_SCHEMA):
+            raise ValueError(f"schema is {saved['schema']}, that of a former version, and not {MODEL_SCHEMA}")
         if saved.get("schema") != MODEL_SCHEMA:
             raise ValueError(f"schema must be {MODEL_SCHEMA}, not {saved.get('schema')!r:.40}")
         controller = _controller(saved)
-        _check_same(saved, model_document(controller, trust_from(saved, controller)))
+        _check_same(saved, model_document(controller))
     except InputError:
         raise
     except OSError as error:
@@ -67,10 +70,13 @@ def _controller(saved: Mapping[str, Any]) -> PortableController:
     state = zip(_quantities(saved, "state"), saved["state"], strict=True)
     weighted = (replace(quantity, weight=float(numbers(each, "weight", 0))) for quantity, each in state)
     space = StepSpace(tuple(weighted), _quantities(saved, "command"))
-    control = saved["control"]
+    control, residual = saved["control"], _residual(space, saved["residual"])
     rules = {name: boolean(control, name) for name in ("cautious", "viability", "avoid_failures")}
+    beliefs = None if saved["beliefs"] is None else _beliefs(space, as_object(saved["beliefs"], "beliefs"))
     return PortableController(
-        CorrectedMap(_nominal(space, saved["nominal"]), _residual(space, saved["residual"])),
+        _nominal(space, saved["nominal"]),
+        residual,
+        beliefs,
         _points(saved, "failures", len(saved["failures"]), len(space.names)),
         ControlSettings(
             **rules,
@@ -78,10 +84,7 @@ def _controller(saved: Mapping[str, Any]) -> PortableController:
             horizon=integer(control, "horizon"),
             largest_change=float(numbers(control, "largest_change", 0)),
         ),
-        drift=boolean(saved["disturbance"], "used"),
-        monitor=boolean(saved["trust"], "nominal"),
-        reject_outliers=boolean(saved["outliers"], "used"),
-        warm_start=boolean(saved["trust"], "warm_start"),
+        steps=_steps(space, saved["beliefs"]),
         notes=tuple(map(str, (*saved["approximations"], *saved["notes"]))),
         passport=_passport(saved.get("passport", {})),
     )
@@ -112,17 +115,17 @@ def _quantities(saved: Mapping[str, Any], key: str) -> tuple[Quantity, ...]:
 def _nominal(space: StepSpace, saved: Mapping[str, Any]) -> StepMap:
     n, m = len(space.state), len(space.command)
     if saved["kind"] == "affine":
-        arrays = [sized(saved, *each) for each in (("state", n), ("command", m), ("next_state", n))]
-        return AffineMap(space, *arrays, matrix=sized(saved, "matrix", n, n + m))
+        arrays = [_sized(saved, *each) for each in (("state", n), ("command", m), ("next_state", n))]
+        return AffineMap(space, *arrays, matrix=_sized(saved, "matrix", n, n + m))
     if saved["kind"] != "legendre":
         raise ValueError(f'nominal.kind must be "affine" or "legendre", not {saved["kind"]!r:.40}')
     degree = int(numbers(saved, "degrees", 2).max())
     if degree > LARGEST_DEGREE:
         raise ValueError(f"nominal.degrees must be at most {LARGEST_DEGREE}")
     centre, scale, error = (
-        sized(saved, key, size) for key, size in (("centre", n + m), ("scale", n + m), ("error", n))
+        _sized(saved, key, size) for key, size in (("centre", n + m), ("scale", n + m), ("error", n))
     )
-    weights = sized(saved, "weights", len(saved["degrees"]), n)
+    weights = _sized(saved, "weights", len(saved["degrees"]), n)
     return SurrogateMap(space, centre, scale, degree, weights, error, _samples(saved["samples"], n, n + m))
 
 
@@ -144,9 +147,39 @@ def _residual(space: StepSpace, saved: Mapping[str, Any]) -> Residual:
     })  # fmt: skip
 
 
+def _beliefs(space: StepSpace, saved: Mapping[str, Any]) -> Beliefs:
+    beliefs = beliefs_from_dict(saved, (len(space.state), len(space.command)))
+    if beliefs.features.inputs != len(space.names):
+        raise ValueError(f"beliefs.features.inputs must be {len(space.names)}")
+    return beliefs
+
+
+def _steps(space: StepSpace, beliefs: Mapping[str, Any] | None) -> Observations | None:
+    if beliefs is None:
+        return None
+    saved, n, m = as_object(beliefs["steps"], "beliefs.steps"), len(space.state), len(space.command)
+    state, command, error = (
+        _points(saved, key, len(saved["state"]), size) for key, size in (("state", n), ("command", m), ("error", n))
+    )
+    return Observations(space, state, command, error)
+
+
 def _points(saved: Mapping[str, Any], key: str, count: int, d: int) -> Array:
     """The points under a key; an empty list has no columns."""
-    return sized(saved, key, count, d) if saved[key] else np.empty((0, d))
+    return _sized(saved, key, count, d) if saved[key] else np.empty((0, d))
+
+
+def _sized(saved: Mapping[str, Any], key: str, *shape: int) -> Array:
+    """The array of finite numbers under a key, of this shape.
+
+    Raises:
+        KeyError: There is no such key.
+        ValueError: It has another shape, or numbers that are not finite.
+    """
+    array = np.asarray(saved[key], float)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"{key} must be finite numbers of shape {shape}, not {array.shape}")
+    return array
 
 
 def _check_same(saved: Any, computed: Any, where: str = "") -> None:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepgap.base.versions import optional_package
-from stepgap.export.controller.formulas import nominal_state, regression, scaled_point
+from stepgap.export.controller.formulas import corrections, nominal_state, scaled_point
+from stepgap.export.controller.model_document import believed_regressions
 from stepgap.step import StepStatus
 
 OPSET: Final = 17
@@ -35,7 +36,7 @@ def onnx_model(document: Mapping[str, Any]) -> bytes:
     graph = _Graph(onnx)
     point = graph.op("Concat", _Value(graph, "state"), _Value(graph, "command"), axis=-1)
     status = _status(graph, document["nominal"], point)
-    parts = [regression(graph, each, point) for each in document["residual"]["regressions"]]
+    parts = corrections(graph, document["residual"]["regressions"], believed_regressions(document), point)
     mean, std = (graph.joined(columns) for columns in zip(*parts, strict=True))
     failed = graph.op("Unsqueeze", graph.op("Not", graph.op("Equal", status, 0)), [1])
     moved = nominal_state(graph, document["nominal"], point) + mean
@@ -106,6 +107,9 @@ class _Graph:
 
     def exp(self, x: _Value) -> _Value:
         return self.op("Exp", x)
+
+    def cos(self, x: _Value) -> _Value:
+        return self.op("Cos", x)
 
     def sqrt(self, x: _Value) -> _Value:
         return self.op("Sqrt", x)

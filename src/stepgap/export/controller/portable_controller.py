@@ -2,9 +2,10 @@
 
 - The nominal map is an `AffineMap` or a `SurrogateMap`. Any other one, such as integrated equations of motion, is
   replaced by a surrogate that is fitted to it.
-- The regressions of the residual are `Zero`, `Polynomial`, or `GaussianProcessRegression` with a
+- The regressions of the residual are `Zero`, `Polynomial`, `Posterior`, or `GaussianProcessRegression` with a
   `SparseGaussianProcess`. An exact process of many steps is approximated by inducing points, since its Cholesky factor
   would have as many numbers as half the square of its steps.
+- The beliefs are those of a run, and go on learning as in a run.
 
 What is replaced is compared with the original, and the differences are reported as `Approximation`. The map of a
 `PortableController` is again a `CorrectedMap`, so `CautiousController` computes the commands that an exported
@@ -14,6 +15,7 @@ controller has to compute.
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import nan
 from typing import Any, final
 
 import numpy as np
@@ -26,14 +28,16 @@ from stepgap.experiment.run import Run
 from stepgap.export.controller.passport import passport_of
 from stepgap.gauss.gaussian_process import GaussianProcess
 from stepgap.gauss.sparse_gaussian_process import SparseGaussianProcess, condition_sparse, spread_points
+from stepgap.learning.beliefs import Beliefs
+from stepgap.learning.believed import believed, believed_after, planning_map
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.learner import Learner
-from stepgap.learning.observations import error_of
+from stepgap.learning.observations import Observations, no_observations, observe
 from stepgap.learning.polynomial import Polynomial
+from stepgap.learning.posterior import Posterior
 from stepgap.learning.regression import Regression
 from stepgap.learning.residual import HistoryInputs, Residual, join_points
-from stepgap.learning.trust import Trust, predicted_step
 from stepgap.learning.zero import Zero
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.surrogate_map import WIDENED, Samples, SurrogateMap, fit_surrogate
@@ -92,25 +96,24 @@ class PortableController:
     """The controller before the first step of a deployment, of parts that have formulas.
 
     Attributes:
-        map: The corrected map; its nominal map is an `AffineMap` or a `SurrogateMap`.
+        nominal: The nominal map, an `AffineMap` or a `SurrogateMap`.
+        residual: The fitted residual, a function of state and command.
+        beliefs: What is believed of its remaining error; None if nothing is learned during a deployment.
         failures: Points (state, command) of steps that failed; shape (k, n + m).
         settings: Settings of step control, without a table.
-        drift: Whether the disturbance of a deployment is estimated.
-        monitor: Whether the nominal map may be trusted more than the corrected one, or plan in its place.
-        reject_outliers: Whether single steps with improbable errors are outliers.
-        warm_start: Whether steps from before the run were learned from.
+        steps: The steps that the beliefs were learned from, for a comparison of robots; none for a fitted residual,
+            which has its own.
         approximations: What was replaced, and by how much it differs.
         notes: Sentences on what the portable form does not do.
         passport: Which robot it is, and what it was learned from; see `passport_of`. Empty if that is not known.
     """
 
-    map: CorrectedMap
+    nominal: StepMap
+    residual: Residual
+    beliefs: Beliefs | None
     failures: Array
     settings: ControlSettings
-    drift: bool
-    monitor: bool
-    reject_outliers: bool = False
-    warm_start: bool = False
+    steps: Observations | None = None
     approximations: tuple[Approximation, ...] = ()
     notes: tuple[str, ...] = ()
     passport: Mapping[str, Any] = field(default_factory=dict)
@@ -118,41 +121,39 @@ class PortableController:
     @property
     def space(self) -> StepSpace:
         """Names, units and ranges."""
-        return self.map.space
+        return self.nominal.space
+
+    @cached_property
+    def map(self) -> CorrectedMap:
+        """The map that plans the first step of a deployment if its phase is unknown."""
+        return self.map_by(self.beliefs)
+
+    @cached_property
+    def learned(self) -> Residual:
+        """The error as far as it is known, with the steps from which it was learned."""
+        if self.beliefs is None or self.residual.kind != "none":
+            return self.residual
+        steps = no_observations(self.space) if self.steps is None else self.steps
+        return believed(self.residual, self.beliefs, nan, steps)
 
     @cached_property
     def controller(self) -> CautiousController:
-        """The controller of the first step, before any disturbance is estimated."""
-        return CautiousController(self.map, self.map.nominal, self.failures, self.settings)
+        """The controller of the first step if its phase is unknown."""
+        return CautiousController(self.map, self.nominal, self.failures, self.settings)
 
-    @property
-    def judges(self) -> bool:
-        """Whether enough steps are known for a judgement on which map is right."""
-        return self.map.residual.is_known
+    def map_by(self, beliefs: Beliefs | None, phase: float = nan) -> CorrectedMap:
+        """Returns the map that plans a step which starts at a phase [rad], NaN if it is unknown."""
+        return planning_map(self.nominal, self.residual, beliefs, phase, np.zeros(0))
 
-    @cached_property
-    def trust(self) -> Trust:
-        """Which map is trusted before the first step."""
-        used = {"drift": self.drift, "monitor": self.monitor, "reject_outliers": self.reject_outliers}
-        return Trust.start(self.space.state_scale, self.map.residual, warm_start=self.warm_start, **used)
-
-    def trust_after(self, trust: Trust, record: StepRecord, phase: float) -> Trust:
-        """Returns which map is trusted after a step, as an exported controller computes it.
+    def after(self, beliefs: Beliefs | None, record: StepRecord, phase: float) -> Beliefs | None:
+        """Returns what is believed after a step, as an exported controller computes it.
 
         Args:
-            trust: That before the step.
+            beliefs: What was believed before.
             record: The step.
             phase: Phase at which it started [rad], NaN if it is unknown.
         """
-        error = error_of(record, self.map.nominal)
-        if not np.isfinite(error).all():
-            return trust
-        residual = self.map.residual
-        return trust.after(residual, predicted_step(residual, record, self.space, error, phase))
-
-    def map_by(self, trust: Trust, phase: float) -> CorrectedMap:
-        """Returns the map that plans a step which starts at a phase [rad], NaN if it is unknown."""
-        return trust.step_map(self.map.nominal, self.map.residual, phase)
+        return beliefs and believed_after(beliefs, self.nominal, self.residual, record, phase)[0]
 
 
 def portable_controller(
@@ -171,29 +172,27 @@ def portable_controller(
     """
     learned, settings = run.learner(deployment), run.needed(run.settings)
     learner = without_lagged_inputs(learned)
-    if learner.nominal.space.adds_up.any():
+    space, residual, beliefs = learner.nominal.space, learner.residual, learner.beliefs
+    if space.adds_up.any():
         raise InputError(f"{run.folder}: its targets are distances that add up, which no exported controller follows")
-    residual, learning = learner.residual, settings.learning
-    _check_inputs(residual)
-    noise = residual.noise_std / learner.nominal.space.state_scale
+    _check_inputs(learner)
+    noise = learner.step_map().noise_std / space.state_scale
     nominal, replaced = _portable_nominal(learner.nominal, noise, rng)
-    points = _random_points(nominal.space, rng)
-    names = nominal.space.state_names
+    points = _random_points(space, rng)
     found = [
         _portable_regression(regression, name, scale, points)
-        for regression, name, scale in zip(residual.regressions, names, nominal.space.state_scale, strict=True)
+        for regression, name, scale in zip(residual.regressions, space.state_names, space.state_scale, strict=True)
     ]
-    corrected = CorrectedMap(nominal, replace(residual, regressions=tuple(regression for regression, _ in found)))
+    own_steps = beliefs is not None and residual.kind == "none"
     return PortableController(
-        corrected,
+        nominal,
+        replace(residual, regressions=tuple(regression for regression, _ in found)),
+        beliefs,
         learner.failures,
         replace(settings.control, table=0),
-        drift=learning.drift and residual.kind != "none",
-        monitor=learning.monitor and residual.kind != "none",
-        reject_outliers=learning.reject_outliers,
-        warm_start=learner.log.has_earlier_runs,
+        observe(learner.known.planned(), learner.nominal) if own_steps else None,
         approximations=(*replaced, *(loss for _, loss in found if loss)),
-        notes=(*_notes(nominal.space, settings.control, learner.learns), *fitted_again(learned)),
+        notes=(*_notes(space, settings.control, learner), *fitted_again(learned)),
         passport=passport_of(run, deployment, name),
     )
 
@@ -204,7 +203,7 @@ def without_lagged_inputs(learner: Learner) -> Learner:
         return learner
     settings = replace(learner.settings, lagged_inputs="none")
     with one_blas_thread():
-        return Learner.start(learner.nominal, learner.known, settings, learner.iteration, priors=learner.priors)
+        return Learner.start(learner.nominal, learner.known, settings, learner.iteration)
 
 
 def fitted_again(learner: Learner) -> tuple[str, ...]:
@@ -214,16 +213,17 @@ def fitted_again(learner: Learner) -> tuple[str, ...]:
     return () if lagged == "none" else (text,)
 
 
-def _check_inputs(residual: Residual) -> None:
-    if residual.history_inputs != HistoryInputs():
+def _check_inputs(learner: Learner) -> None:
+    """Raises InputError if what is learned depends on more than state, command and the step before."""
+    found = learner.beliefs is not None and learner.nominal.space.context_inputs
+    if found or learner.residual.history_inputs != HistoryInputs():
         raise InputError(
-            f"residual '{residual.name}': inputs from the step before, inputs that a touchdown finds and a forgetting "
-            "time cannot be exported; run with learning.forgetting_time = inf and, on uneven ground, "
-            "ground.inputs = false"
+            f"residual '{learner.residual.name}': inputs that a touchdown finds and a forgetting time cannot be "
+            "exported; run with learning.forgetting_time = inf and, on uneven ground, ground.inputs = false"
         )
 
 
-def _notes(space: StepSpace, control: ControlSettings, learns: bool) -> tuple[str, ...]:
+def _notes(space: StepSpace, control: ControlSettings, learner: Learner) -> tuple[str, ...]:
     notes = [
         f"{each.name} is that above the {each.above} of the step: subtract what your robot finds, and plan at touchdown"
         for each in space.state
@@ -242,7 +242,7 @@ def _notes(space: StepSpace, control: ControlSettings, learns: bool) -> tuple[st
         )
     if control.table:
         notes.append("control.table: the commands are solved for, not taken from a table")
-    if learns:
+    if learner.settings.online and learner.beliefs is None and learner.settings.residual != "none":
         notes.append("learning.online: the residual is that of the start of the deployment; it learns no further step")
     return tuple(notes)
 
@@ -293,12 +293,12 @@ def _portable_regression(
     regression: Regression, name: str, scale: float, points: Array
 ) -> tuple[Regression, Approximation | None]:
     """The regression of a state coordinate, or its approximation and by how much that differs at points (k, d)."""
-    if isinstance(regression, Zero | Polynomial):
+    if isinstance(regression, Zero | Polynomial | Posterior):
         return regression, None
     if not isinstance(regression, GaussianProcessRegression):
         raise InputError(
             f"residual of {name}: a {type(regression).__name__} cannot be exported; run with learning.residual = "
-            '"none", "constant", "linear", "quadratic", "gp", "gp_on_linear" or "fitrgp"'
+            '"posterior", "none", "constant", "linear", "quadratic", "gp", "gp_on_linear" or "fitrgp"'
         )
     process, noise = regression.process, regression.noise_std
     if noise == 0:

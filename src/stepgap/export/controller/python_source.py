@@ -14,7 +14,7 @@ FILTER: Final = "stepgap.export.controller.step_filter"
 
 INSTEAD: Final = {
     Place("stepgap.control.gauss_newton", "_gesv"): Place(FILTER, "solved_square"),
-    Place("stepgap.learning.residual", "no_residual"): Place(FILTER, "zero_residual"),
+    Place("stepgap.base.compiled", "compiled"): Place(FILTER, "as_written"),
 }
 """What takes the place of functions that need more than NumPy, or much more than the filter does."""
 
@@ -43,7 +43,8 @@ def python_source(controller: PortableController) -> str:
     document = model_document(controller)
     for part in document["residual"]["regressions"]:
         del part["data"]
-    document["trust"] = {key: document["trust"][key] for key in ("judges", "nominal", "warm_start")}
+    if document["beliefs"] is not None:
+        del document["beliefs"]["steps"], document["beliefs"]["constants"], document["beliefs"]["probes"]
     space, notes = controller.space, [*map(str, controller.approximations), *controller.notes]
     lines = [
         "A step controller that was learned by StepGap: the command with which the next state is a target.",

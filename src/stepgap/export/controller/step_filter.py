@@ -6,7 +6,7 @@ as one file for NumPy (`python_source`).
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Final, NamedTuple, cast, final
 
 import numpy as np
@@ -19,9 +19,10 @@ from stepgap.control.goal import Targets
 from stepgap.control.settings import ControlSettings
 from stepgap.control.step_controller import StepController, as_vector, checked_target
 from stepgap.export.controller.formulas import INVERSE, nominal_state, regression, scaled_point
-from stepgap.learning.residual import Residual, join_points
-from stepgap.learning.trust import PredictedStep, Trust
-from stepgap.step import Array, Codes, Outcome, Quantity, StepFailed, StepMap, StepSpace, StepStatus
+from stepgap.learning.beliefs_data import beliefs_from_dict
+from stepgap.learning.believed import believed_after, planning_map
+from stepgap.learning.residual import HistoryInputs, Residual, join_points
+from stepgap.step import Array, Codes, Outcome, Quantity, StepFailed, StepMap, StepRecord, StepSpace, StepStatus
 
 UNCORRECTED: Final = len(StepStatus)
 """Status of a plan without a usable measurement: its command is that of the nominal map if the target is held."""
@@ -57,29 +58,27 @@ class StepFilter:
     """
 
     def __init__(self, model: Mapping[str, Any]):
-        control, trust = model["control"], model["trust"]
+        control, beliefs = model["control"], model["beliefs"]
         self._nominal, self._residual = FormulaMap(model), FormulaResidual(model)
         self._failures = np.reshape(np.array(model["failures"], float), (-1, len(self.space.names)))
         names = ("cautious", "viability", "avoid_failures", "evaluations", "horizon", "largest_change")
         self._settings = ControlSettings(**{name: control[name] for name in names})
-        self._start = Trust.start(
-            self.space.state_scale,
-            cast("Residual", self._residual),
-            drift=model["disturbance"]["used"],
-            monitor=trust["nominal"],
-            reject_outliers=model["outliers"]["used"],
-            warm_start=trust["warm_start"],
-        )
-        self.restart()
+        self._beliefs = None if beliefs is None else beliefs_from_dict(beliefs, self._residual.sizes)
 
     @property
     def space(self) -> StepSpace:
         """Names, units and ranges."""
         return self._nominal.space
 
+    @property
+    def alarm(self) -> str | None:
+        """What the latest step showed: that the robot has `changed`, or is again as `earlier`; None for neither."""
+        return None if self._beliefs is None else self._beliefs.alarm
+
     def restart(self) -> None:
-        """Begins a deployment: what was estimated in the one before is forgotten."""
-        self._trust = self._start
+        """Begins another deployment with what was learned; the robot may have changed meanwhile."""
+        if self._beliefs is not None:
+            self._beliefs = self._beliefs.redeployed()
 
     def plan(
         self,
@@ -112,7 +111,8 @@ class StepFilter:
         usable = known and not np.isinf(target).any() and not np.isinf(later).any()
         status = UNCORRECTED if usable else StepStatus.INVALID
         if status == UNCORRECTED and np.isfinite(state).all():
-            step_map = self._trust.step_map(self._nominal, cast("Residual", self._residual), phase)
+            residual = cast("Residual", self._residual)
+            step_map = planning_map(self._nominal, residual, self._beliefs, phase, np.zeros(0))
             controller = CautiousController(step_map, self._nominal, self._failures, self._settings, previous=before)
             try:
                 plan = controller(state, target, before, later)
@@ -125,7 +125,7 @@ class StepFilter:
     def update(
         self, state: ArrayLike | None, command: ArrayLike, next_state: ArrayLike | None, phase: float = np.nan
     ) -> int:
-        """Learns the disturbance from a step that was made; without both states it changes nothing.
+        """Learns from a step that was made; without both states, nothing is known of the step before the next one.
 
         Args:
             state: As measured at the section where it started; shape (n,). None if it is unknown.
@@ -136,18 +136,19 @@ class StepFilter:
         Returns:
             0 if it learned; else the status of the step on the nominal map, `INVALID` where a number is not finite.
         """
-        if state is None or next_state is None:
-            return int(StepStatus.INVALID)
-        start, end = (as_vector("state", each, len(self.space.state)) for each in (state, next_state))
+        unknown = np.full(len(self.space.state), np.nan)
+        start, end = (
+            as_vector("state", unknown if each is None else each, len(unknown)) for each in (state, next_state)
+        )
         command = as_vector("command", command, len(self.space.command))
-        expected, status = self._nominal.evaluate(start, command)
-        if not np.isfinite(end).all() or status != StepStatus.OK:
-            return int(status or StepStatus.INVALID)
-        point, inputs = join_points(start, command), self.space.scaled_inputs(start, command)
-        mean, std = self._residual.mean(point), self._residual.std(point, include_noise=True)
-        step = PredictedStep(inputs=inputs, error=end - expected, mean=mean, std=std, phase=phase)
-        self._trust = self._trust.after(cast("Residual", self._residual), step)
-        return int(StepStatus.OK)
+        record = StepRecord(start, command, command, end, StepStatus.OK)
+        _, status = self._nominal.evaluate(start, command)
+        if self._beliefs is not None:
+            residual = cast("Residual", self._residual)
+            self._beliefs, learned = believed_after(self._beliefs, self._nominal, residual, record, phase)
+        else:
+            learned = bool(np.isfinite(end).all())
+        return int(StepStatus.OK if learned else status or StepStatus.INVALID)
 
     def _uncorrected(self, target: Array, previous: Array | None) -> Array:
         """Command of the nominal map at the target as the state; else the previous one, or the middle of the bounds."""
@@ -221,7 +222,7 @@ class FormulaMap(StepMap):
 
 @final
 class FormulaResidual:
-    """The residual of a documented model, with what `CorrectedMap` and `Trust` use of a `Residual`.
+    """The fitted residual of a documented model, with what `CorrectedMap` and beliefs use of a `Residual`.
 
     Args:
         model: The model.
@@ -230,64 +231,63 @@ class FormulaResidual:
     def __init__(self, model: Mapping[str, Any]):
         self.kind = str(model["residual"]["kind"])
         self.sizes = len(model["state"]), len(model["command"])
-        self.is_known = bool(model["trust"]["judges"])
-        self._parts = [_with_inverses(_arrays(each)) for each in model["residual"]["regressions"]]
-        self.noise_std = np.array([float(each["noise_std"]) for each in self._parts])
+        self.history_inputs = HistoryInputs()
+        self.regressions = [FormulaRegression(each) for each in model["residual"]["regressions"]]
+        self.noise_std = np.array([each.noise_std for each in self.regressions])
+
+    def conditioned_on(self, history: Array) -> "FormulaResidual":
+        """The residual, which depends on state and command alone."""
+        del history
+        return self
 
     def mean(self, points: Array) -> Array:
         """Expected residual; (…, n + m) to (…, n) [units of the state]."""
-        return self._of_rows(0, points.reshape(-1, points.shape[-1])).reshape(*points.shape[:-1], self.sizes[0])
+        return np.stack([each.mean(points) for each in self.regressions], axis=-1)
 
-    def std(self, points: Array, *, include_noise: bool = False) -> Array:
-        """Its standard deviation, with or without the noise of a step; (…, n + m) to (…, n) [units of the state]."""
-        std = self._of_rows(1, points.reshape(-1, points.shape[-1])).reshape(*points.shape[:-1], self.sizes[0])
-        return np.hypot(std, self.noise_std) if include_noise else std
+    def std(self, points: Array) -> Array:
+        """Its standard deviation, without the noise of a step; (…, n + m) to (…, n) [units of the state]."""
+        return np.stack([each.std(points) for each in self.regressions], axis=-1)
 
     def mean_gradient(self, points: Array) -> Array:
         """∂mean/∂(state, command); (…, n + m) to (…, n, n + m)."""
-        return _derivatives(lambda rows: self._of_rows(0, rows), points)
+        return np.stack([each.mean_gradient(points) for each in self.regressions], axis=-2)
 
     def std_gradient(self, points: Array) -> Array:
         """∂std/∂(state, command), zero where there is no deviation; (…, n + m) to (…, n, n + m)."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.nan_to_num(_derivatives(lambda rows: self._of_rows(1, rows), points))
-
-    def _of_rows(self, which: int, rows: Any) -> Any:
-        return np.concatenate([regression(NUMBERS, part, rows)[which] for part in self._parts], axis=1)
+        return np.stack([each.std_gradient(points) for each in self.regressions], axis=-2)
 
 
 @final
-@dataclass(frozen=True)
-class ZeroResidual:
-    """No residual, for the map that plans while the learned one is not trusted.
+class FormulaRegression:
+    """A regression of a documented model, with what others use of a `Regression`.
 
-    Attributes:
-        sizes: n and m.
+    Args:
+        part: The regression in the model.
     """
 
-    sizes: tuple[int, int]
+    def __init__(self, part: Mapping[str, Any]):
+        self._part = _with_inverses(_arrays(part))
+        self.noise_std = float(part["noise_std"])
 
-    @property
-    def noise_std(self) -> Array:
-        """Zero; shape (n,)."""
-        return np.zeros(self.sizes[0])
+    def mean(self, point: Array) -> Array:
+        """Expected value; (…, d) to (…)."""
+        return self._of_rows(0, point.reshape(-1, point.shape[-1])).reshape(point.shape[:-1])
 
-    def mean(self, points: Array) -> Array:
-        """Zero; shape (…, n)."""
-        return np.zeros((*points.shape[:-1], self.sizes[0]))
+    def std(self, point: Array) -> Array:
+        """Its standard deviation; (…, d) to (…)."""
+        return self._of_rows(1, point.reshape(-1, point.shape[-1])).reshape(point.shape[:-1])
 
-    std = mean
+    def mean_gradient(self, point: Array) -> Array:
+        """∂mean/∂point; shape (…, d)."""
+        return _derivatives(lambda rows: self._of_rows(0, rows), point)[..., 0, :]
 
-    def mean_gradient(self, points: Array) -> Array:
-        """Zero; shape (…, n, n + m)."""
-        return np.zeros((*points.shape[:-1], self.sizes[0], sum(self.sizes)))
+    def std_gradient(self, point: Array) -> Array:
+        """∂std/∂point, zero where there is no deviation; shape (…, d)."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.nan_to_num(_derivatives(lambda rows: self._of_rows(1, rows), point)[..., 0, :])
 
-    std_gradient = mean_gradient
-
-
-def zero_residual(state_size: int, command_size: int) -> ZeroResidual:
-    """No residual."""
-    return ZeroResidual((state_size, command_size))
+    def _of_rows(self, which: int, rows: Any) -> Any:
+        return regression(NUMBERS, self._part, rows)[which]
 
 
 @final
@@ -301,6 +301,10 @@ class Numbers:
     def exp(self, x: Any) -> Any:
         """Exponential, number by number."""
         return np.exp(x)
+
+    def cos(self, x: Any) -> Any:
+        """Cosine, number by number."""
+        return np.cos(x)
 
     def sqrt(self, x: Any) -> Any:
         """Square root, number by number."""
@@ -329,6 +333,11 @@ class Numbers:
 
 NUMBERS: Final = Numbers()
 """The algebra of the formulas here."""
+
+
+def as_written(function: Any) -> Any:
+    """The function, which NumPy executes: there is no compiler here."""
+    return function
 
 
 def solved_square(matrix: Array, right: Array) -> tuple[None, None, Array, bool]:

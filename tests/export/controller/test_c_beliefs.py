@@ -1,0 +1,66 @@
+"""The exported C code believes what Python believes, step by step of a robot that changes and is measured wrongly."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stepgap.control.cautious_controller import CautiousController
+from stepgap.export.controller.portable_controller import PortableController
+from stepgap.learning.beliefs import Beliefs
+from stepgap.step import StepRecord
+from tests.export.controller.changing_robot import LIFE, ChangingRobot
+from tests.export.controller.learned import SPACE, learned
+from tests.export.controller.test_c_source import COMPILER, Compiled
+from tests.export.controller.test_c_source import compile_in as compile_in  # fixture
+
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler")
+
+HELD = 1e-6
+"""Commands differ by less [half ranges]."""
+
+
+def update(code: Compiled, record: StepRecord, phase: float) -> int:
+    given = map(code.array, (record.state, record.requested, record.next_state))
+    return code.call("filter_update", code.filter, *given, phase)
+
+
+def python_plan(controller: PortableController, beliefs: Beliefs | None, phase: float, given: tuple[Any, ...]) -> Any:
+    step_map = controller.map_by(beliefs, phase)
+    return CautiousController(step_map, controller.nominal, controller.failures, controller.settings)(*given)
+
+
+@pytest.mark.parametrize(("kind", "degree"), [("posterior", 1), ("posterior", 2), ("gp", 1), ("quadratic", 2)])
+def test_in_a_closed_loop_commands_and_alarms_are_those_of_python(
+    kind: str, degree: int, compile_in: Callable[..., Compiled]
+) -> None:
+    """Over a whole deployment and the beginning of the next one, in which the beliefs go on."""
+    controller = learned(kind, degree=degree)
+    code, beliefs, found = compile_in(controller, optimised=True), controller.beliefs, list[str | None]()
+    differences, moved = list[float](), False
+    for deployment in range(2):
+        robot, before = ChangingRobot(controller, life=(("as learned", 6),) if deployment else LIFE), None
+        if deployment:
+            assert beliefs
+            beliefs = beliefs.redeployed()
+            code.call("filter_restart", code.filter)
+        while robot.is_on_its_way:
+            given = robot.measured, robot.target(), before
+            status, command, predicted, std = code.plan(*given, robot.phase)
+            plan = python_plan(controller, beliefs, robot.phase, given)
+            assert status == 0
+            differences.append(float(np.abs((command - plan.command) / SPACE.command_scale).max()))
+            np.testing.assert_allclose(predicted, plan.predicted, atol=1e-7)
+            np.testing.assert_allclose(std, plan.std, atol=1e-7)
+            record, phase = robot.step(command)
+            beliefs = controller.after(beliefs, record, phase)
+            assert beliefs
+            assert update(code, record, phase) == 0
+            found.append(beliefs.alarm)
+            moved = moved or beliefs.mixture(0.0).offset.any()
+            assert code.alarm == beliefs.alarm
+            before = command
+    assert max(differences) < HELD, max(differences)
+    assert {"changed", "earlier"} <= set(found)
+    assert moved, "a wrong measurement was suspected"
