@@ -51,6 +51,8 @@ EXPECTED_NOISE_COUNT: Final = 8.0
 """Number of steps that an expected noise is worth."""
 RUN_COUNT: Final = 50.0
 """Number of steps that the noise of an earlier run is worth at most."""
+RUN_FAR, RUN_TRUST = 4.0, 0.01
+"""A step of it whose error is further off than so many deviations counts so much."""
 RIVAL: Final = 0.02
 """Probability of each rival of what is expected of a robot, before its first step."""
 CHANGED_PART: Final = 0.25
@@ -66,8 +68,11 @@ SUSPECT: Final = 0.1
 """From this probability of a wrong step on, the next one may have begun elsewhere."""
 WRONG_MEASUREMENTS: Final = (0.1, 0.9)
 """Numbers of wrong steps that were, and were not, wrong measurements, before the first one."""
+ACCIDENTS, WIDER, WIDENINGS = 2, 16.0, 4
+"""So many wrong steps in a row may be accidents. Each further one makes a change this much wider [variance], so many
+times: otherwise no belief would learn a change that is large beside what robots differ by."""
 LEAST_TRUST: Final = 1e-3
-"""A wrong step is learned with at least this weight."""
+"""A wrong step is learned with at least this weight, unless its error is larger than those of wrong steps."""
 LEAST_WEIGHT: Final = 0.01
 """A belief that is less probable does not plan. With a tenth, a belief that was surer and wrong planned a hop alone."""
 SAME_MEAN, SAME_SPREAD = 0.3, 0.5
@@ -79,8 +84,9 @@ MOST, YOUNG = 10, 3
 """Number of beliefs that are kept, and the age up to which a belief is kept besides: it could not yet speak."""
 MOST_MONOMIALS: Final = 150
 """With more monomials of degree 2 beliefs are about degree 1: no deployment tells so many weights apart."""
-WAVES, WAVE_LENGTH = 30, 2.0
-"""Number and length scale of the waves among the features [half ranges]."""
+WAVES, WAVE_LENGTH, LEAST_FOR_WAVES = 30, 2.0, 100
+"""Number and length scale [half ranges] of the waves among the features, and number of steps that must be known before a
+deployment for it to have them: with fewer they only make the map less sure where the robot has not been."""
 REPORTED_ODDS, SUDDEN = 30.0, 10
 """A change is reported from these odds on, within this number of steps from its beginning: a belief that wins later is
 a better model, not a change."""
@@ -127,12 +133,14 @@ class Suspicion(NamedTuple):
         measured_wrongly: Probability that its end was measured wrongly, by `offset`.
         offset: Measured minus predicted end [half ranges]; shape (n,).
         variance: Of that prediction [half ranges²]; shape (n,).
+        in_a_row: Number of steps up to it that were rather wrong than not.
     """
 
     wrong: float
     measured_wrongly: float
     offset: Array
     variance: Array
+    in_a_row: int
 
 
 class Mixture(NamedTuple):
@@ -232,8 +240,9 @@ class Beliefs:
             side = beliefs.side(step.phase) if follows else replace(beliefs, before=0 * self.before).side(step.phase)
             features = self.all_features(step.point, side)
             mean, variance = belief.weights.predicted(features)
-            far = np.max(np.abs(step.error - mean) / np.sqrt(variance + belief.noise)) > 4
-            belief = belief.learned(features, step.error, 0.01 if far else 1.0)
+            far = float(np.max(np.abs(step.error - mean) / np.sqrt(variance + belief.noise)))
+            trust = 1.0 if far <= RUN_FAR else RUN_TRUST * min(1.0, (WRONG_WIDTH / far) ** 2)
+            belief = belief.learned(features, step.error, trust)
             beliefs = replace(beliefs, before=np.concatenate([step.error, step.command]))
         freedom = np.minimum(belief.freedom, RUN_COUNT)
         noise = belief.noise
@@ -303,10 +312,14 @@ class Beliefs:
         """The beliefs after a step whose error is not known."""
         return replace(self._forgetting(), alarm=None)
 
-    def _changed(self, belief: Belief, log_weight: float) -> Belief:
-        """The belief that the robot has just changed."""
-        weights = belief.weights.widened(self.change)
+    def _changed(self, belief: Belief, log_weight: float, factor: float = 1.0) -> Belief:
+        """The belief that the robot has just changed, by a multiple of the usual covariance."""
+        weights = belief.weights.widened(factor * self.change)
         return replace(belief, kind="changed", weights=weights, log_weight=log_weight, rate=0.0, age=0)
+
+    @property
+    def _wrong_in_a_row(self) -> int:
+        return self.suspicion.in_a_row if self.suspicion else 0
 
     def taught(self, step: Observed) -> "Beliefs":
         """The beliefs after a step that is learned without a judgement, such as the first one of a plant."""
@@ -330,7 +343,8 @@ class Beliefs:
                 replace(each, log_weight=max(each.log_weight, least)) if each.kind == "earlier" else each
                 for each in beliefs
             ]
-            beliefs.append(self._changed(best, best.log_weight + log(HAZARD)))
+            widenings = min(max(0, self._wrong_in_a_row - ACCIDENTS), WIDENINGS)
+            beliefs.append(self._changed(best, best.log_weight + log(HAZARD), WIDER**widenings))
         features = self.all_features(step.point, self.side(step.phase))
         elsewhere = self._elsewhere(step)
         judged = _judged(beliefs, best, features, step.error, elsewhere)
@@ -363,7 +377,11 @@ class Beliefs:
         if judged.wrong > SUSPECT:
             mean, variance = best.weights.predicted(features)
             suspicion = Suspicion(
-                judged.wrong, judged.wrong * yes / (yes + no), step.error - mean, variance + best.noise
+                judged.wrong,
+                judged.wrong * yes / (yes + no),
+                step.error - mean,
+                variance + best.noise,
+                in_a_row=self._wrong_in_a_row + 1 if judged.wrong > 1 / 2 else 0,
             )
         beliefs, alarm = _reported(judged.beliefs, settled)
         recent = np.vstack([self.recent, features])[-RECENT:]
@@ -389,10 +407,11 @@ class Beliefs:
         return np.hstack([self.features(self.probes), np.zeros((PROBES, 2 + len(self.before)))])
 
 
-def features_of(inputs: int) -> Features:
-    """Features of beliefs about errors that depend on a number of inputs."""
+def features_of(inputs: int, steps: int) -> Features:
+    """Features of beliefs about errors that depend on a number of inputs, before a deployment with `steps` known."""
     degree = 2 if number_of_monomials(inputs, 2) <= MOST_MONOMIALS else 1
-    return Features.drawn(inputs, degree, WAVES, WAVE_LENGTH, np.random.default_rng(0))
+    waves = WAVES if steps >= LEAST_FOR_WAVES else 0
+    return Features.drawn(inputs, degree, waves, WAVE_LENGTH, np.random.default_rng(0))
 
 
 def unknown_belief(features: Features) -> Belief:
@@ -448,7 +467,9 @@ def _judged(
         after = _log_density_elsewhere(belief, elsewhere) if elsewhere else -inf
         density = float(np.logaddexp(np.logaddexp(regular, wrong), after))
         # It is learned by the more probable of the two that explain it, as far as it was not wrong.
-        trust = max(LEAST_TRUST, exp(max(regular, after) - density))
+        # However large an error is, it counts no more than one as wide as those of wrong steps.
+        far = max(1.0, float(np.max((error - mean) ** 2 / wide)))
+        trust = max(LEAST_TRUST / far, exp(max(regular, after) - density))
         lesson = (elsewhere.features, elsewhere.error) if elsewhere and after > regular else (features, error)
         learned = belief if belief.kind == "earlier" else belief.learned(*lesson, trust)
         found.append(replace(learned, log_weight=belief.log_weight + density))
