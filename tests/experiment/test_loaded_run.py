@@ -53,13 +53,13 @@ def test_the_controller_gives_the_recorded_commands_and_predictions(folder: Path
         controller = controller.after(logged)
 
 
-def test_the_next_deployment_is_fitted_to_all_steps(folder: Path) -> None:
+def test_the_next_deployment_knows_all_steps(folder: Path) -> None:
     run = load_run(str(folder))
     learner, corrected = run.learner(), run.corrected()
-    assert (learner.iteration, len(learner.log)) == (2, 18)
+    assert (learner.iteration, len(learner.known)) == (2, 18)
     state, command = [0.2, 0.58], [0.0, 0.0]
     point = np.array([*state, *command])
-    expected = run.needed(run.nominal)(state, command) + learner.residual.mean(point)
+    expected = run.needed(run.nominal)(state, command) + learner.learned.mean(point)
     np.testing.assert_allclose(corrected(state, command), expected, atol=1e-12)
     for wrong in (-1, 3):
         with pytest.raises(InputError, match=f"has no deployment {wrong}; it may be 0 to 2"):

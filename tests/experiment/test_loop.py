@@ -20,18 +20,23 @@ from stepgap.experiment import loop
 from stepgap.experiment.deployment import deploy
 from stepgap.experiment.loop import Observer, Plants, Setup, run_experiment
 from stepgap.experiment.outcome import estimate_noise_floor, summarise
+from stepgap.experiment.run import Run
+from stepgap.experiment.settings import Experiment
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.learner import Learner
 from stepgap.learning.observations import next_history
+from stepgap.learning.posterior import POSTERIOR, Posterior
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
+from stepgap.records.model_files import NominalSource, saved_model_text
 from stepgap.records.steps_csv import RecordError, StepWriter, read_step_log
 from stepgap.records.summary import Deployment, NoiseFloor
 from stepgap.rigs.rig import RigFault
+from stepgap.robots.hopper.robot import Hopper
 from stepgap.step import Array, Codes, StepMap, StepRecord, StepStatus
 from tests.control.maps import LossyHopper, NeverWorks, StumblingHopper
 
@@ -170,8 +175,15 @@ def test_nothing_learned_leaves_the_nominal_map() -> None:
     assert Learner.start(NeverWorks(), failing, ALWAYS, 1).residual.kind == "none"
 
 
+def test_the_residual_that_predicts_best_is_named(tmp_path: Path) -> None:
+    done = run_in(tmp_path, learning=LearningSettings("auto", iterations=2, tolerance=0.0))
+    for deployment in done[1:]:
+        saved = json.loads((tmp_path / "models" / f"iteration_{deployment.iteration}.json").read_text())
+        assert deployment.residual == saved["kind"] not in ("auto", "none")
+
+
 def test_every_prediction_is_conditioned_on_the_previous_step(tmp_path: Path) -> None:
-    learning = LearningSettings("auto", iterations=2, tolerance=0.0, lagged_inputs="previous_error")
+    learning = LearningSettings("auto", iterations=2, tolerance=0.0, lagged_inputs="previous_error", drift=False)
     done = run_in(tmp_path, learning=learning)
     log = list(read_step_log(tmp_path / "steps.csv", NOMINAL.space))
     for deployment in done[1:]:
@@ -339,7 +351,8 @@ def test_a_measured_noise_floor_is_recorded_and_measured_once(tmp_path: Path) ->
     assert isinstance(step_map, CorrectedMap)
     assert drawn == random_stream(3, 2, 1).random()
     learned = json.loads((tmp_path / "models" / "iteration_2.json").read_text())
-    assert learned.items() >= step_map.residual.to_dict().items()
+    bases = [each.base for each in step_map.residual.regressions if isinstance(each, Posterior)]
+    assert [base.to_dict() for base in bases if base] == learned["regressions"]
 
 
 def test_the_noise_floor_is_measured_under_the_same_map_after_an_interruption(tmp_path: Path) -> None:
@@ -684,6 +697,21 @@ def test_hardware_does_not_take_lost_steps_again(copy: Path) -> None:
         with pytest.raises(RecordError, match=message):
             run_in(copy, replays=False)
         assert contents(copy) == before
+
+
+@pytest.mark.parametrize("online", [False, True])
+def test_a_further_deployment_begins_as_the_run_goes_on(tmp_path: Path, online: bool) -> None:
+    """What `Run` learns from all steps is what the loop learned, to the last bit."""
+    learning = LearningSettings(iterations=2, tolerance=0.0, online=online)
+    run_in(tmp_path, learning=learning)
+    written = (tmp_path / "models" / "iteration_2.json").read_text()
+    (tmp_path / "models" / "iteration_2.json").unlink()
+    (tmp_path / "summary.json").unlink()
+    rows_kept(tmp_path, 32)
+    found = Run(tmp_path, nominal=NOMINAL, settings=Experiment(Hopper(), learning=learning, prior="none")).learner()
+    assert found.iteration == 2
+    assert found.learned.kind == POSTERIOR.name
+    assert saved_model_text(found.learned, NOMINAL.space, NominalSource("map", NOMINAL), found.beliefs) == written
 
 
 def test_one_process_at_a_time(copy: Path) -> None:

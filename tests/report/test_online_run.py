@@ -58,7 +58,7 @@ def test_the_model_after_the_run_is_described(record: Run) -> None:
 def test_a_model_that_is_not_known_is_not_denied(record: Run) -> None:
     written = write_report(Run(record.folder, nominal=LossyHopper(), final=Missing("nobody kept it")))
     text = Page(written.path).text
-    reason = "deployment 0 learned while it ran, so no model was saved before it, and nobody kept it"
+    reason = "deployment 0 learned while it ran, but what it learned is not known: nobody kept it"
     assert f"There is no model to describe: {reason}." in text
     assert f"the learned model ({reason})" in written.missing
     assert "used the nominal map" not in text
@@ -76,7 +76,7 @@ def test_an_unfinished_deployment_that_learns_did_not_use_the_nominal_map(record
     assert one_step.residual_name(0) == "none", "nothing was learned before the first step"
     learned = Analysis(running).learned
     assert learned == Missing(
-        "deployment 0 learned while it ran, so no model was saved before it, and it is still learned"
+        "deployment 0 learned while it ran, but what it learned is not known: it is still learned"
     )
 
 

@@ -8,8 +8,8 @@ from stepgap.control.reference import Reference
 from stepgap.experiment.loop import Observer, Plants, Setup, run_experiment
 from stepgap.experiment.run import Run
 from stepgap.experiment.settings import Experiment
+from stepgap.learning.alarm import Alarm
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.trust import Alarm
 from stepgap.plants.plant import Plant
 from stepgap.report.trust_sentences import trust_sentences
 from stepgap.robots.hopper.robot import Hopper

@@ -45,10 +45,10 @@ class Shorthand:
         explore: Number of exploratory steps before the first deployment; with a prior at most that number. [default: 0]
         online: Learn after every step, from the first one on.
         warm_start: Folder of an earlier run, or of many, whose steps are learned from before the first deployment;
-            a run that proves to be of another robot is left out.
+            many compete with each other.
         prior: What learning expects before the first step: robot (of many robots of this kind, where there is such a
-            prior and --online is given), none, or a file that `stepgap prior` wrote, or a folder of such files, which
-            compete. [default: robot]
+            prior), none, or a file that `stepgap prior` wrote, or a folder of such files, which compete. [default:
+            robot]
     """
 
     reference: FileName | None = None

@@ -127,9 +127,9 @@ class Setup:
 def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) -> list[Deployment]:
     """Runs the experiment, or resumes one that was interrupted, and keeps its record in `folder`.
 
-    Writes `steps.csv` as steps happen, `models/iteration_K.json` before deployment K (before 0 only with known steps),
-    and `summary.json` after every deployment. No recorded step is lost; `experiment.resume` describes how a run is
-    resumed.
+    Writes `steps.csv` as steps happen, `models/iteration_K.json` before deployment K (before 0 only if it is not the
+    nominal map that plans it), and `summary.json` after every deployment. No recorded step is lost; `experiment.resume`
+    describes how a run is resumed.
 
     Args:
         setup: What is run.
@@ -247,9 +247,9 @@ def _observed(steps: ExecutedSteps, space: StepSpace, observer: Observer) -> Ste
 
 
 def _residual_name(learner: Learner) -> str:
-    """Name of the residual of a deployment; one that learns may start without a residual."""
-    learns = learner.beliefs is not None or learner.settings.learns_in(learner.iteration)
-    return learner.settings.residual if learns else learner.residual.name
+    """Name of the residual of a deployment; one that learns while it goes on may start without a residual."""
+    settings = learner.settings
+    return settings.residual if settings.learns_in(learner.iteration) else learner.learned.name
 
 
 def _summary(deployments: Sequence[Deployment], log: Steps, noise_floor: NoiseFloor, seed: int, past: Steps) -> Summary:

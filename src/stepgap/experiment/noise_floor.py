@@ -1,7 +1,7 @@
 """The noise floor of a simulated plant: the standard deviation of the next state when a step is repeated.
 
-A controller that knows neither the noise nor the phase cannot track better on average. A controller that estimates the
-disturbance (`learning.disturbance`) can, but not better than the standard deviation at one phase.
+A controller that knows neither the noise nor the phase cannot track better on average. A controller that learns what
+returns with the phase (`learning.drift`) can, but not better than the standard deviation at one phase.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence

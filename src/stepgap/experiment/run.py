@@ -26,6 +26,7 @@ from stepgap.experiment.settings import (
 )
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.learner import Learner
+from stepgap.learning.posterior import POSTERIOR
 from stepgap.learning.residual import Residual
 from stepgap.learning.steps import Steps, as_past
 from stepgap.plants.ticks.tick_table import TickTable
@@ -252,7 +253,7 @@ class Run:
 
     @cached_property
     def final(self) -> Residual | Missing:
-        """Residual fitted to all steps, with which a further deployment would begin; that takes seconds."""
+        """What is learned from all steps, with which a further deployment would begin; that takes seconds."""
         for part in (self.settings, self.nominal):
             if isinstance(part, Missing):
                 return part
@@ -265,8 +266,8 @@ class Run:
     def learner(self, iteration: int | None = None) -> Learner:
         """State of learning at the start of a deployment.
 
-        The residual is read from the run's folder. After the last deployment there is none; then it is fitted to all
-        steps, as a further deployment would do, which takes seconds.
+        What is learned is read from the run's folder. Of the deployment after the last one the folder has nothing: then
+        it is learned from the steps as a further deployment would do, which takes seconds.
 
         Args:
             iteration: Number of the deployment; None for the one after the last.
@@ -290,7 +291,21 @@ class Run:
         if number < after and len(log):
             raise InputError(f"{self.folder}: there is no models/iteration_{number}.json, so the model is unknown")
         priors = [each.prior for each in load_priors(settings, nominal.space)]
+        if number > 0 and (last := self._last_beliefs(number - 1)):
+            return last.redeployed(log, priors)
         return Learner.start(nominal, log, settings.learning, number, priors)
+
+    def _last_beliefs(self, iteration: int) -> Learner | None:
+        """The learner after a deployment whose beliefs the next one goes on with; None where they are not known."""
+        if self.needed(self.settings).learning.residual != POSTERIOR.name:
+            return None
+        try:
+            before = self.learner(iteration)
+        except InputError:
+            return None
+        if before.beliefs is None:
+            return None
+        return reduce(Learner.after, self.recorded.of_iteration(iteration).completed(), before)
 
     def corrected(self, iteration: int | None = None) -> CorrectedMap:
         """The map with which a deployment began: nominal map and residual.

@@ -112,12 +112,11 @@ class Experiment:
         plant: A simulated plant of the robot, `process` (another program), or the name of a rig. Empty: the first
             simulated one.
         rig: File that describes that rig, relative to the experiment's file.
-        warm_start: Folder of a run whose steps are known before the first deployment, of many runs, each of which is
-            left out where it proves to be of another robot, or a `steps.csv`, relative to the
-            experiment's file; empty: nothing is known.
-        prior: Prior over robots that learning begins with: `robot`, that which comes with the robot, when it learns
-            online with the default residual or `auto`, and its nominal map is the default one; `none`; or a file that
-            `stepgap prior` wrote, or a folder of such files, which compete, relative to the experiment's file.
+        warm_start: Folder of a run whose steps are known before the first deployment, of many runs, which compete, or a
+            `steps.csv`, relative to the experiment's file; empty: nothing is known.
+        prior: Prior over robots that learning begins with: `robot`, that which comes with the robot, with the default
+            residual and the default nominal map; `none`; or a file that `stepgap prior` wrote, or a folder of such
+            files, which compete, relative to the experiment's file.
         weights: By the name of a state coordinate, how much its squared error [half ranges] counts against those of the
             others, instead of the weight that the robot gives it, such as `speed = 0.5`. 0: it is predicted, but not
             tracked.

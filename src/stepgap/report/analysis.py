@@ -34,8 +34,7 @@ class Analysis:
     def learned(self) -> LearnedResidual | Missing:
         """The residual with which the last deployment began.
 
-        If that is deployment 0, and it learned from the nominal map on, it is the residual fitted afterwards to all
-        steps.
+        If that is deployment 0, and it learned from the nominal map on, it is that of a further deployment.
         """
         if not self.run.has_unsaved_residual:
             last = self.run.shown_iterations[-1]
@@ -43,7 +42,7 @@ class Analysis:
             return residual if isinstance(residual, Missing) else LearnedResidual(last, residual)
         final = self.run.final
         if isinstance(final, Missing):
-            return Missing(f"deployment 0 learned while it ran, so no model was saved before it, and {final.reason}")
+            return Missing(f"deployment 0 learned while it ran, but what it learned is not known: {final.reason}")
         return LearnedResidual(1, final)
 
     @property

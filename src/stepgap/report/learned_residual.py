@@ -16,7 +16,8 @@ class LearnedResidual:
     """A residual, which was fitted to the steps of earlier deployments, and the deployment that begins with it.
 
     Attributes:
-        iteration: Number of the deployment; after an online run that of the next one, which was not executed.
+        iteration: Number of the deployment; after a single one that was online that of the next
+            one, which was not executed.
         residual: Residual at the start of the deployment.
     """
 

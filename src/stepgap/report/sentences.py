@@ -127,8 +127,8 @@ def _differences(run: Run, rows: Sequence[int]) -> str:
     return (
         f"at another {periodic.name} and with other noise. A controller that knows neither noise nor {periodic.name} "
         "cannot have smaller steady errors on average. The noise alone, at one "
-        f"{periodic.name}, is {alone}: a controller that estimates the periodic disturbance (learning.drift) can have "
-        "steady errors between these two numbers"
+        f"{periodic.name}, is {alone}: a controller that learns what returns with the {periodic.name} "
+        "(learning.drift) can have steady errors between these two numbers"
     )
 
 
@@ -168,7 +168,8 @@ def _limits(run: Run) -> list[str]:
     if last.cut:
         learned = "; the residual includes what they removed" if last.residual != "none" else ""
         found.append(f"Limits cut {last.cut} of {last.steps} commands of deployment {last.iteration}{learned}.")
-    for of_map, entry in {"nominal map": first, f"map of deployment {last.iteration}": last}.items():
+    of_first = "nominal map" if first.residual == "none" else f"map of deployment {first.iteration}"
+    for of_map, entry in {of_first: first, f"map of deployment {last.iteration}": last}.items():
         if len(entry.unreachable):
             found.append(
                 f"Not held by any command within the bounds, by the {of_map}: {_targets(run, entry.unreachable)}."
