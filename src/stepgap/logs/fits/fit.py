@@ -14,7 +14,7 @@ from stepgap.learning.observations import Observations
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps, joined
 from stepgap.logs.columns import Columns
-from stepgap.logs.fits.suspicious import MOST, Reasons, far_rows, improbable_rows
+from stepgap.logs.fits.suspicious import MOST_SUSPICIOUS, Reasons, far_rows, improbable_rows
 from stepgap.logs.fits.validation import (
     FOLDS,
     LEAST_STEPS,
@@ -334,7 +334,7 @@ def compare(
         left = others[0].in_space(kept.observed.space) if others else None
         now = Comparison(kept, left, validated(kept, left), named, both)
     count = sum(len(each.steps) for each in first.scored_last)
-    return now if len(now.suspicious) <= 2 * MOST * count else first
+    return now if len(now.suspicious) <= 2 * MOST_SUSPICIOUS * count else first
 
 
 def best_model(data: FitData, validation: Validation) -> str:

@@ -26,13 +26,13 @@ FAR_FROM_CONSTANT: Final = 50.0
 LARGE: Final = 5.0
 """A held-out error is improbable if it is more than this multiple of a typical one, or of its standard deviation."""
 
-LEAST_STD: Final = 0.02
+_LEAST_STD: Final = 0.02
 """No prediction is taken to be more accurate than this [half ranges]; else a log without noise had suspicious rows."""
 
-SIMILAR: Final = 0.2
+_SIMILAR: Final = 0.2
 """Steps are similar if their states and commands differ by less in every coordinate [half ranges]."""
 
-MOST: Final = 0.1
+MOST_SUSPICIOUS: Final = 0.1
 """If a larger part of the rows seemed to be suspicious, the others are no measure of them, and none is."""
 
 Reasons = dict[int, str]
@@ -46,7 +46,7 @@ def far_rows(steps: Steps) -> Reasons:
         low, middle, high = np.quantile(values, (0.05, 0.5, 0.95), method="nearest")
         width = high - low or FAR_FROM_CONSTANT * abs(middle)
         far = np.maximum(low - values, values - high) > FAR * width
-        if width > 0 and far.sum() <= MOST * len(values):
+        if width > 0 and far.sum() <= MOST_SUSPICIOUS * len(values):
             for row in np.flatnonzero(far):
                 found.setdefault(int(row), f"{name} = {values[row]:.4g}, others {low:.3g} to {high:.3g}")
     return _few(found, len(steps))
@@ -64,7 +64,7 @@ def improbable_rows(observed: Observations, follows: NDArray[np.bool_], validati
     for column, scale in enumerate(observed.space.state_scale):
         typical = {kind: np.median(np.abs(held.remaining[:, column])) for kind, held in validation.held_out.items()}
         best = validation.held_out[min(typical, key=lambda kind: float(typical[kind]))]
-        std = np.maximum(1.4826 * typical[best.kind], LEAST_STD * scale)
+        std = np.maximum(1.4826 * typical[best.kind], _LEAST_STD * scale)
         ratios[:, column] = best.remaining[:, column] / np.maximum(std, best.std[:, column])
     space = observed.space
     rows = np.flatnonzero(large_and_alone(ratios, follows, space.scaled_inputs(observed.state, observed.command)))
@@ -88,7 +88,7 @@ def large_and_alone(ratios: Array, follows: NDArray[np.bool_], points: Array) ->
     same = ((signs[1:] == signs[:-1]) & (signs[1:] != 0)).any(axis=1) & follows[1:]
     alone = signs.any(axis=1) & ~np.append(False, same) & ~np.append(same, False)
     for row in np.flatnonzero(alone):
-        similar = (np.abs(points - points[row]) < SIMILAR).all(axis=1)
+        similar = (np.abs(points - points[row]) < _SIMILAR).all(axis=1)
         alike = (signs[similar] == signs[row])[:, signs[row] != 0].any(axis=1).sum()
         alone[row] = alike <= max(1, similar.sum() / 2)
     return alone
@@ -100,7 +100,7 @@ def _error_of(names: tuple[str, ...], error: Array, ratio: Array) -> str:
 
 
 def _few(found: Mapping[int, str], count: int) -> Reasons:
-    return dict(found) if len(found) <= min(MOST * count, count - LEAST_STEPS) else {}
+    return dict(found) if len(found) <= min(MOST_SUSPICIOUS * count, count - LEAST_STEPS) else {}
 
 
 def _columns(steps: Steps) -> Iterator[tuple[str, Array]]:
