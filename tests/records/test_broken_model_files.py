@@ -58,7 +58,7 @@ def model(kind: str) -> dict[str, Any]:
 
 
 DATA = steps()
-MODELS = {kind: model(kind) for kind in ("none", "quadratic", "gp", "gp_on_linear")}
+MODELS = {kind: model(kind) for kind in ("none", "posterior", "quadratic", "gp", "gp_on_linear")}
 
 
 def answer(path: Path, content: str | bytes) -> str:
@@ -123,7 +123,7 @@ def test_intact_files_are_applied(kind: str, tmp_path: Path) -> None:
     assert answer(tmp_path / "model.json", json.dumps(MODELS[kind])) == ""
 
 
-@pytest.mark.parametrize("kind", ["gp", "gp_on_linear", "quadratic"])
+@pytest.mark.parametrize("kind", ["posterior", "gp", "gp_on_linear", "quadratic"])
 def test_nothing_and_huge_numbers_everywhere_are_one_line_or_harmless(kind: str, tmp_path: Path) -> None:
     found = value_paths(MODELS[kind])
     assert len(found) > 30

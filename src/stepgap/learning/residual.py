@@ -70,7 +70,6 @@ class Residual:
         command_size: m.
         history_inputs: Which c inputs there are besides state and command.
         history_values: The values of those c inputs; None until they are known.
-        outliers: Deployment and number of each step to which it was not fitted because it is an outlier.
 
     Raises:
         ResidualError: The model made something else than a regression.
@@ -82,7 +81,6 @@ class Residual:
     command_size: int
     history_inputs: HistoryInputs = HistoryInputs()
     history_values: Array | None = None
-    outliers: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         for regression in self.regressions:
@@ -174,7 +172,6 @@ class Residual:
             "forgetting_time": self.history_inputs.forgetting_time if self.history_inputs.timed else None,
             **({"context_inputs": count} if count else {}),
             "regressions": [regression.to_dict() for regression in self.regressions],
-            "outliers": [list(label) for label in self.outliers],
         }
 
     def _inputs(self, point: ArrayLike) -> Array:

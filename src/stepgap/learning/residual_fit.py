@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from stepgap.base.json_data import integer, number, numbers
+from stepgap.base.json_data import integer, number
 from stepgap.base.normal import log_density
 from stepgap.learning.diagnosis import diagnose
 from stepgap.learning.entry_points import load_residual_model, residual_models
@@ -118,11 +118,7 @@ def residual_from_dict(data: Mapping[str, Any]) -> Residual:
     if not 0 <= context_inputs <= LARGEST_DIMENSION:
         raise ValueError(f"context_inputs must be from 0 to {LARGEST_DIMENSION}, not {context_inputs}")
     history_inputs = HistoryInputs(data.get("lagged_inputs"), forgetting_time, context_inputs)  # pyright: ignore[reportArgumentType] it checks them
-    labels = numbers(data, "outliers", 2) if data.get("outliers") else np.empty((0, 2))
-    if labels.shape[1] != 2:
-        raise ValueError("outliers must be pairs of the numbers of a deployment and a step")
-    outliers = tuple((int(deployment), int(step)) for deployment, step in labels)
-    return Residual(model, regressions, command_size, history_inputs, outliers=outliers)
+    return Residual(model, regressions, command_size, history_inputs)
 
 
 def names_without_lagged_inputs() -> tuple[str, ...]:

@@ -1,6 +1,5 @@
 """Tables of the learned residual: its parameters with units, and the coverage of its 95 % intervals."""
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -13,7 +12,7 @@ from stepgap.records.missing import Missing
 from stepgap.report.analysis import Analysis, input_quantities
 from stepgap.report.html import table
 from stepgap.report.learned_residual import LearnedResidual
-from stepgap.report.text import decimal, listed, with_unit
+from stepgap.report.text import decimal, with_unit
 from stepgap.step import Array
 
 UNIT_NOTES: Final = {
@@ -40,24 +39,8 @@ def learned_sentences(analysis: Analysis) -> list[str]:
     return [
         f"{model}: for each state coordinate {learned.residual.model.description}, fitted to actual − nominal of "
         f"{learned.steps} earlier steps.",
-        *_outliers(learned.residual.outliers),
         *dict.fromkeys(parameter.meaning for parameter in parameters if parameter.meaning),
     ]
-
-
-def _outliers(outliers: Sequence[tuple[int, int]]) -> list[str]:
-    """Sentence on the steps that were not learned from, if there are any."""
-    if not outliers:
-        return []
-    by_deployment = {
-        deployment: [str(step) for other, step in outliers if other == deployment] for deployment, _ in outliers
-    }
-    lists = [
-        f"{listed(steps)} of {f'deployment {deployment}' if deployment >= 0 else 'a deployment before this run'}"
-        for deployment, steps in by_deployment.items()
-    ]
-    verb = "has a single, improbable error and was" if len(outliers) == 1 else "have single, improbable errors and were"
-    return [f"{'Step' if len(outliers) == 1 else 'Steps'} {listed(lists)} {verb} not learned from."]
 
 
 def learned_tables(run: Run, learned: LearnedResidual | Missing) -> str:
