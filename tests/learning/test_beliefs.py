@@ -20,12 +20,14 @@ from stepgap.learning.beliefs import (
     CHANGED_PART,
     EXPECTED_NOISE_COUNT,
     FIRST_HAZARD,
+    LEAST_FOR_WAVES,
     LEAST_WEIGHT,
     MOST,
     MOST_MONOMIALS,
     PERIODIC_STD,
     RIVAL,
     RUN_COUNT,
+    WAVES,
     WRONG,
     WRONG_FREEDOM,
     WRONG_WIDTH,
@@ -36,7 +38,6 @@ from stepgap.learning.beliefs import (
     Suspicion,
     features_of,
 )
-from stepgap.learning.posterior import unknown_belief
 from stepgap.step import Array
 from tests.learning.robots import (
     FAMILY,
@@ -601,14 +602,17 @@ def test_the_phase_of_a_step_is_in_its_features() -> None:
     np.testing.assert_array_equal(beliefs.mixture(0.3).side, beliefs.side(0.3))
 
 
-def test_with_many_inputs_the_monomials_are_linear() -> None:
+def test_features_grow_with_the_steps_and_shrink_with_the_inputs() -> None:
+    """Waves say nothing before many steps are known, and no deployment tells the weights of many monomials apart."""
     for inputs in (4, 15, 16, 40):
-        features = features_of(inputs)
+        features = features_of(inputs, LEAST_FOR_WAVES)
         assert features.inputs == inputs
+        assert features.waves == WAVES
         assert features.degree == (2 if (inputs + 1) * (inputs + 2) // 2 <= MOST_MONOMIALS else 1)
-    np.testing.assert_array_equal(features_of(4).frequencies, features_of(4).frequencies)
-    belief = unknown_belief(features := features_of(4))
-    assert belief.weights.mean.shape == (1, features.count)
+    assert features_of(4, LEAST_FOR_WAVES - 1).waves == 0
+    one, other = features_of(4, 1000), features_of(4, LEAST_FOR_WAVES)
+    np.testing.assert_array_equal(one.frequencies, other.frequencies)
+    np.testing.assert_array_equal(one.shifts, other.shifts)
 
 
 @settings(max_examples=12)

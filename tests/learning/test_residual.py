@@ -111,7 +111,7 @@ class TestEveryResidual:
             assert not np.allclose(grown.mean(points(QUERIES)), residual.mean(points(QUERIES)), rtol=1e-6)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in FITTED if kind != "none"])
+@pytest.mark.parametrize("kind", [kind for kind in FITTED if kind not in ("none", "posterior")])
 @pytest.mark.parametrize("forgetting_time", [inf, 30.0])
 def test_left_out_is_conditioning_on_the_others(kind: str, forgetting_time: float) -> None:
     """By `to_dict`, so that the hyper-parameters do not change."""
@@ -307,7 +307,7 @@ def test_join_broadcasts_leading_axes() -> None:
 
 class TestRefused:
     def test_the_error_of_an_unknown_kind_lists_the_known_ones(self) -> None:
-        names = "constant, fitrgp, gp, gp_on_linear, linear, none, prior, quadratic$"
+        names = "constant, fitrgp, gp, gp_on_linear, linear, none, posterior, prior, quadratic$"
         with pytest.raises(InputError, match=f"^residual 'neural': unknown; the residuals installed here are {names}"):
             fit_residual("neural", steps())
         with pytest.raises(InputError, match=r"^residual 'gp_on_line': unknown; did you mean gp_on_linear\?"):

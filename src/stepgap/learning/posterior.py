@@ -90,21 +90,22 @@ class Posterior(Regression):
         count = self.features.count
         slopes = np.einsum("...pd,...p->...d", self._gradient(point), product[..., :count])
         own = self._by_point(
-            np.divide(slopes, std[..., None], out=np.zeros_like(slopes), where=std[..., None] > 0), point
+            np.divide(slopes, std[..., None], out=np.zeros_like(slopes), where=std[..., None] != 0), point
         )
         if self.base is None:
             return own
         # std² = own² + base², so its derivative has each part in proportion.
         parts = self.data.value_scale * std, self.base.std(point)
         total = np.hypot(*parts)
-        shares = [np.divide(part, total, out=np.zeros_like(total), where=total > 0)[..., None] for part in parts]
+        shares = [np.divide(part, total, out=np.zeros_like(total), where=total != 0)[..., None] for part in parts]
         return shares[0] * own + shares[1] * self.base.std_gradient(point)
 
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
         """Predictions, with noise, of each value from those outside its block, as if all had been learned equally.
 
         With S the covariance that a block's values have left without noise, what they have said is taken back by
-        (1 − S / noise²)⁻¹ (predicted residual sum of squares: Allen, 1974).
+        (1 − S / noise²)⁻¹ (predicted residual sum of squares: Allen, 1974). Learning leaves less than the noise: values
+        of which more is left were distrusted, and have said nothing.
         """
         rows = np.concatenate([self._features(self.points), np.zeros((len(self.points), len(self.side)))], axis=-1)
         expected, unit = self.mean(self.points), self.data.value_scale
@@ -112,10 +113,11 @@ class Posterior(Regression):
         for block in blocks:
             known = rows[block] @ self.covariance @ rows[block].T / self.noise**2
             values, vectors = np.linalg.eigh(known)
-            kept = 1 - np.minimum(values, 1 - 1e-3)  # a step that was distrusted said less than this takes back
+            learned = values < 1
+            kept = np.where(learned, 1 - values, 1.0)
             error = self.values[block] - expected[block]
             mean[block] = self.values[block] - vectors @ (vectors.T @ error / kept)
-            std[block] = unit * self.noise * np.sqrt((vectors**2) @ (1 / kept))
+            std[block] = unit * self.noise * np.sqrt((vectors**2) @ np.where(learned, 1 / kept, 1 + values))
         return Prediction(mean, std)
 
     def append(self, point: ArrayLike, value: float) -> "Posterior":
@@ -166,7 +168,8 @@ class Posterior(Regression):
         return product, np.sqrt(np.maximum(np.sum(product * rows, axis=-1), 0.0))
 
     def _scaled(self, point: ArrayLike) -> Array:
-        return self.data.scaled(point)[..., self.used]
+        scaled = self.data.scaled(point)
+        return np.where(np.isfinite(scaled).all(axis=-1, keepdims=True), scaled[..., self.used], np.nan)
 
     def _features(self, point: ArrayLike) -> Array:
         return self.features(self._scaled(point))
@@ -183,7 +186,11 @@ class Posterior(Regression):
 
 def posterior_from_dict(saved: Mapping[str, Any]) -> Posterior:
     """Restores what `Posterior.to_dict` saved; a ValueError names the wrong key."""
-    data, features = TrainingData.from_dict(saved), features_from_dict(as_object(saved.get("features"), "features"))
+    data = TrainingData.from_dict(saved)
+    try:
+        features = features_from_dict(as_object(saved.get("features"), "features"))
+    except ValueError as error:
+        raise ValueError(f"features {str(error).removeprefix('features').lstrip('. ')}") from None
     weights, covariance = numbers(saved, "weights", 1), numbers(saved, "covariance", 2)
     size, used = len(weights), tuple(int(each) for each in numbers(saved, "used", 1))
     require(size >= features.count, "weights", weights, f"have at least {features.count} numbers")
@@ -221,16 +228,18 @@ def features_from_dict(saved: Mapping[str, Any]) -> Features:
 
 
 def _fit(data: TrainingData, start: Regression | None) -> Posterior:
-    """Conditions the weights of a robot of which nothing is known on the data, one value after the other."""
+    """Conditions the weights of a robot of which nothing is known on the data, with the noise that these show."""
     inputs = len(data.scale) - data.timed
-    features = features_of(inputs)
+    features = features_of(inputs, len(data.values))
     belief = unknown_belief(features)
     points, values = data.scaled(data.points)[:, :inputs], data.values / data.value_scale
     for row, value in zip(features(points), values, strict=True):
         belief = belief.learned(row, np.array([value]), 1.0)
-    weights, noise = belief.weights, float(np.sqrt(belief.noise[0]))
-    nothing = np.zeros(0)
-    return Posterior(data, features, weights.mean[0], weights.covariance[0], nothing, noise, tuple(range(inputs)))
+    weights = unknown_belief(features).weights  # again, since the noise was not known from the first value on
+    for row, value in zip(features(points), values, strict=True):
+        weights = weights.learned(row, np.array([value]), belief.noise)
+    mean, covariance, noise = weights.mean[0], weights.covariance[0], float(np.sqrt(belief.noise[0]))
+    return Posterior(data, features, mean, covariance, np.zeros(0), noise, used=tuple(range(inputs)))
 
 
 POSTERIOR: Final = ResidualModel(
