@@ -73,7 +73,7 @@ def test_an_unfinished_deployment_that_learns_did_not_use_the_nominal_map(record
     assert running.residual_name(0) is None
     first = Steps(record.space, list(record.steps)[:1])
     one_step = Run(record.folder, summary=none_finished, recorded=first)
-    assert one_step.residual_name(0) == "none", "nothing was learned before the first step"
+    assert one_step.residual_name(0) is None, "the first step is planned by beliefs, without having learned"
     learned = Analysis(running).learned
     assert learned == Missing(
         "deployment 0 learned while it ran, but what it learned is not known: it is still learned"

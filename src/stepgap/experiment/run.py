@@ -383,7 +383,9 @@ class Run:
     def has_unsaved_residual(self) -> bool:
         """Whether deployment 0 is the last one and learned from the nominal map on: no file has what it learned."""
         last = self.shown_iterations[-1]
-        return last == 0 and self.residual_name(0) != "none" and not len(self.known)
+        settings = None if isinstance(self.settings, Missing) else self.settings
+        warm = self.summary.warm_start or (settings and settings.warm_start)
+        return last == 0 and self.residual_name(0) != "none" and not warm
 
     @property
     def compared_result(self) -> PublishedResult | None:
