@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 
 from stepgap.export.controller.c_source import c_source
-from stepgap.export.controller.model_document import trust_at_end
-from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import StepRecord, StepStatus
-from tests.control.maps import YAW
 from tests.export.controller.learned import SPACE, learned
 
 MAIN = Path(__file__).parents[1] / "examples" / "c_controller" / "main.c"
@@ -21,7 +18,7 @@ pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler
 
 
 def test_it_plans_section_after_section(tmp_path: Path) -> None:
-    controller = replace(learned("gp_on_linear"), reject_outliers=True)
+    controller = learned("gp_on_linear")
     source = c_source(controller, "controller")
     (tmp_path / "controller.c").write_text(source.code)
     (tmp_path / "controller.h").write_text(source.header)
@@ -32,16 +29,19 @@ def test_it_plans_section_after_section(tmp_path: Path) -> None:
     with subprocess.Popen([tmp_path / "robot"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as robot:
         assert robot.stdin
         assert robot.stdout
+        beliefs = controller.beliefs
         for deployment in range(2):
-            logged: list[LoggedStep] = []
             guess = before = SPACE.command_centre
+            phase = np.nan
             for number in range(4):
                 state, yaw = states[4 * deployment + number], 0.4 * number
                 if number:
-                    record = StepRecord(before, guess, guess, state, StepStatus.OK, {"yaw": yaw})
-                    logged.append(LoggedStep(0, number, target, target, np.zeros(2), record))
-                trust = trust_at_end(controller, Steps(replace(SPACE, context=(YAW,)), logged))
-                present = controller.map_by(trust, yaw)
+                    record = StepRecord(before, guess, guess, state, StepStatus.OK)
+                    beliefs = controller.after(beliefs, record, phase)
+                elif deployment:
+                    assert beliefs
+                    beliefs = beliefs.redeployed()
+                phase, present = yaw, controller.map_by(beliefs, yaw)
                 plan = replace(controller.controller, step_map=present)(state, target, guess)
                 print(*state.tolist(), *target.tolist(), yaw, file=robot.stdin, flush=True)
                 status, *command = map(float, robot.stdout.readline().split())

@@ -68,19 +68,21 @@ static void write_command(int status, const controller_real *command)
 
 int main(void)
 {
-    static controller_filter filter; /* what is learned within this deployment */
+    static controller_filter filter; /* what is known of the robot; too large for many a stack */
     static Section before, present;
     static controller_real command[COMMANDS];
     int steps = 0, found;
 
+    controller_filter_init(&filter);
+
     while ((found = read_section(&present)) >= 0) {
         if (found == 0) {
+            if (steps > 0)
+                controller_filter_restart(&filter); /* what was learned is kept for the next deployment */
             steps = 0;
             continue;
         }
-        if (steps == 0)
-            controller_filter_init(&filter);
-        else /* the step that ends here: from the section before, with the command given there */
+        if (steps > 0) /* the step that ends here: from the section before, with the command given there */
             controller_filter_update(&filter, before.state, command, present.state, before.phase);
         int status = controller_plan(&filter, present.state, present.target, steps ? command : NULL, present.phase, command,
                                      NULL, NULL);

@@ -58,12 +58,14 @@ class Features:
         return self.monomials + self.waves
 
     def __call__(self, point: Array) -> Array:
-        """φ; (…, d) to (…, p)."""
+        """φ; (…, d) to (…, p). A point that is not finite gives NaN."""
+        point = np.where(np.isfinite(point), point, np.nan)
         waves = self._amplitude * np.cos(point @ self.frequencies.T + self.shifts)
         return np.concatenate([monomials(point, self.degree), waves], axis=-1)
 
     def gradient(self, point: Array) -> Array:
-        """∂φ/∂point; (…, d) to (…, p, d)."""
+        """∂φ/∂point; (…, d) to (…, p, d). A point that is not finite gives NaN."""
+        point = np.where(np.isfinite(point), point, np.nan)
         slopes = -self._amplitude * np.sin(point @ self.frequencies.T + self.shifts)
         waves = slopes[..., None] * self.frequencies
         return np.concatenate([monomials_gradient(point, self.degree), waves], axis=-2)

@@ -62,6 +62,8 @@ def believed_after(
         phase: Phase at which it started [rad], NaN if it is unknown.
     """
     error = error_of(record, nominal)
+    if not np.isfinite(error).all():
+        return beliefs.unlinked(), False
     if residual.kind != "none":
         error = error - residual.mean(join_points(record.state, record.requested))
     step = observed(record, nominal, error, phase)

@@ -11,7 +11,6 @@ import pytest
 from stepgap.control.settings import ControlSettings
 from stepgap.export.controller.model_document import model_text
 from stepgap.export.controller.portable_controller import PortableController
-from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.individuals import Individual
 from tests.cli.command_line import Command, CommandResult, refused
 from tests.learning.test_individuals import robot
@@ -20,10 +19,11 @@ from tests.report.runs import make_run
 
 def write_model(individual: Individual, path: Path) -> None:
     """Writes the model file of a robot."""
-    corrected = CorrectedMap(individual.nominal, individual.residual)
-    none = np.empty((0, len(corrected.space.names)))
+    none = np.empty((0, len(individual.nominal.space.names)))
     passport = {"robot": "walker", "name": individual.name, "settings_sha256": 64 * "a"}
-    controller = PortableController(corrected, none, ControlSettings(), drift=True, monitor=True, passport=passport)
+    controller = PortableController(
+        individual.nominal, individual.residual, None, none, ControlSettings(), passport=passport
+    )
     path.write_text(model_text(controller), "utf-8")
 
 
@@ -45,8 +45,8 @@ def test_model_files_are_compared_by_the_names_of_their_passports(
     refused(stepgap("compare", *paths, "--out", "page.html"), "page.html: exists already; choose another --out")
     refused(stepgap("compare", paths[0]), "one run or model file cannot be compared; give at least two")
     broken = json.loads(Path(paths[1]).read_text("utf-8"))
-    Path("broken.json").write_text(json.dumps({**broken, "schema": 1}), "utf-8")
-    refused(stepgap("compare", paths[0], "broken.json"), "broken.json: not a model file (schema must be 3, not 1)")
+    Path("broken.json").write_text(json.dumps({**broken, "schema": 3}), "utf-8")
+    refused(stepgap("compare", paths[0], "broken.json"), "broken.json: not a model file (schema is 3, that of a former")
     for wrong in ([], [["name", "x"]], "text", None, {"name": 5}, {"name": "\x1b[31m"}, {"name": "x" * 61}):
         Path("broken.json").write_text(json.dumps({**broken, "passport": wrong}), "utf-8")
         refused(stepgap("compare", paths[0], "broken.json"), "broken.json: not a model file (passport")

@@ -13,7 +13,6 @@ from stepgap.control.settings import ControlSettings
 from stepgap.export.controller.c_source import c_source
 from stepgap.export.controller.model_reading import read_portable
 from stepgap.export.controller.portable_controller import PortableController
-from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
@@ -40,19 +39,18 @@ def pitching() -> PortableController:
     rows = zip(states, commands, ends, strict=True)
     records = [StepRecord(state, command, command, end, StepStatus.OK) for state, command, end in rows]
     logged = (LoggedStep(0, row, each.state, each.state, np.zeros(4), each) for row, each in enumerate(records))
-    learner = Learner.start(nominal, Steps(space, logged), LearningSettings("linear"), 1)
+    learner = Learner.start(nominal, Steps(space, logged), LearningSettings("linear", drift=False), 1)
     surrogate = fit_surrogate(nominal, rng, good_enough=1e-5)
     none = Samples(np.empty((0, 6)), np.empty((0, 4)), np.empty(0, np.int64))
-    corrected = CorrectedMap(replace(surrogate, samples=none), learner.residual)
-    return PortableController(corrected, np.empty((0, 6)), ControlSettings(), drift=True, monitor=True)
+    exact = replace(surrogate, samples=none)
+    return PortableController(exact, learner.residual, None, np.empty((0, 6)), ControlSettings())
 
 
 def with_weights(controller: PortableController, *weights: float) -> PortableController:
     """The controller with other weights of the state."""
     space = controller.space
     state = tuple(replace(each, weight=weight) for each, weight in zip(space.state, weights, strict=True))
-    nominal = with_space(controller.map.nominal, replace(space, state=state))
-    return replace(controller, map=replace(controller.map, nominal=nominal))
+    return replace(controller, nominal=with_space(controller.nominal, replace(space, state=state)))
 
 
 @pytest.fixture

@@ -140,7 +140,7 @@ def test_plans_are_those_of_python(kind: str, compile_in: Callable[..., Compiled
     for _ in range(40):
         state, target = SPACE.state_centre + SPACE.state_scale * rng.uniform(-1, 1, (2, 2))
         guess = SPACE.command_centre + SPACE.command_scale * rng.uniform(-1, 1, 2)
-        status, command, predicted, std = code.plan(state, target, guess, 0.0)
+        status, command, predicted, std = code.plan(state, target, guess, float("nan"))
         plan = controller.controller(state, target, guess)
         assert status == 0
         assert (SPACE.command_lower <= command).all()
@@ -225,6 +225,7 @@ int main(void)
         planned += controller_plan(&filter, state, target, NULL, yaw, command, predicted, std) == 0;
         if (!(command[0] >= -30 && command[0] <= 30 && command[1] >= -20 && command[1] <= 20)) return 1;
         controller_filter_update(&filter, state, command, next, yaw);
+        if (rand() % 20 == 0) controller_filter_restart(&filter);
         controller_jacobian(state, command, jacobian, std_gradient);
     }
     printf("%d", planned);

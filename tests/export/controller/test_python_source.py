@@ -15,7 +15,7 @@ from stepgap.export.controller.one_file import PERMITTED, Place, one_file
 from stepgap.export.controller.python_source import python_source
 from stepgap.export.controller.step_filter import UNCORRECTED
 from stepgap.step import Array, StepStatus
-from tests.export.controller.changing_robot import changing_steps
+from tests.export.controller.changing_robot import ChangingRobot
 from tests.export.controller.learned import KINDS, SPACE, learned, steps
 from tests.export.controller.test_c_source import COMPILER, Compiled
 from tests.export.controller.test_c_source import compile_in as compile_in  # fixture
@@ -44,15 +44,15 @@ def test_its_map_is_that_of_the_controller(kind: str, monkeypatch: pytest.Monkey
     nominal, residual = module.FormulaMap(module.MODEL), module.FormulaResidual(module.MODEL)
     states, commands = steps(200)
     points = np.hstack([states, commands])
-    expected, found = controller.map.nominal.evaluate(states, commands), nominal.evaluate(states, commands)
+    expected, found = controller.nominal.evaluate(states, commands), nominal.evaluate(states, commands)
     np.testing.assert_array_equal(found.status, expected.status)
     np.testing.assert_allclose(found.next_state, expected.next_state, atol=1e-11)
     pairs = [
-        (nominal.jacobian(states, commands), controller.map.nominal.jacobian(states, commands)),
-        (residual.mean(points), controller.map.residual.mean(points)),
-        (residual.std(points), controller.map.residual.std(points)),
-        (residual.mean_gradient(points), controller.map.residual.mean_gradient(points)),
-        (residual.std_gradient(points), controller.map.residual.std_gradient(points)),
+        (nominal.jacobian(states, commands), controller.nominal.jacobian(states, commands)),
+        (residual.mean(points), controller.residual.mean(points)),
+        (residual.std(points), controller.residual.std(points)),
+        (residual.mean_gradient(points), controller.residual.mean_gradient(points)),
+        (residual.std_gradient(points), controller.residual.std_gradient(points)),
     ]
     for one, other in pairs:
         np.testing.assert_allclose(one, other, atol=1e-9)
@@ -64,7 +64,7 @@ def test_in_a_closed_loop_c_and_python_agree_also_where_measurements_are_missing
     change: float, compile_in: Callable[..., Compiled], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The robot changes on its way, and one in four states is missing, not a number or infinite."""
-    controller = replace(learned("gp_on_linear"), reject_outliers=True)
+    controller = learned("gp_on_linear")
     controller = replace(controller, settings=replace(controller.settings, largest_change=change, horizon=1))
     module = exported(python_source(controller), "exported_filter", monkeypatch)
     filter_, code, rng = (
@@ -123,7 +123,7 @@ def test_without_a_measurement_the_command_is_that_of_the_nominal_map_at_the_tar
     for state in (None, [np.nan, 0.58], [0.2, np.inf]):
         status, command, predicted, std = filter_.plan(state, target)
         assert status == UNCORRECTED
-        reached = controller.map.nominal(target, command)
+        reached = controller.nominal(target, command)
         within = (np.abs(command - SPACE.command_centre) < SPACE.command_scale - 1e-9).all()
         assert not within or np.abs((reached - target) / SPACE.state_scale).max() < 1e-6
         assert np.isnan([predicted, std]).all()
@@ -132,20 +132,31 @@ def test_without_a_measurement_the_command_is_that_of_the_nominal_map_at_the_tar
     assert filter_.plan(target, [np.inf, 0.5], last)[:2] == (StepStatus.INVALID, pytest.approx(last))
 
 
-def test_its_filter_is_that_of_the_controller(monkeypatch: pytest.MonkeyPatch) -> None:
-    controller = replace(learned("gp"), reject_outliers=True)
-    module = exported(python_source(controller), "exported_trust", monkeypatch)
-    filter_, trust = module.StepFilter(module.MODEL), controller.trust
-    for step in changing_steps(controller):
-        record = step.record
-        trust = controller.trust_after(trust, record, step.phase)
-        filter_.update(record.state, record.requested, record.next_state, step.phase)
-    plan = filter_.plan(SPACE.state_centre, SPACE.state_centre, None, 0.3)
-    present = replace(controller.controller, step_map=controller.map_by(trust, 0.3))
-    assert apart(plan.command, present(SPACE.state_centre, SPACE.state_centre).command) < HELD
+@pytest.mark.parametrize("kind", ["posterior", "gp"])
+def test_its_commands_and_alarms_are_those_of_a_run(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a robot that changes and is measured wrongly, and at the beginning of the next deployment."""
+    controller = learned(kind)
+    module = exported(python_source(controller), "exported_beliefs", monkeypatch)
+    filter_, beliefs, alarms = module.StepFilter(module.MODEL), controller.beliefs, set[str | None]()
+    robot, before = ChangingRobot(controller, life=(("as learned", 18), ("loaded", 7))), None
+    while robot.is_on_its_way:
+        given = robot.measured, robot.target(), before
+        plan = filter_.plan(*given, robot.phase)
+        expected = replace(controller.controller, step_map=controller.map_by(beliefs, robot.phase))(*given)
+        assert apart(plan.command, expected.command) < HELD
+        before = plan.command
+        record, phase = robot.step(before)
+        beliefs = controller.after(beliefs, record, phase)
+        assert filter_.update(record.state, record.requested, record.next_state, phase) == StepStatus.OK
+        assert beliefs
+        assert filter_.alarm == beliefs.alarm
+        alarms.add(beliefs.alarm)
+    assert "changed" in alarms
+    assert beliefs
     filter_.restart()
-    again = filter_.plan(SPACE.state_centre, SPACE.state_centre, None, 0.3)
-    assert apart(again.command, module.StepFilter(module.MODEL).plan(SPACE.state_centre, SPACE.state_centre)[1]) == 0
+    again = replace(controller.controller, step_map=controller.map_by(beliefs.redeployed()))
+    given = SPACE.state_centre, SPACE.state_centre
+    assert apart(filter_.plan(*given).command, again(*given).command) < HELD
 
 
 def test_the_file_needs_numpy_alone(tmp_path: Path) -> None:

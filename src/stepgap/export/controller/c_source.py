@@ -234,16 +234,17 @@ class _Sizes:
 
 
 def features_used(controller: PortableController) -> Features:
-    """The features of the beliefs and of a fitted residual; none but a constant and the inputs if there are neither.
+    """The features of beliefs or of a fitted residual, which may lack waves; a constant and the inputs if there are none.
 
     Raises:
-        InputError: They are not the same.
+        InputError: Those of the residual are others.
     """
     parts = [each.features for each in controller.residual.regressions if isinstance(each, Posterior)]
-    known = [*parts, *([controller.beliefs.features] if controller.beliefs else [])]
+    known = [*([controller.beliefs.features] if controller.beliefs else []), *parts]
     inputs = len(controller.space.names)
     for each in known[1:]:
-        if features_to_dict(each) != features_to_dict(known[0]):
+        same = features_to_dict(each) == features_to_dict(known[0])
+        if not same and (each.waves or each.degree != known[0].degree):
             raise InputError("beliefs and residual have different features, which C cannot have; run again")
     return known[0] if known else Features(inputs, 1, np.empty((0, inputs)), np.empty(0))
 
@@ -328,6 +329,7 @@ class _Tables:
             "WRONG_WIDTH": beliefs.WRONG_WIDTH,
             "WRONG_FREEDOM": beliefs.WRONG_FREEDOM,
             "SUSPECT": beliefs.SUSPECT,
+            "WIDER": beliefs.WIDER,
             "LEAST_TRUST": beliefs.LEAST_TRUST,
             "LEAST_WEIGHT": beliefs.LEAST_WEIGHT,
             "SAME_MEAN": beliefs.SAME_MEAN,
@@ -371,6 +373,8 @@ class _Tables:
             "MOST": beliefs.MOST,
             "YOUNG": beliefs.YOUNG,
             "SUDDEN": beliefs.SUDDEN,
+            "ACCIDENTS": beliefs.ACCIDENTS,
+            "WIDENINGS": beliefs.WIDENINGS,
             "CURRENT": KINDS.index("current"),
         }
 
@@ -485,12 +489,15 @@ class _Tables:
             head = f"POLYNOMIAL, {regression.degree}, 0, 0, 0, {noise}, {self._literal(0.0)}"
             row = f"{head}, {pointers}, NULL, NULL, NULL"
         elif isinstance(regression, Posterior):
-            count = regression.features.count
+            count, padded = regression.features.count, features_used(self.controller).count
+            weights, covariance = np.zeros(padded), np.zeros((padded, padded))
+            weights[:count] = regression.mean_weights[:count]
+            covariance[:count, :count] = regression.covariance[:count, :count]
             arrays = {
                 "origin": regression.data.centre,
                 "scale": regression.data.scale,
-                "weights": regression.mean_weights[:count],
-                "posterior": _triangle(regression.covariance[:count, :count]),
+                "weights": weights,
+                "posterior": _triangle(covariance),
             }
             pointers = ", ".join(f"{name}_{each}" for each in arrays)
             row = f"POSTERIOR, 0, 0, 0, 0, {noise}, {self._literal(regression.data.value_scale)}, {pointers}"

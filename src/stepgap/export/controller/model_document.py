@@ -38,7 +38,8 @@ MODEL_SCHEMA: Final = 4
 
 CONSTANTS: Final = (
     "PERIODIC_STD", "HAZARD", "RETURN_HAZARD", "FIRST_HAZARD", "WRONG", "WRONG_WIDTH", "WRONG_FREEDOM", "SUSPECT",
-    "LEAST_TRUST", "LEAST_WEIGHT", "SAME_MEAN", "SAME_SPREAD", "RECENT", "MOST", "YOUNG", "REPORTED_ODDS", "SUDDEN",
+    "ACCIDENTS", "WIDER", "WIDENINGS", "LEAST_TRUST", "LEAST_WEIGHT", "SAME_MEAN", "SAME_SPREAD", "RECENT", "MOST",
+    "YOUNG", "REPORTED_ODDS", "SUDDEN",
 )  # fmt: skip
 """Names of the constants in `learning.beliefs` that say what happens after a step; the rest has happened before."""
 
