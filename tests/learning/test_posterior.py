@@ -10,8 +10,16 @@ import pytest
 
 from stepgap.gauss.features import Features
 from stepgap.gauss.weights import Weights
+from stepgap.learning.beliefs import unknown_belief
 from stepgap.learning.polynomial import LINEAR
-from stepgap.learning.posterior import POSTERIOR, Posterior, features_from_dict, features_to_dict, posterior_from_dict
+from stepgap.learning.posterior import (
+    NOISE_ROUNDS,
+    POSTERIOR,
+    Posterior,
+    features_from_dict,
+    features_to_dict,
+    posterior_from_dict,
+)
 from stepgap.learning.regression import Regression, TrainingData
 from stepgap.step import Array
 from tests.learning.residual_contract import CENTRE, INPUTS, QUERIES, SCALE, VALUE_SCALE, training_data
@@ -104,19 +112,25 @@ def test_appending_is_what_weights_learn(with_base: bool) -> None:
     np.testing.assert_array_equal(grown.values, values)
 
 
-def test_what_a_distrusted_step_did_not_say_is_not_taken_back() -> None:
-    """Three steps of a push were not learned: no prediction of another step depends on them, nor do their own."""
-    data = training_data(12)
-    known, pushed = posterior(data.without(slice(4, 7))), data.values.copy()
-    pushed[4:7] += 3 * VALUE_SCALE
-    shown = replace(
-        known, data=replace(data, values=pushed), covariance=known.covariance + 9 * NOISE**2 * np.eye(COUNT)
-    )
-    for blocks in ([slice(0, 4), slice(4, 7), slice(7, 12)], [slice(row, row + 1) for row in range(12)]):
-        found = shown.left_out(blocks)
-        np.testing.assert_allclose(found.mean[4:7], shown.mean(data.points[4:7]), atol=1e-9)
-        std = shown.predict(data.points[4:7]).std
-        np.testing.assert_allclose(found.std[4:7], std, rtol=0.5)
+def unknown(data: TrainingData, base: Regression | None, noise: float) -> Posterior:
+    """Of a robot of which nothing was known before, with a known noise [half ranges]."""
+    weights, values = unknown_belief(FEATURES).weights, data.values - (base.mean(data.points) if base else 0.0)
+    for point, value in zip(data.scaled(data.points), values / data.value_scale, strict=True):
+        weights = weights.learned(FEATURES(point), np.array([value]), np.array([noise**2]))
+    mean, covariance = weights.mean[0], weights.covariance[0]
+    return Posterior(data, FEATURES, mean, covariance, np.zeros(0), noise, tuple(range(INPUTS)), base)
+
+
+def noise_of(data: TrainingData, base: Regression | None, rounds: int) -> float:
+    """Noise of the values about what they say together, and of those that it is expected from [half ranges]."""
+    prior, noise = unknown_belief(FEATURES), NOISE
+    for _ in range(rounds):
+        found = unknown(data, base, noise)
+        error = (data.values - found.mean(data.points)) / VALUE_SCALE
+        known = sum(FEATURES(point) @ found.covariance @ FEATURES(point) for point in data.scaled(data.points))
+        counted = float(prior.freedom[0]) - 2 + len(error) - known / noise**2
+        noise = float(np.sqrt((prior.squares[0] + error @ error) / counted))
+    return noise
 
 
 @pytest.mark.parametrize(
@@ -124,14 +138,16 @@ def test_what_a_distrusted_step_did_not_say_is_not_taken_back() -> None:
 )
 @pytest.mark.parametrize("with_base", [False, True])
 def test_left_out_is_a_fit_to_the_others(blocks: list[slice], with_base: bool) -> None:
+    """Whatever several beliefs, which were not told of all values equally, have made of them."""
     data, base = training_data(12), LINEAR.fit(training_data(8, seed=3), None) if with_base else None
-    found = posterior(data, base).left_out(blocks)
+    noise, last = (noise_of(data, base, rounds) for rounds in (NOISE_ROUNDS - 1, NOISE_ROUNDS))
+    assert last == pytest.approx(noise, rel=0.1)
+    found = posterior(data, base, (0.8, -0.6, 0.3)).left_out(blocks)
     for block in blocks:
-        others = posterior(data.without(block), base)
-        rows = others.features(data.scaled(data.points[block]))
+        others = unknown(data.without(block), base, noise)
         np.testing.assert_allclose(found.mean[block], others.mean(data.points[block]), rtol=1e-6, atol=1e-9)
-        variance = np.einsum("pa,ab,pb->p", rows, others.covariance, rows) + NOISE**2
-        np.testing.assert_allclose(found.std[block], VALUE_SCALE * np.sqrt(variance), rtol=1e-6)
+        std = last / noise * VALUE_SCALE * np.hypot(others._own_std(data.points[block])[1], noise)
+        np.testing.assert_allclose(found.std[block], std, rtol=1e-6)
 
 
 def test_its_fit_is_about_a_robot_of_which_nothing_is_known() -> None:

@@ -5,7 +5,7 @@ from typing import Any, Final, get_args
 
 import numpy as np
 
-from stepgap.base.json_data import as_object, integer, number, numbers
+from stepgap.base.json_data import LARGEST_NUMBER, as_object, integer, number, numbers
 from stepgap.base.ranges import require
 from stepgap.gauss.features import Features
 from stepgap.gauss.weights import Weights
@@ -16,6 +16,8 @@ from stepgap.step import Array
 
 MOST_READ: Final = 10 * MOST
 """Largest number of beliefs that is read: warm starts have one for each earlier run."""
+LEAST: Final = 1e-12
+"""Smallest deviation, and sum of squares, that is read: products of smaller ones could be zero."""
 
 
 def beliefs_to_dict(beliefs: Beliefs) -> dict[str, Any]:
@@ -57,18 +59,22 @@ def beliefs_from_dict(saved: Mapping[str, Any], sizes: tuple[int, int]) -> Belie
     if not isinstance(entries, list) or not 0 < len(entries) <= MOST_READ:
         raise ValueError(f"beliefs must be a list of 1 to {MOST_READ}")
     found = tuple(_belief_from(as_object(each, "beliefs"), n, size, features) for each in entries)
+    if all(each.kind == "earlier" for each in found):
+        raise ValueError("beliefs: kind must be another one than earlier at least once")
     change = root @ np.swapaxes(root, 1, 2)
     return Beliefs(features, found, change, np.zeros(n + m), None, (counts[0], counts[1]), np.empty((0, size)))
 
 
 def _belief_from(saved: Mapping[str, Any], n: int, size: int, features: Features) -> Belief:
-    kinds: dict[Any, Kind] = {each: each for each in get_args(Kind)}
-    if (kind := kinds.get(saved.get("kind"))) is None:
+    kinds: dict[str, Kind] = {each: each for each in get_args(Kind)}
+    if (kind := kinds.get(str(saved.get("kind")))) is None:
         raise ValueError(f"beliefs: kind must be one of {', '.join(kinds)}, not {saved.get('kind')!r:.40}")
     mean, freedom, squares = numbers(saved, "mean", 2), numbers(saved, "freedom", 1), numbers(saved, "squares", 1)
     require(mean.shape == (n, size), "beliefs: mean.shape", mean.shape, f"be {(n, size)} with these {features.count}")
-    for name, values, least in (("freedom", freedom, 2.0), ("squares", squares, 0.0)):
+    _check_size(mean, "mean")
+    for name, values, least in (("freedom", freedom, 2.0), ("squares", squares, LEAST)):
         require(values.shape == (n,) and bool((values > least).all()), f"beliefs: {name}", values, f"exceed {least:g}")
+        _check_size(values, name)
     rate, age = number(saved, "rate"), integer(saved, "age", 0)
     require(0 <= rate <= 1, "beliefs: rate", rate, "lie between 0 and 1")
     weights = Weights(mean, _roots(saved, "root", n, size))
@@ -88,5 +94,13 @@ def _roots(saved: Mapping[str, Any], key: str, n: int, size: int) -> Array:
     found = np.zeros((n, size, size))
     found[:, *np.tril_indices(size)] = rows
     diagonal = found[:, range(size), range(size)]
-    require(bool((diagonal > 0).all()), f"beliefs: {key}", float(diagonal.min()), "have a positive diagonal")
+    least = float(diagonal.min())
+    require(least > LEAST, f"beliefs: {key}", least, f"have no number on its diagonal that is less than {LEAST:g}")
+    _check_size(rows, key)
     return found
+
+
+def _check_size(values: Array, key: str) -> None:
+    """Raises ValueError if a number is so large that the product of such numbers is none."""
+    largest = float(np.abs(values).max(initial=0.0))
+    require(largest <= LARGEST_NUMBER, f"beliefs: {key}", largest, f"have no number beyond ±{LARGEST_NUMBER:g}")
