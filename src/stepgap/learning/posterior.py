@@ -13,12 +13,15 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.base.json_data import as_object, integer, number, numbers
+from stepgap.base.json_data import LARGEST_NUMBER, as_object, integer, number, numbers
 from stepgap.base.ranges import require
 from stepgap.gauss.features import Features
 from stepgap.learning.beliefs import features_of, unknown_belief
 from stepgap.learning.regression import Parameter, Prediction, Regression, ResidualModel, TrainingData
 from stepgap.step import Array
+
+NOISE_ROUNDS: Final = 3
+"""Number of rounds in which predictions of values that are left out find their noise."""
 
 MOST_FEATURES_READ: Final = 1000
 """Largest number of features that is read."""
@@ -103,21 +106,26 @@ class Posterior(Regression):
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
         """Predictions, with noise, of each value from those outside its block, as if all had been learned equally.
 
-        With S the covariance that a block's values have left without noise, what they have said is taken back by
-        (1 − S / noise²)⁻¹ (predicted residual sum of squares: Allen, 1974). Learning leaves less than the noise: values
-        of which more is left were distrusted, and have said nothing.
+        The weights are those of a robot of which nothing was known: what a value said to several beliefs that compete
+        cannot be taken back. Nothing is known of the steps before, so the noise is that of all values about the
+        features of their points (predicted residual sum of squares: Allen, 1974).
         """
-        rows = np.concatenate([self._features(self.points), np.zeros((len(self.points), len(self.side)))], axis=-1)
-        expected, unit = self.mean(self.points), self.data.value_scale
-        mean, std = np.empty(len(self.values)), np.empty(len(self.values))
+        rows, unit = self._features(self.points), self.data.value_scale
+        values = (self.values - (self.base.mean(self.points) if self.base else 0.0)) / unit
+        prior = unknown_belief(self.features)
+        information, noise = np.linalg.inv(prior.weights.covariance[0]), self.noise**2
+        known, error = np.empty((0, 0)), values
+        for _ in range(NOISE_ROUNDS):
+            spread = np.linalg.inv(information + rows.T @ rows / noise)
+            known = rows @ spread / noise
+            error = values - known @ (rows.T @ values)
+            freedom = float(prior.freedom[0]) - 2 + len(values) - float(np.sum(known * rows))
+            noise = (float(prior.squares[0]) + float(error @ error)) / freedom
+        mean, std = np.empty(len(values)), np.empty(len(values))
         for block in blocks:
-            known = rows[block] @ self.covariance @ rows[block].T / self.noise**2
-            values, vectors = np.linalg.eigh(known)
-            learned = values < 1
-            kept = np.where(learned, 1 - values, 1.0)
-            error = self.values[block] - expected[block]
-            mean[block] = self.values[block] - vectors @ (vectors.T @ error / kept)
-            std[block] = unit * self.noise * np.sqrt((vectors**2) @ np.where(learned, 1 / kept, 1 + values))
+            kept = np.eye(len(rows[block])) - known[block] @ rows[block].T
+            mean[block] = self.values[block] - unit * np.linalg.solve(kept, error[block])
+            std[block] = unit * np.sqrt(noise * np.diag(np.linalg.inv(kept)))
         return Prediction(mean, std)
 
     def append(self, point: ArrayLike, value: float) -> "Posterior":
@@ -220,6 +228,8 @@ def features_from_dict(saved: Mapping[str, Any]) -> Features:
     frequencies = numbers(saved, "frequencies", 2) if len(shifts) else np.empty((0, inputs))
     wanted = (len(shifts), inputs)
     require(frequencies.shape == wanted, "features.frequencies.shape", frequencies.shape, f"be {wanted}")
+    largest = float(np.abs(frequencies).max(initial=0.0))
+    require(largest <= LARGEST_NUMBER, "features.frequencies", largest, f"be at most {LARGEST_NUMBER:g}")
     features = Features(inputs, degree, frequencies, shifts)
     require(
         features.count <= MOST_FEATURES_READ, "features.inputs", inputs, f"give at most {MOST_FEATURES_READ} features"
@@ -244,7 +254,7 @@ def _fit(data: TrainingData, start: Regression | None) -> Posterior:
 
 POSTERIOR: Final = ResidualModel(
     "posterior",
-    "what is believed of it: a quadratic polynomial and a part that is smooth, with a prior",
+    "the mixture of what is believed: a polynomial, and a smooth part where many steps are known",
     _fit,
     posterior_from_dict,
     candidate=True,

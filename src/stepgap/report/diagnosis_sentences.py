@@ -5,6 +5,7 @@ from stepgap.experiment.run import Run
 from stepgap.experiment.state_ranges import far_states
 from stepgap.learning.diagnosis import SMALLEST_GAIN, Diagnosis, diagnose, part_at_bounds
 from stepgap.learning.observations import Observations, observe
+from stepgap.learning.posterior import POSTERIOR
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
 from stepgap.report.text import capitalised, decimal, listed, unit_suffix
@@ -88,6 +89,8 @@ def _lagged_inputs(run: Run, found: Diagnosis, number: int) -> list[str]:
     residual = run.residual(last)
     if not isinstance(residual, Missing) and residual.history_inputs.lagged_inputs != "none":
         advice = f"; the residual of deployment {last} has such inputs"
+    elif not isinstance(residual, Missing) and residual.kind == POSTERIOR.name:
+        advice = "; what is believed of the robot includes an effect of its error and command"
     elif not isinstance(run.settings, Missing) and run.settings.learning.lagged_inputs == "none":
         advice = ", or use learning.lagged_inputs = 'auto'"
     else:

@@ -7,6 +7,7 @@ import numpy as np
 from stepgap.base.normal import INTERVAL_95
 from stepgap.experiment.bands import interval_coverage
 from stepgap.experiment.run import Run
+from stepgap.learning.posterior import POSTERIOR
 from stepgap.learning.regression import Parameter
 from stepgap.records.missing import Missing
 from stepgap.report.analysis import Analysis, input_quantities
@@ -36,9 +37,12 @@ def learned_sentences(analysis: Analysis) -> list[str]:
     if not learned.steps:
         return [f"{model}: {learned.residual.model.description}."]
     parameters = [parameter for each in learned.residual.regressions for parameter in each.parameters()]
+    believed, periodic = learned.residual.kind == POSTERIOR.name, run.steps.space.periodic
+    besides = f"what returns with the {periodic.name}, and " if periodic else ""
     return [
-        f"{model}: for each state coordinate {learned.residual.model.description}, fitted to actual − nominal of "
-        f"{learned.steps} earlier steps.",
+        f"{model}: for each state coordinate {learned.residual.model.description}, "
+        f"{'learned from' if believed else 'fitted to'} actual − nominal of {learned.steps} earlier steps.",
+        *([f"Figures and tables are without {besides}what follows from the step before."] if believed else []),
         *dict.fromkeys(parameter.meaning for parameter in parameters if parameter.meaning),
     ]
 

@@ -360,11 +360,8 @@ def _reasons(run: Run, row: int, iterations: Sequence[int]) -> str:
     changes = any(not same_target(each[1:], each[:-1]).all() for each in targets)
     farther = " It is larger where state and command are farther from recorded ones"
     text = f"{farther}{', often after a change of the target' * changes}."
-    if not isinstance(run.settings, Missing) and run.settings.learning.drift and np.isfinite(run.steps.phase).any():
-        text += (
-            " It jumps where the estimate of the periodic disturbance begins or ceases to be used, or where it follows "
-            "changes faster or more slowly than before."
-        )
+    if not isinstance(run.settings, Missing) and run.settings.learning.drift:
+        text += " It jumps where what is believed of the robot changes."
     return text
 
 
