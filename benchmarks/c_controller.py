@@ -32,7 +32,6 @@ from stepgap.export.controller.c_source import Real, c_source
 from stepgap.export.controller.portable_controller import PortableController, portable_controller
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.robot import Hopper
-from stepgap.robots.hopper.twin.simulation import TwinSimulation
 from stepgap.step import Array, StepRecord, StepStatus
 
 MAIN = Path(__file__).parents[1] / "examples" / "c_controller" / "main.c"
@@ -155,7 +154,7 @@ def compare_plans(code: Code, controller: PortableController, count: int, rng: n
 
 def compare_commands(code: Code, run: Run, seed: int) -> str:
     """Differences of the commands on the steps of one deployment of the twin, which Python hops."""
-    plant = TwinSimulation(Hopper(), random_stream(seed)).plant(random_stream(seed, 0))
+    plant = Hopper().simulations()["twin"](random_stream(seed)).plant(random_stream(seed, 0))
     filter_, command, phase, apart = ctypes.create_string_buffer(2**20), None, float("nan"), []
     code.call("filter_init", filter_)
     ahead = run.needed(run.settings).control.horizon
@@ -177,7 +176,7 @@ def compare_commands(code: Code, run: Run, seed: int) -> str:
 
 def steps_of(run: Run, seed: int) -> Iterator[StepRecord]:
     """A deployment of the twin with the controller of the run, before deployment 1."""
-    plant = TwinSimulation(Hopper(), random_stream(seed)).plant(random_stream(seed, 0))
+    plant = Hopper().simulations()["twin"](random_stream(seed)).plant(random_stream(seed, 0))
     for logged in deploy(run.learner(1), plant, paper_reference(), 1, control=run.needed(run.settings).control):
         if logged.planned:
             yield logged.record
@@ -185,7 +184,7 @@ def steps_of(run: Run, seed: int) -> Iterator[StepRecord]:
 
 def steps_of_program(program: Path, seed: int) -> Iterator[StepRecord]:
     """The same with the program, which receives a line with state, target and phase, and answers with the command."""
-    plant = TwinSimulation(Hopper(), random_stream(seed)).plant(random_stream(seed, 0))
+    plant = Hopper().simulations()["twin"](random_stream(seed)).plant(random_stream(seed, 0))
     with plant, subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin
         assert process.stdout

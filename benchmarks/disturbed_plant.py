@@ -1,7 +1,7 @@
 """A plant to which something happens between its steps, one deployment on it, and many of them on all cores.
 
-`benchmarks/changes.py`, `wrong_warm_start.py`, `trust.py` and `coverage.py` use it, so that each measures the same
-robots with the same noise, with learning and without.
+`benchmarks/changes.py`, `wrong_warm_start.py`, `trust.py` and others use it, so that each measures the same robots with
+the same noise, with learning and without.
 """
 
 import sys
@@ -17,11 +17,15 @@ import numpy as np
 from stepgap.base.start_method import process_context, usable_cores
 from stepgap.control.reference import Reference
 from stepgap.experiment.deployment import deploy
+from stepgap.experiment.inputs import load_priors
+from stepgap.experiment.settings import Experiment
 from stepgap.learning.learner import Learner
+from stepgap.learning.prior import Prior
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.plants.plant import Plant
 from stepgap.rigs.rig import RigFault
+from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap, StepRecord, StepSpace, StepStatus
 
 _Case = TypeVar("_Case")
@@ -97,12 +101,14 @@ def uncorrected(nominal: StepMap) -> Learner:
     return Learner.start(nominal, Steps(nominal.space), UNCORRECTED, 0)
 
 
+def own_priors(robot: Robot) -> list[Prior]:
+    """The priors over robots with which a run of a robot begins that has default settings."""
+    return [each.prior for each in load_priors(Experiment(robot), robot.space)]
+
+
 def alarms_after(learner: Learner, steps: Steps) -> tuple[int, ...]:
-    """Numbers of the steps of a deployment at which its learner raised an alarm; none if learners never do."""
-    if not hasattr(learner, "alarms"):
-        return ()
-    learner = reduce(Learner.after, steps.completed(), learner)
-    return tuple(int(np.ravel(getattr(alarm, "step", alarm))[-1]) for alarm in learner.alarms)
+    """Numbers of the steps of a deployment at which its learner raised an alarm."""
+    return tuple(alarm.step for alarm in reduce(Learner.after, steps.completed(), learner).alarms)
 
 
 def squared_errors(steps: Steps) -> Array:

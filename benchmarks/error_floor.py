@@ -19,8 +19,8 @@ from stepgap.experiment.deployment import deploy
 from stepgap.experiment.loop import deployment_generator
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.plants import simulation_of
+from stepgap.experiment.run import Run
 from stepgap.experiment.settings import read_experiment
-from stepgap.learning.learner import Learner
 from stepgap.learning.steps import Steps
 from stepgap.plants.plant import Plant, RepeatablePlant
 from stepgap.records.steps_csv import digest, read_step_log
@@ -76,13 +76,12 @@ def floor(folder: Path) -> tuple[int, Array, Array]:
     nominal, reference = load_nominal(settings).map, paper_reference()
     recorded = read_step_log(folder / "steps.csv", nominal.space)
     last = recorded.iterations[-1]
-    before = recorded.before(last)
     repeatable = simulation_of(settings).repeatable_plant(deployment_generator(settings.seed, last))
     if repeatable is None:
         raise ValueError(f"{folder}: plant '{settings.plant}' cannot repeat a step")
     plant = Repeating(repeatable, random_stream(settings.seed, last, 2))
     with threadpool_limits(limits=1, user_api="blas"):  # as in a run, otherwise the last digits differ
-        learner = Learner.start(nominal, before, settings.learning, last)
+        learner = Run(folder).learner(last)
         with closing(deploy(learner, plant, reference, last)) as steps:
             simulated = Steps(nominal.space, steps)
     if digest(simulated) != digest(recorded.of_iteration(last)):

@@ -13,7 +13,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from stepgap.learning.observations import Observations
-from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.logs.columns import Columns
 from stepgap.logs.fits.fit import Comparison, FitData, compare
@@ -31,7 +30,7 @@ def data_of(state: Array, command: Array, after: Array, predicted: Array) -> Fit
     space, origin = COLUMNS.space(state, command), np.array([str(row) for row in range(len(state))])
     steps = Steps.of_columns(space, state=state, command=command, next_state=after, predicted=predicted)
     observed, source = Observations(space, state, command, after - predicted), NominalSource("predicted")
-    return FitData(steps, observed, origin, {}, "", source, LearningSettings(), COLUMNS)
+    return FitData(steps, observed, origin, {}, "", source, COLUMNS)
 
 
 def log(seed: int) -> tuple[Array, Array, Array, Array]:

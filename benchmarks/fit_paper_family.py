@@ -49,9 +49,9 @@ from stepgap.experiment.methods import METHODS
 from stepgap.experiment.plants import PlantRequest, choose_plants
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.steps import Steps
-from stepgap.records import paper
 from stepgap.records.steps_csv import read_step_log
 from stepgap.robots.gap import differences
+from stepgap.robots.hopper import paper
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.robots.hopper.robot import Hopper
@@ -91,7 +91,7 @@ def first_steps(log: Steps) -> Array:
     return error[1:][np.diff(log.target[:, 0]) < 0]
 
 
-def differences(shares: Array, stairs: Array) -> Array:
+def scaled_differences(shares: Array, stairs: Array) -> Array:
     """Scaled differences of the uncorrected twin from the hardware: errors, 18 stairs, three first steps."""
     gap = gap_of(shares)
     logs, deployments = zip(*(first_deployment(gap, seed, BOUNDS) for seed in FITTED_SEEDS), strict=True)
@@ -116,7 +116,7 @@ def preset_jacobian(stairs: Array, evaluate: Callable[..., Iterable[Array]]) -> 
     """Differences of the preset (47,), and their derivatives, per prior standard deviation of each share (47, 24)."""
     inwards = np.where(PRESET > (LOWEST + HIGHEST) / 2, -0.25, 0.25)
     moved = [PRESET + change * PRIOR_STD * unit for change, unit in zip(inwards, np.eye(len(PRESET)), strict=True)]
-    first, *others = evaluate(partial(differences, stairs=stairs), [PRESET, *moved])
+    first, *others = evaluate(partial(scaled_differences, stairs=stairs), [PRESET, *moved])
     return first, (np.array(others) - first).T / inwards
 
 
@@ -130,7 +130,7 @@ def fit_member(member: int, stairs: Array, jacobian: Array) -> tuple[Array, floa
     """
     drawn = np.array([*RealityGap.draw(random_stream(7000 + member)).values()])
     start, largest = PRESET + SHARE * (drawn - PRESET), 0.5
-    while (found := differences(start, stairs))[0] == DIVERGED:
+    while (found := scaled_differences(start, stairs))[0] == DIVERGED:
         start = (PRESET + start) / 2
     shares = start
     for _ in range(EVALUATIONS):
@@ -138,7 +138,7 @@ def fit_member(member: int, stairs: Array, jacobian: Array) -> tuple[Array, floa
         system, wanted = np.vstack([jacobian, np.eye(len(start))]), -np.concatenate([found, prior])
         step = np.linalg.lstsq(system, wanted, rcond=None)[0]
         trial = np.clip(shares + np.clip(step, -largest, largest) * PRIOR_STD, LOWEST, HIGHEST)
-        step, result = (trial - shares) / PRIOR_STD, differences(trial, stairs)
+        step, result = (trial - shares) / PRIOR_STD, scaled_differences(trial, stairs)
         if not step.any():
             break
         if result[0] != DIVERGED:

@@ -6,7 +6,7 @@ every six steps, or of the transients of the paper's reference, with the bound `
 explains the braking of the paper's hardware (docs/evidence.md), or without it. Below, the ratios to the first horizon,
 paired by twin, with their 95 % intervals by Student's t on the logarithm.
 
-    ./go python benchmarks/horizon.py [square|braking|paper] [--twins 11,12,13] [--seeds 21,22] [--horizons 1,2,3]
+    ./go python -m benchmarks.horizon [square|braking|paper] [--twins 11,12,13] [--seeds 21,22] [--horizons 1,2,3]
 """
 
 import argparse
@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import t as student
 
+from benchmarks.disturbed_plant import own_priors
 from stepgap.base.random_streams import random_stream
 from stepgap.base.start_method import process_context, usable_cores
 from stepgap.control.reference import Reference
@@ -81,7 +82,8 @@ def measure(case: Case) -> Found:
         folder = Path(name)
         plants = choose_plants(PlantRequest(settings, reference, folder))._replace(measure_noise_floor=None)
         control = ControlSettings(horizon=case.horizon)
-        last = run_experiment(Setup(nominal, plants, reference, learning, control, case.seed), folder)[-1]
+        setup = Setup(nominal, plants, reference, learning, control, case.seed, priors=own_priors(robot))
+        last = run_experiment(setup, folder)[-1]
         steps = Run(folder, space=nominal.space).steps.of_iteration(last.iteration).completed()
     counted = np.arange(FIRST, STEPS) if case.kind == "square" else reference.transient
     error = ((steps.next_state - steps.target) / nominal.space.error_scale)[np.isin(steps.number - 1, counted)]

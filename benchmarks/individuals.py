@@ -1,6 +1,6 @@
 """Ten robots of one type, two of them with a planted fault: whom `stepgap compare` names, and how often without one.
 
-    ./go python -m benchmarks.individuals [--sets 20] [--slow 0.08] [--residual quadratic] [--out FOLDER]
+    ./go python -m benchmarks.individuals [--sets 20] [--slow 0.08] [--residual posterior] [--out FOLDER]
 
 Robots are `Stroller`s of one kind whose matrix differs by 2 % and whose offset by 8 mm/s and mrad/s (standard
 deviations). Planted are a robot that walks slower by `--slow` [m/s], and one that turns a fifth too little. Each made
@@ -9,6 +9,7 @@ compare FOLDER/*.json`.
 """
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +20,9 @@ from stepgap.base.random_streams import random_stream
 from stepgap.control.settings import ControlSettings
 from stepgap.export.controller.model_document import model_text
 from stepgap.export.controller.portable_controller import PortableController
-from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.individuals import ComparedRobots, Individual, compare_individuals
 from stepgap.learning.learner import Learner
+from stepgap.learning.observations import observe
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
 
@@ -49,8 +50,8 @@ class Sibling(Stroller):
             self._matrix = self._matrix * np.array([[1.0], [1.0], [0.8]])
 
 
-def learned(kind: int, number: int, fault: float | None, residual: str) -> Individual:
-    """What is learned of a robot from steps with the target as command, and random changes of it."""
+def learned(kind: int, number: int, fault: float | None, residual: str) -> Learner:
+    """What is known of a robot after steps with the target as command, and random changes of it."""
     space, rng = STROLLER_SPACE, random_stream(kind, number, 7)
     plant, logged, target = VelocityPlant(space, Sibling(kind, number, fault), rng), list[LoggedStep](), np.zeros(3)
     plant.start()
@@ -59,9 +60,13 @@ def learned(kind: int, number: int, fault: float | None, residual: str) -> Indiv
             target = space.state_centre + space.state_scale * rng.uniform(-0.9, 0.9, 3)
         record = plant.take_step(target + 0.1 * space.command_scale * rng.normal(size=3))
         logged.append(LoggedStep(0, step, target, target, np.zeros(3), record))
-    nominal = as_commanded(space)
-    learner = Learner.start(nominal, Steps(space, logged), LearningSettings(residual), 1)
-    return Individual(f"robot {number}", nominal, learner.residual)
+    return Learner.start(as_commanded(space), Steps(space, logged), LearningSettings(residual), 1)
+
+
+def compared(learners: Sequence[Learner]) -> ComparedRobots:
+    """The comparison of robots that are known as well as that."""
+    robots = [Individual(f"robot {k}", each.nominal, each.learned) for k, each in enumerate(learners)]
+    return compare_individuals(robots)
 
 
 def named(comparison: ComparedRobots) -> str:
@@ -75,14 +80,14 @@ def named(comparison: ComparedRobots) -> str:
     return "; ".join(found) or "nobody"
 
 
-def write_models(individuals: list[Individual], folder: Path) -> None:
+def write_models(learners: Sequence[Learner], folder: Path) -> None:
     """Writes their model files into a new folder."""
     folder.mkdir()
-    for each in individuals:
-        corrected, passport = CorrectedMap(each.nominal, each.residual), {"robot": "stroller", "name": each.name}
-        none = np.empty((0, len(corrected.space.names)))
-        controller = PortableController(corrected, none, ControlSettings(), drift=True, monitor=True, passport=passport)
-        (folder / f"{each.name.replace(' ', '_')}.json").write_text(model_text(controller), "utf-8")
+    for number, each in enumerate(learners):
+        passport, steps = {"robot": "stroller", "name": f"robot {number}"}, observe(each.known, each.nominal)
+        parts = each.nominal, each.residual, each.beliefs, each.failures, ControlSettings()
+        controller = PortableController(*parts, steps=steps, passport=passport)
+        (folder / f"robot_{number}.json").write_text(model_text(controller), "utf-8")
 
 
 def main() -> None:
@@ -90,7 +95,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sets", type=int, default=20)
     parser.add_argument("--slow", type=float, default=0.08)
-    parser.add_argument("--residual", default="quadratic")
+    parser.add_argument("--residual", default="posterior")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     faults = {SLOW: options.slow, TURNS_LITTLE: 0.0}
@@ -103,7 +108,7 @@ def main() -> None:
                 mixed[number] = learned(kind, number, fault, options.residual)
             if options.out and not kind:
                 write_models(mixed, options.out)
-            plain, planted = compare_individuals(alike), compare_individuals(mixed)
+            plain, planted = compared(alike), compared(mixed)
             false_alarms += bool(plain.unlike.any())
             rows = set(np.flatnonzero(planted.unlike.any(axis=1)).tolist())
             wrong += bool(rows - faults.keys())

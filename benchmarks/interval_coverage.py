@@ -1,10 +1,11 @@
 """Coverage of the 95 % prediction intervals of single deployments, with and without their calibration.
 
 Each twin hops through the paper's reference without correction, learns from that, and then follows random targets: one
-of five speeds and any height, each for 1 to 8 hops. So most hops of the second deployment resemble none of the first. A
-row is a deployment; a bin has the hops of one target speed. Twin −1 is the default one, the others are random.
+of five speeds and any height, each for 1 to 8 hops, while it goes on learning. So at first most hops resemble none of
+the deployment before. A row is a deployment; a bin has the hops of one target speed. Twin −1 is the default one, the
+others are random.
 
-    ./go python benchmarks/interval_coverage.py --twins=-1,0,1,2,3,4,5,6,7,8,9
+    ./go python -m benchmarks.interval_coverage --twins=-1,0,1,2,3,4,5,6,7,8,9
 """
 
 import argparse
@@ -12,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.disturbed_plant import own_priors
 from benchmarks.learning.tasks import DEFAULT_TASK, Task, tasks
 from benchmarks.learning.trial import Trial, hopping_gap
 from stepgap.base.blas import one_blas_thread
@@ -22,6 +24,7 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.robots.hopper.model.apex_map import ApexMap
+from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.step import Array
 
@@ -49,12 +52,12 @@ def random_reference(rng: np.random.Generator, steps: int) -> Reference:
     return Reference(("speed", "height"), np.array(rows[:steps]))
 
 
-def deployments(twin: int, seed: int, steps: int, online: bool) -> tuple[Steps, Learner]:
+def deployments(twin: int, seed: int, steps: int) -> tuple[Steps, Learner]:
     """Steps of the second deployment of a twin, and the learner before it."""
     nominal, task, key = ApexMap(), tasks()[DEFAULT_TASK], 1000 if twin < 0 else twin
     gap = RealityGap() if twin < 0 else hopping_gap(nominal, task, twin)[0]
-    trial = Trial(nominal, gap, task, key, seed)
-    learner = Learner.start(nominal, trial.first, LearningSettings(online=online), 1)
+    trial = Trial(nominal, gap, task, key, seed, priors=own_priors(Hopper()))
+    learner = trial.learner(nominal, trial.first, LearningSettings(), 1)
     reference = random_reference(random_stream(key, seed, 2), steps)
     return replace(trial, task=Task("random", reference)).deploy(learner, 1), learner
 
@@ -82,14 +85,13 @@ def main() -> None:
     parser.add_argument("--twins", default="-1,0,1,2,3,4,5,6,7,8,9")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--hops", type=int, default=1250)
-    parser.add_argument("--online", action="store_true", help="learn during the second deployment, too")
     options = parser.parse_args()
     shares: dict[tuple[str, str], list[Array]] = {}
     counted: dict[tuple[str, str], list[float]] = {}
     print("covered [%]" + " " * 25 + "".join(f"{speed:7.1f} m/s" for speed in SPEEDS) + "        all", flush=True)
     for twin in map(int, options.twins.split(",")):
         with one_blas_thread():
-            steps, learner = deployments(twin, options.seed, options.hops, options.online)
+            steps, learner = deployments(twin, options.seed, options.hops)
             kinds = {"stated": without_calibration(steps, learner), "calibrated": steps.std}
         bins = [steps.target[:, 0] == speed for speed in SPEEDS]
         for row, name in enumerate(steps.space.state_names):

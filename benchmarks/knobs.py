@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from benchmarks.disturbed_plant import own_priors
 from stepgap.base.blas import one_blas_thread
 from stepgap.base.random_streams import random_stream
 from stepgap.base.start_method import process_context
@@ -65,14 +66,14 @@ class Deployed(NamedTuple):
 def measured(case: Case) -> tuple[Case, list[Deployed]]:
     """A deployment by the nominal map, and one after learning."""
     robot = Hopper(command=CommandBounds(pair=case.pair), gap=replace(RealityGap(), ground_friction=case.friction))
-    nominal, settings = robot.apex_map(), LearningSettings()
+    nominal, settings, priors = robot.apex_map(), LearningSettings(), own_priors(robot)
     targets = paper_reference().targets[: case.steps]
     reference = Reference(nominal.space.state_names, targets)
     simulation = robot.simulations()["twin"](random_stream(case.seed, 0))
     steps, found = Steps(nominal.space), []
     with one_blas_thread():
         for iteration in range(2):
-            learner, rows = Learner.start(nominal, steps, settings, iteration), list[Array]()
+            learner, rows = Learner.start(nominal, steps, settings, iteration, priors), list[Array]()
             plant = simulation.plant(
                 random_stream(case.seed, 1, iteration), lambda ticks, _, rows=rows: rows.append(np.array(ticks))
             )

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import t as student
 
-from stepgap.records import paper
+from stepgap.robots.hopper import paper
 from stepgap.step import Array
 from stepgap.sweep.results_table import ResultsTable, as_numbers, read_results
 

@@ -2,10 +2,9 @@
 
     ./go python benchmarks/plan_times.py [--plans 300]
 
-It needs gcc. As many states as commands; a linear nominal map, and for each state a sparse Gaussian process with 60
-inducing points, the most that an exported controller has. States and targets are random in the ranges of use, so some
-targets are not reached in a step; C and Python plan the same ones. Times are those of the processor, so other programs
-do not count.
+It needs gcc. As many states as commands; a linear nominal map, and what the default learner believes of its error after
+200 random steps. States and targets are random in the ranges of use, so some targets are not reached in a step; C and
+Python plan the same ones. Times are those of the processor, so other programs do not count.
 """
 
 import argparse
@@ -20,17 +19,15 @@ from threadpoolctl import threadpool_limits
 
 from stepgap.control.settings import ControlSettings
 from stepgap.export.controller.portable_controller import PortableController
-from stepgap.gauss.gaussian_process import HyperParameters
-from stepgap.gauss.sparse_gaussian_process import condition_sparse
-from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.entry_points import load_residual_model
-from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
-from stepgap.learning.residual import Residual
+from stepgap.learning.learner import Learner
+from stepgap.learning.settings import LearningSettings
+from stepgap.learning.steps import Steps
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.step import Array, Quantity, StepSpace
 
 SIZES, HORIZONS = (2, 6, 12), (1, 2, 3)
-POINTS, CENTRES = 200, 60
+LEARNED = 200
+"""Number of steps that are learned."""
 REACH = 0.7
 """Effect of a command's half range on its state [half ranges]."""
 
@@ -46,16 +43,12 @@ def controller_of(size: int) -> PortableController:
     )
     zero = np.zeros(size)
     nominal = AffineMap(space, zero, zero, zero, np.hstack([by_state, by_command]))
-    points, scale = rng.uniform(-1, 1, (POINTS, 2 * size)), np.ones(2 * size)
-    found = HyperParameters(3.0 * scale, 0.2, 0.03, 0.1)
-
-    def regression() -> GaussianProcessRegression:
-        values = 0.1 * np.sin(2 * points @ rng.normal(size=2 * size) / np.sqrt(size)) + 0.03 * rng.normal(size=POINTS)
-        return GaussianProcessRegression(condition_sparse(points, values, scale, found, points[:CENTRES]))
-
-    residual = Residual(load_residual_model("gp_on_linear"), tuple(regression() for _ in range(size)), size)
-    no_failures = np.empty((0, 2 * size))
-    return PortableController(CorrectedMap(nominal, residual), no_failures, ControlSettings(), drift=True, monitor=True)
+    states, commands = np.split(rng.uniform(-1, 1, (LEARNED, 2 * size)), 2, axis=1)
+    waves = 2 * np.hstack([states, commands]) @ rng.normal(size=(2 * size, size)) / np.sqrt(size)
+    after = nominal(states, commands) + 0.1 * np.sin(waves) + 0.03 * rng.normal(size=(LEARNED, size))
+    columns = {"state": states, "command": commands, "next_state": after, "predicted": nominal(states, commands)}
+    learner = Learner.start(nominal, Steps.of_columns(space, **columns), LearningSettings(), 1)
+    return PortableController(nominal, learner.residual, learner.beliefs, learner.failures, ControlSettings())
 
 
 def times_of(controller: PortableController, folder: Path, plans: int) -> tuple[Array, int]:
@@ -67,7 +60,7 @@ def times_of(controller: PortableController, folder: Path, plans: int) -> tuple[
         targets = rng.uniform(-0.5, 0.5, (horizon, size))
         given = code.array(state), code.array(targets), horizon, code.array(guess)
         begin = thread_time()
-        code.call("plan_ahead", None, *given, 0.0, command, None, None)
+        code.call("plan_ahead", None, *given, np.nan, command, None, None)
         middle = thread_time()
         plan = controller.controller(state, targets[0], guess, targets[1:])
         seconds[:, number] = middle - begin, thread_time() - middle

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.disturbed_plant import finished
+from benchmarks.disturbed_plant import finished, own_priors
 from stepgap.base.blas import one_blas_thread
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
@@ -69,7 +69,7 @@ def learner_of(learned: bool, seed: int) -> Learner:
         for logged in steps:
             known += [logged]
     with one_blas_thread():
-        return Learner.start(nominal, known, LearningSettings(), 1)
+        return Learner.start(nominal, known, LearningSettings(), 1, own_priors(hopper))
 
 
 def errors_after(case: Case) -> Array:

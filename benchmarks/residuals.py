@@ -27,7 +27,7 @@ def scores(nominal: StepMap, learning: LearningSettings, log: Steps, iteration: 
     before = log.before(iteration)
     errors, std = [], []
     learner = Learner.start(nominal, before, learning, iteration)
-    name = learner.residual.name
+    name = learner.learned.name
     for logged in log.of_iteration(iteration).completed():
         step_map, record = learner.step_map(), logged.record
         errors.append(record.next_state - step_map(record.state, record.applied))

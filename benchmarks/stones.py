@@ -2,7 +2,7 @@
 
 The twin with footholds learns from 227 hops with random strides, then hops over stones at random distances, on ground
 without gaps, so that a miss ends nothing: it is a foothold more than 40 mm beside the middle of its stone. `nominal`
-knows nothing, `learned` these hops, and `online` also learns from hop to hop.
+knows nothing; `learned` knows these hops, and learns from hop to hop.
 
     ./go python -m benchmarks.stones [--spreads 0.1,0.2] [--seeds 1] [--hops 500]
 """
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.disturbed_plant import finished
+from benchmarks.disturbed_plant import finished, own_priors
 from benchmarks.uneven_ground import hops_of
 from stepgap.base.blas import one_blas_thread
 from stepgap.base.random_streams import random_stream
@@ -25,7 +25,7 @@ from stepgap.robots.hopper.footholds import OVER_STONES, random_strides
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.step import Array
 
-WAYS = ("nominal", "learned", "online")
+WAYS = ("nominal", "learned")
 
 MEAN_DISTANCE = 0.25
 """Mean distance of the middles of two stones [m]."""
@@ -70,9 +70,10 @@ def measured(case: Case) -> Found:
         if case.way != "nominal":
             plant = simulation.plant(random_stream(case.seed, 0))
             known, _ = hops_of(Learner.start(nominal, known, none, 0), plant, random_strides(), 0)
-        settings = {"nominal": none, "online": LearningSettings(online=True)}.get(case.way, LearningSettings())
+        settings = none if case.way == "nominal" else LearningSettings()
         plant = simulation.plant(random_stream(case.seed, 1, 8))
-        log, _ = hops_of(Learner.start(nominal, known, settings, 1), plant, stones(case), 1)
+        learner = Learner.start(nominal, known, settings, 1, own_priors(hopper))
+        log, _ = hops_of(learner, plant, stones(case), 1)
     hops = log.tracking()
     foothold, names = hops.context[:, hopper.space.context_names.index("foothold")], hopper.space.state_names
     late = np.diff(foothold) - hops.target[:-1, names.index("stride")]

@@ -8,7 +8,7 @@ A second table shows what a cut request does. At settled hops of a twin with the
 states after a request u, after the smaller request that equals what was applied of u, and after no request at all:
 whether they are cut, too, and how the mean next state differs, over 12 draws of the noise.
 
-    ./go python benchmarks/torque_limits.py [--limits 10,13,16,22] [--seeds 1,2,3] [--iterations 2]
+    ./go python -m benchmarks.torque_limits [--limits 10,13,16,22] [--seeds 1,2,3] [--iterations 2]
 """
 
 import argparse
@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.disturbed_plant import own_priors
 from stepgap.base.random_streams import random_stream
 from stepgap.experiment.bands import interval_coverage
 from stepgap.experiment.deployment import deploy
@@ -48,7 +49,8 @@ def measure(limit: float, seed: int, iterations: int) -> str:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         plants = choose_plants(PlantRequest(settings, reference, folder))
-        run_experiment(Setup(nominal, plants, reference, settings.learning, seed=seed), folder)
+        setup = Setup(nominal, plants, reference, settings.learning, seed=seed, priors=own_priors(robot))
+        run_experiment(setup, folder)
         run = Run(folder, space=nominal.space)
         last = run.deployments[-1]
         steps = run.steps.of_iteration(last.iteration)
@@ -73,7 +75,7 @@ def compare_requests(limit: float, seed: int) -> None:
     nominal, reference, gap = ApexMap(), paper_reference(), RealityGap(torque_limit=limit)
     rng = random_stream(seed, 99)
     twin = Twin(nominal.robot, gap, random_stream(seed, 0))
-    plant = TwinPlant(twin, Hopper(gap=gap))
+    plant = TwinPlant(twin, Hopper(gap=gap).control())
     learner = Learner.start(nominal, Steps(nominal.space), LearningSettings(), 0)
     print(f"limit {limit:g} N·m: request, removed [N]; mean next state minus that after the full request [mm/s, mm]")
     with closing(deploy(learner, plant, reference, 0)) as steps:

@@ -103,7 +103,7 @@ def run(robot: TrustRobot, case: Case, learning: LearningSettings, known: Steps 
     number, log = count(), list[LoggedStep]()
     plants = Plants(lambda rng: plant_of(robot, case, next(number), rng))
     learning = replace(learning, iterations=REDEPLOYMENTS, early_stop=False)
-    setup = Setup(robot.nominal, plants, robot.reference, learning, seed=case.number, known=known)
+    setup = Setup(robot.nominal, plants, robot.reference, learning, seed=case.number, known=known, priors=robot.priors)
     with tempfile.TemporaryDirectory() as folder:
         run_experiment(setup, Path(folder), Observer(on_step=log.append))
     return [Steps(robot.nominal.space, log).of_iteration(k) for k in range(REDEPLOYMENTS + 1)]

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.disturbed_plant import own_priors
 from benchmarks.velocity_robots import (
     STROLLER_SPACE,
     WALKER_SPACE,
@@ -27,6 +28,7 @@ from benchmarks.velocity_robots import (
 )
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
+from stepgap.learning.prior import Prior
 from stepgap.plants.plant import Plant
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.simulation import TwinPlant, TwinSimulation
@@ -57,11 +59,13 @@ class TrustRobot(NamedTuple):
         nominal: Its nominal map.
         reference: Targets of all steps.
         live: Makes the plant of a deployment from its random generator.
+        priors: Priors over robots with which its runs begin.
     """
 
     nominal: StepMap
     reference: Reference
     live: Callable[[np.random.Generator], LivePlant]
+    priors: Sequence[Prior] = ()
 
 
 def segments(
@@ -98,7 +102,8 @@ def hopper(number: int) -> TrustRobot:
         return LivePlant(TwinPlant(twin, robot.control()), twin.push, lambda: twin.become(loaded))
 
     levels = (0.0, 0.05, 0.2, 0.3, 0.392), (0.55, 0.58, 0.61, 0.629)
-    return TrustRobot(robot.apex_map(), segments(("speed", "height"), (0.0, 0.55), levels, 80, rng), live)
+    reference = segments(("speed", "height"), (0.0, 0.55), levels, 80, rng)
+    return TrustRobot(robot.apex_map(), reference, live, own_priors(robot))
 
 
 class LoadedPlant(MjcfPlant):
@@ -126,7 +131,7 @@ def _from_mjcf(robot: MjcfRobot, reference: Reference) -> TrustRobot:
         plant = LoadedPlant(robot, rng)
         return LivePlant(plant, plant.push, plant.load)
 
-    return TrustRobot(_nominal(type(robot)), reference, live)
+    return TrustRobot(_nominal(type(robot)), reference, live, own_priors(robot))
 
 
 def quadruped(number: int) -> TrustRobot:

@@ -2,9 +2,9 @@
 
 The twin hops after random targets that change every 4 to 8 hops, each run 60 hops on another ground and place. `blind`
 and `touchdown` know 227 hops on flat ground; blind is the same controller without a new plan at touchdown, which knows
-the ground of the hop before alone. `online` also learns from hop to hop, `again` has hopped 227 hops on that ground
-before, and learned from them. `explored`, which is not in the table, knows the hops on flat ground and 20 exploratory
-ones there. Errors are those of the true state above the ground that was measured.
+the ground of the hop before alone. `again` has hopped 227 hops on that ground before. `explored`, which is not in the
+table, knows the hops on flat ground and 20 exploratory ones there. All but `nominal` learn from hop to hop. Errors are
+those of the true state above the ground that was measured.
 
     ./go python -m benchmarks.uneven_ground [--grounds stairs_56,ramps_10] [--ways touchdown] [--seeds 1,2,3,4,5]
         [--hops 60]
@@ -18,11 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.disturbed_plant import finished
+from benchmarks.disturbed_plant import finished, own_priors
 from stepgap.base.blas import one_blas_thread
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
-from stepgap.experiment.deployment import deploy
+from stepgap.experiment.deployment import AdaptiveMap, deploy
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
@@ -44,7 +44,7 @@ GROUNDS: Mapping[str, UnevenGround] = {
 }
 """Grounds by name."""
 
-WAYS = ("nominal", "blind", "touchdown", "online", "again")
+WAYS = ("nominal", "blind", "touchdown", "again")
 
 EXPLORED = "explored"
 EXPLORATION = 20
@@ -113,10 +113,10 @@ def random_reference(seed: int, hops: int) -> Reference:
     return Reference(("speed", "height"), np.array(rows[:hops]))
 
 
-def hops_of(learner: Learner, plant: Plant, reference: Reference, iteration: int) -> tuple[Steps, Learner]:
+def hops_of(learner: Learner, plant: Plant, reference: Reference, iteration: int) -> tuple[Steps, AdaptiveMap]:
     """The hops of a deployment, and what was known after it."""
-    log, latest = Steps(learner.nominal.space), [learner]
-    steps = deploy(learner, plant, reference.of(plant.space), iteration, on_learner=lambda each: latest.append(each))
+    log, latest = Steps(learner.nominal.space), list[AdaptiveMap]([learner])
+    steps = deploy(learner, plant, reference.of(plant.space), iteration, on_learner=latest.append)
     with closing(steps):
         for logged in steps:
             log += [logged]
@@ -126,7 +126,7 @@ def hops_of(learner: Learner, plant: Plant, reference: Reference, iteration: int
 def exploratory_hops(known: Steps, seed: int) -> Steps:
     """Exploratory hops on flat ground, each chosen with what was known before it."""
     flat = Hopper(ground=GROUNDS["flat"])
-    learner = Learner.start(flat.apex_map(), known, LearningSettings(online=True), 1)
+    learner = Learner.start(flat.apex_map(), known, LearningSettings(), 1, own_priors(flat))
     plant = flat.simulations()["twin"](random_stream(seed, 9)).plant(random_stream(seed, 2))
     log = Steps(known.space)
     with closing(deploy(learner, plant, paper_reference().of(plant.space), 1, EXPLORATION)) as steps:
@@ -146,16 +146,16 @@ def measured(case: Case) -> Found:
             known, _ = hops_of(Learner.start(nominal, known, none, 0), plant, paper_reference(), 0)
         if case.way == EXPLORED:
             known += exploratory_hops(known, case.seed)
-        settings = {"nominal": none, "online": LearningSettings(online=True)}.get(case.way, LearningSettings())
+        settings = none if case.way == "nominal" else LearningSettings()
         plant = uneven.simulations()["twin"](random_stream(case.seed, 9)).plant(random_stream(case.seed, 1, 8))
         plant = Blind(plant) if case.way == "blind" else plant
         deployment = 2 if case.way == EXPLORED else 1
-        learner = Learner.start(nominal, known, settings, deployment)
-        log, learner = hops_of(learner, plant, random_reference(case.seed, case.hops), deployment)
+        learner = Learner.start(nominal, known, settings, deployment, own_priors(uneven))
+        log, latest = hops_of(learner, plant, random_reference(case.seed, case.hops), deployment)
     hops = log.planned().completed()
     true = np.array([each.record.true_next_state - each.target for each in hops]).reshape(-1, 2)
     ground = np.array([each.record.context["ground"] for each in hops])
-    return Found(true, ground, log.failed_steps, len(learner.alarms))
+    return Found(true, ground, log.failed_steps, len(latest.alarms))
 
 
 def after_edges(found: Found) -> Iterator[Array]:

@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.disturbed_plant import METHODS, finished
+from benchmarks.disturbed_plant import METHODS, finished, own_priors
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
 from stepgap.experiment.loop import Observer, Plants, Setup, run_experiment
@@ -169,7 +169,8 @@ def learned(cell: Cell, method: str) -> list[Trip]:
     robot, log = robot_of(cell), list[LoggedStep]()
     settings = replace(METHODS[method], iterations=2 if method == "default" else 1, early_stop=False)
     nominal = next(iter(robot.nominal_maps().values()))()
-    setup = Setup(nominal, Plants(partial(plant_of, robot)), reference_of(robot), settings, seed=cell.seed)
+    plants, priors = Plants(partial(plant_of, robot)), own_priors(robot)
+    setup = Setup(nominal, plants, reference_of(robot), settings, seed=cell.seed, priors=priors)
     with tempfile.TemporaryDirectory() as folder:
         run_experiment(setup, Path(folder), Observer(on_step=log.append))
     return [_walk(Steps(robot.space, log).of_iteration(k), setup.reference) for k in range(settings.iterations + 1)]

@@ -11,15 +11,14 @@ The steps that are known before the first deployment are those of deployment 0, 
 
 Printed are the ratios of the error of hops 2–5 [half ranges], and of all hops, to those of the same deployment without
 a warm start, median and 90 % quantile over the twins, in how many twins a ratio exceeds 1.2, and in how many the
-learner raised an alarm by hop 2, and at any hop. Falls are counted, and not in the ratios. The method `prior` is
-`online` with the prior over robots of the hopper, with a warm start and without.
+learner raised an alarm by hop 2, and at any hop. Falls are counted, and not in the ratios. Without a warm start, the
+robot learns from its first hop on (`online`), or not before its second deployment (`default`); with one, both learn.
 
-    ./go python -m benchmarks.wrong_warm_start [--twins 30] [--first-twin 500] [--methods default,online,prior]
+    ./go python -m benchmarks.wrong_warm_start [--twins 30] [--first-twin 500]
 """
 
 import argparse
 from collections.abc import Callable, Mapping
-from functools import cache
 from itertools import product
 from typing import NamedTuple
 
@@ -31,10 +30,7 @@ from stepgap.base.blas import one_blas_thread
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
 from stepgap.learning.learner import Learner
-from stepgap.learning.prior import Prior
 from stepgap.learning.steps import Steps, as_past, joined
-from stepgap.records.prior_file import read_prior
-from stepgap.robots.hopper.robot import Hopper
 
 STEPS = 30
 """Number of hops of a deployment."""
@@ -50,7 +46,7 @@ OTHER = 1_000_000
 
 
 class Outcome(NamedTuple):
-    """Of a warm start and a method on a twin.
+    """Of a warm start on a twin, beside a method without one.
 
     Attributes:
         early: Error of hops 2–5 relative to that without a warm start; NaN if one of the two fell before hop 5.
@@ -128,33 +124,22 @@ def beginning(reference: Reference) -> Reference:
     return Reference(reference.names, reference.targets[:STEPS])
 
 
-@cache
-def prior_of_hopper() -> Prior:
-    """The prior over robots that the hopper has."""
-    robot, path = Hopper(), Hopper().prior()
-    if path is None:
-        raise ValueError("the hopper has no prior")
-    return read_prior(path, robot.space).prior
-
-
-def measure(case: tuple[int, str]) -> list[tuple[str, str, Outcome]]:
-    """All sources on a twin with a method."""
-    twin, method = case
+def measure(twin: int) -> list[tuple[str, str, Outcome]]:
+    """All sources on a twin, beside all methods."""
     robot = hopper(twin)
 
-    def deployment(known: Steps) -> tuple[Steps, tuple[int, ...]]:
-        priors = [prior_of_hopper()] if method == "prior" else []
-        learner = Learner.start(robot.nominal, known, METHODS["online" if priors else method], 0, priors=priors)
+    def deployment(known: Steps, method: str = "default") -> tuple[Steps, tuple[int, ...]]:
+        learner = Learner.start(robot.nominal, known, METHODS[method], 0, robot.priors)
         steps = tracked(learner, robot.live(random_stream(twin, 4)).plant, beginning(robot.reference), 0)
         return steps, alarms_after(learner, steps)
 
     with one_blas_thread():
-        without, _ = deployment(Steps(robot.nominal.space))
+        without = {method: deployment(Steps(robot.nominal.space), method)[0] for method in METHODS}
         found = {source: deployment(known_steps(source, hopper, twin, beginning)) for source in SOURCES}
-    return [(source, method, _compared(steps, without, alarms)) for source, (steps, alarms) in found.items()]
+    return [(source, method, _compared(*found[source], without[method])) for source in SOURCES for method in METHODS]
 
 
-def _compared(steps: Steps, without: Steps, alarms: tuple[int, ...]) -> Outcome:
+def _compared(steps: Steps, alarms: tuple[int, ...], without: Steps) -> Outcome:
     errors = squared_errors(steps), squared_errors(without)
     count = min(map(len, errors))
     early, whole = (
@@ -169,17 +154,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--twins", type=int, default=30)
     parser.add_argument("--first-twin", type=int, default=500)
-    parser.add_argument("--methods", default="default,online,prior")
     given = parser.parse_args()
-    methods = given.methods.split(",")
     twins = range(given.first_twin, given.first_twin + given.twins)
-    rows = [row for _, found in finished(measure, list(product(twins, methods))) for row in found]
+    rows = [row for _, found in finished(measure, twins) for row in found]
     print(
         "error / without warm start: hops 2–5 median, p90, > 1.2 | all hops median, p90, > 1.2 | falls, without | ",
         end="",
     )
     print("alarm by hop 2, at any hop")
-    for source, method in product(SOURCES, methods):
+    for source, method in product(SOURCES, METHODS):
         found = [outcome for name, way, outcome in rows if (name, way) == (source, method)]
         cells = []
         for values in ([each.early for each in found], [each.all for each in found]):

@@ -52,9 +52,9 @@ def compare_methods(
         twins: Number of random twins. [default: 20]
         seeds: Number of seeds of each twin. [default: 3]
         methods: Names of the methods, as NAME,NAME; METHOD-RULE is a method without a rule, such as
-            gp_on_linear-drift. [default: all, each with all its rules]
+            posterior-drift. [default: all, each with all its rules]
         task: What the robot is to do: reference, payload, torque_limit, square or rough. [default: reference]
-        quick: Take half a minute: 2 twins, 1 seed, and only the methods linear and gp_on_linear.
+        quick: Take half a minute: 2 twins, 1 seed, and only the methods linear and posterior.
         out: Folder for the measurements, their summary and the figure. With --resume, also twins, seeds, methods and
             task are those in it, unless they are given.
     """

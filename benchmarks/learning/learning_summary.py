@@ -19,7 +19,7 @@ Key = tuple[int, int]
 UNCORRECTED = "none"
 """Name of deployment 0, from which the other methods learn."""
 
-DEFAULT = "gp_on_linear"
+DEFAULT = "posterior"
 """Name of the method that the others are compared with: the default settings of a run."""
 
 WITHOUT = "-"

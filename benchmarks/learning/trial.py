@@ -14,9 +14,8 @@ from benchmarks.learning.tasks import Change, Task
 from stepgap.base.random_streams import random_stream
 from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.experiment.deployment import AdaptiveMap, ExecutedSteps, deploy
-from stepgap.learning.disturbance import without_periodic_part
 from stepgap.learning.learner import Learner
-from stepgap.learning.observations import Observations, observe
+from stepgap.learning.prior import Prior
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.plants.plant import Plant
@@ -51,6 +50,7 @@ class Trial:
         twin: Number of the twin.
         seed: Seed of the noise.
         learning: Settings of learning that are changed for every learner, by their names.
+        priors: Priors over robots with which a learner of the exact nominal map begins, as in a run.
         control: Settings of step control; deployment 0 without correction always has all rules.
         made: Deployments that several methods have in common, by what distinguishes them.
     """
@@ -61,6 +61,7 @@ class Trial:
     twin: int
     seed: int
     learning: Mapping[str, bool] = field(default_factory=dict)
+    priors: Sequence[Prior] = ()
     control: ControlSettings = ALL_RULES
     made: dict[str, Steps] = field(default_factory=dict)
 
@@ -78,16 +79,12 @@ class Trial:
 
     def learner(self, nominal: StepMap, log: Steps, settings: LearningSettings, iteration: int) -> Learner:
         """Learner before a deployment, with the changes of its settings that the trial makes."""
-        return Learner.start(nominal, log, replace(settings, **self.learning), iteration)
+        priors = self.priors if nominal is self.nominal else ()
+        return Learner.start(nominal, log, replace(settings, **self.learning), iteration, priors)
 
     def uncorrected(self, nominal: StepMap) -> Learner:
         """Learner without any knowledge but a map."""
         return self.learner(nominal, Steps(nominal.space), UNCORRECTED_LEARNING, 0)
-
-    def cleaned_errors(self) -> Observations:
-        """Errors of the nominal map in deployment 0, less their periodic part unless that rule is off."""
-        errors = observe(self.first, self.nominal)
-        return without_periodic_part(errors, 1) if self.learning.get("remove_yaw_dependence", True) else errors
 
     def twin_of(self, iteration: int) -> Twin:
         """Twin of a deployment."""

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from benchmarks.disturbed_plant import own_priors
 from benchmarks.learning.learning_summary import UNCORRECTED, DeploymentRow
 from benchmarks.learning.methods.redeployment import uncorrected
 from benchmarks.learning.methods.registry import method_of
@@ -19,6 +20,7 @@ from stepgap.experiment.outcome import summarise
 from stepgap.learning.steps import Steps
 from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.robots.hopper.paper import paper_result
+from stepgap.robots.hopper.robot import Hopper
 from stepgap.step import Array
 
 
@@ -27,7 +29,7 @@ def measure_twin(task: Task, twin: int, seed: int, names: Sequence[str]) -> list
     nominal, chosen = ApexMap(), {name: method_of(name) for name in names}
     with one_blas_thread():
         gap, drawn_again = hopping_gap(nominal, task, twin)
-        trial = Trial(nominal, gap, task, twin, seed)
+        trial = Trial(nominal, gap, task, twin, seed, priors=own_priors(Hopper()))
         first = _row(trial, UNCORRECTED, uncorrected(trial)) | {"drawn_again": drawn_again}
         return [first, *(_row(trial, name, method(trial)) for name, method in chosen.items())]
 

@@ -5,7 +5,6 @@ is viable are void with these methods.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -67,14 +66,5 @@ def template_start(trial: Trial) -> tuple[AffineMap, Steps]:
 
 def rls(trial: Trial) -> Sequence[Steps]:
     """The method `rls` of a run: adaptive linear step-to-step dynamics."""
-    return _redeployed_rls(trial, METHODS["rls"].learning)
-
-
-def rls_plain(trial: Trial) -> Sequence[Steps]:
-    """As `rls`, without the disturbance filter and the removal of the periodic part."""
-    return _redeployed_rls(trial, replace(METHODS["rls"].learning, drift=False, remove_yaw_dependence=False))
-
-
-def _redeployed_rls(trial: Trial, settings: LearningSettings) -> Sequence[Steps]:
     nominal = linearised(trial.nominal, trial.task.reference.mean_target)
-    return redeployed(trial, nominal, [trial.first], settings)
+    return redeployed(trial, nominal, [trial.first], METHODS["rls"].learning)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from benchmarks.learning.trial import Trial
 from stepgap.base.blas import one_blas_thread
+from stepgap.learning.observations import observe
 from stepgap.learning.polynomial import NOISE_SCALE
 from stepgap.learning.regression import BatchRegression, Regression, ResidualModel, TrainingData
 from stepgap.learning.residual_fit import fit_residual
@@ -171,5 +172,5 @@ ENSEMBLE = ResidualModel("ensemble", "an ensemble of neural networks", _fit, _fr
 def ensemble(trial: Trial) -> Sequence[Steps]:
     """A redeployment with the ensemble as the residual, with everything else of the default learner."""
     learner = trial.learner(trial.nominal, trial.first, LearningSettings(residual="constant"), 1)
-    residual = fit_residual(ENSEMBLE, trial.cleaned_errors())
+    residual = fit_residual(ENSEMBLE, observe(trial.first, trial.nominal))
     return [trial.first, trial.measure(replace(learner, residual=residual), 1)]

@@ -5,10 +5,9 @@ robot itself hopped from x to y with another command; the difference is learned 
 to the inverse at the target.
 
 `InverseMap` is the inverse as a `StepMap` whose command is y and whose next state is the command, in units of the
-state. So a `Learner` learns the command's error as it learns any error: with the same regression, disturbance filter
-and removal of the periodic part. Only the deployment has an own loop, because a command is computed directly, and
-not found by a controller on a map. The controller's cautious rules need a prediction of the next state, and do not
-apply.
+state. So a `Learner` learns the command's error as it learns any error. Only the deployment has an own loop, because a
+command is computed directly, and not found by a controller on a map. The controller's cautious rules need a prediction
+of the next state, and do not apply.
 """
 
 from collections.abc import Sequence
@@ -110,7 +109,7 @@ def inverse_of(nominal: ApexMap) -> InverseMap:
 
 
 def delta_command(trial: Trial) -> Sequence[Steps]:
-    """A redeployment with the error of the command learned from deployment 0, with the default regression."""
+    """A redeployment with the error of the command learned from deployment 0, with default settings."""
     inverse = inverse_of(trial.nominal)
     known = Steps(inverse.space, map(inverse.read_backwards, trial.first.completed()))
     learner = trial.learner(inverse, known, LearningSettings(), 1)

@@ -1,9 +1,8 @@
 """Methods that identify the parameters of the physics model.
 
-They are compared fairly only if they have all that the default learner has besides its residual. So the identified map
-is the nominal map of a `Learner` whose residual is a constant: the learner then estimates the disturbance during the
-deployment, and the periodic part is removed from the errors of deployment 0. The constant itself has little to do,
-since the parameters were fitted to the same steps. The plain variants have neither.
+They are compared fairly only if they go on learning during the deployment, as the default learner does. So the
+identified map is the nominal map of a `Learner` with beliefs about what a constant residual leaves. The constant itself
+has little to do, since the parameters were fitted to the same steps. The plain variants have neither.
 """
 
 from collections.abc import Sequence
@@ -13,29 +12,23 @@ import mujoco.sysid
 
 from benchmarks.learning.methods.physical_parameters import AdjustedMap, identify
 from benchmarks.learning.methods.redeployment import redeployed
-from benchmarks.learning.trial import UNCORRECTED_LEARNING, Trial
+from benchmarks.learning.trial import Trial
 from stepgap.learning.observations import observe
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.robots.hopper.tick.tick_row import Tick
 from stepgap.step import StepMap
 
-WITH_DISTURBANCE = LearningSettings(residual="constant")
-"""Settings of a learner that has everything of the default one except for its residual."""
+LEARNING_ON = LearningSettings(residual="constant")
+"""Settings of a learner that learns during the deployment."""
 
 SYSID_MISSING = "" if hasattr(mujoco.sysid, "optimize") else "needs the packages of stepgap[sysid]"
 """Why `sysid` cannot be used; empty if it can."""
 
 
 def identified(trial: Trial, settings: LearningSettings) -> Sequence[Steps]:
-    """A redeployment with the model identified from the steps of deployment 0 less their periodic part."""
+    """A redeployment with the model identified from the steps of deployment 0."""
     return redeployed(trial, identified_map(trial), [trial.first], settings)
-
-
-def identified_plain(trial: Trial) -> Sequence[Steps]:
-    """A redeployment with the model identified from the steps of deployment 0 as they are, and nothing else."""
-    found = identify(trial.nominal, observe(trial.first, trial.nominal))
-    return redeployed(trial, found, [trial.first], UNCORRECTED_LEARNING)
 
 
 def sysid(trial: Trial, settings: LearningSettings) -> Sequence[Steps]:
@@ -45,8 +38,8 @@ def sysid(trial: Trial, settings: LearningSettings) -> Sequence[Steps]:
 
 @lru_cache(maxsize=1)
 def identified_map(trial: Trial) -> AdjustedMap:
-    """The model identified from the steps of deployment 0 less their periodic part."""
-    return identify(trial.nominal, trial.cleaned_errors())
+    """The model identified from the steps of deployment 0."""
+    return identify(trial.nominal, observe(trial.first, trial.nominal))
 
 
 @lru_cache(maxsize=1)

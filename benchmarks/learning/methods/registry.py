@@ -3,10 +3,11 @@
 from functools import partial
 
 from benchmarks.learning.learning_summary import UNCORRECTED, WITHOUT
-from benchmarks.learning.methods import affine, ensemble, integral, inverse, physics
+from benchmarks.learning.methods import affine, ensemble, inverse, physics
 from benchmarks.learning.methods.ablation import ABLATIONS, ablated
 from benchmarks.learning.methods.redeployment import EXPLORATION, corrected, from_the_first_hop, paper, residual
 from benchmarks.learning.trial import UNCORRECTED_LEARNING, Method
+from stepgap.experiment.methods import METHODS as RUN_METHODS
 from stepgap.learning.entry_points import residual_models, residual_names
 from stepgap.learning.settings import AUTO, LearningSettings
 
@@ -16,24 +17,22 @@ REASONS = {"sysid": physics.SYSID_MISSING, "sysid_plain": physics.SYSID_MISSING,
 SKIPPED = {name: reason for name, reason in REASONS.items() if reason}
 """Methods that cannot be used, with the reason."""
 
-QUICK = ("linear", "gp_on_linear")
+QUICK = ("linear", "posterior")
 """Names of the methods of a quick comparison."""
 
-TEMPLATE_RESIDUALS = ("linear", "quadratic", "gp_on_linear")
+TEMPLATE_RESIDUALS = ("linear", "quadratic", "gp_on_linear", "posterior")
 """Residuals that are learned on top of the template."""
 
 CLASSICAL: dict[str, Method] = {
-    "integral": integral.integral,
-    "integral_plain": integral.integral_plain,
-    "identified": partial(physics.identified, settings=physics.WITH_DISTURBANCE),
-    "identified_plain": physics.identified_plain,
-    "identified_gp_on_linear": partial(physics.identified, settings=LearningSettings()),
-    "sysid": partial(physics.sysid, settings=physics.WITH_DISTURBANCE),
+    "integral": partial(corrected, settings=RUN_METHODS["integral"].learning),
+    "identified": partial(physics.identified, settings=physics.LEARNING_ON),
+    "identified_plain": partial(physics.identified, settings=UNCORRECTED_LEARNING),
+    "identified_posterior": partial(physics.identified, settings=LearningSettings()),
+    "sysid": partial(physics.sysid, settings=physics.LEARNING_ON),
     "sysid_plain": partial(physics.sysid, settings=UNCORRECTED_LEARNING),
     "rls": affine.rls,
-    "rls_plain": affine.rls_plain,
 }
-"""Methods of control and identification, with and without what the default learner has besides its residual."""
+"""Methods of control and identification; the identified models also without learning during the deployment."""
 
 OTHER_LEARNING: dict[str, Method] = {
     "paper": paper,

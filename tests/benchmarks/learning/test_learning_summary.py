@@ -28,9 +28,9 @@ ROWS = [
     row("none", 0, 1.0, drawn_again=1),
     row("none", 1, 1.1, drawn_again=1),
     row("none", 2, 1.2, falls=1, drawn_again=1),
-    row("gp_on_linear", 0, 0.1, covered=[9, 5], counted=10, hops_to_band=250),
-    row("gp_on_linear", 1, 2.0, covered=[10, 5], counted=10, hops_to_band=None),
-    row("gp_on_linear", 2, 0.3, covered=[0, 0], counted=0, hops_to_band=240),
+    row(DEFAULT, 0, 0.1, covered=[9, 5], counted=10, hops_to_band=250),
+    row(DEFAULT, 1, 2.0, covered=[10, 5], counted=10, hops_to_band=None),
+    row(DEFAULT, 2, 0.3, covered=[0, 0], counted=0, hops_to_band=240),
     row("linear", 0, 0.2),
     {"task": "reference", "twin": 0, "seed": 1, "method": "linear", "steps": 0, "falls": 1},
     row("linear", 2, 0.3, falls=1),
@@ -56,15 +56,15 @@ def test_measures_are_medians_and_counts_over_twins_and_seeds() -> None:
 
 def test_the_table_and_the_picture_hold_every_method() -> None:
     table = describe_learning(summarise_learning(ROWS))
-    assert [line.split()[1] for line in table.splitlines()[2:5]] == ["none", "gp_on_linear", "linear"]
+    assert [line.split()[1] for line in table.splitlines()[2:5]] == ["none", DEFAULT, "linear"]
     assert "∞" in table
     assert learning_picture(ROWS, "png").startswith(b"\x89PNG")
 
 
 def test_a_method_without_a_rule_is_compared_with_the_method() -> None:
-    measured = {DEFAULT, "online", "online-monitor", "linear-monitor"}
-    assert compared_with("online-monitor", measured) == "online"
-    assert compared_with("linear-monitor", measured) == DEFAULT, "the full method was not measured"
+    measured = {DEFAULT, "online", "online-drift", "linear-drift"}
+    assert compared_with("online-drift", measured) == "online"
+    assert compared_with("linear-drift", measured) == DEFAULT, "the full method was not measured"
     assert compared_with("online", measured) == DEFAULT
     assert compared_with("template_online", measured) == "online"
     assert compared_with("template_linear", measured) == DEFAULT, "the method on the exact map was not measured"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.learning.methods import redeployment
-from benchmarks.learning.methods.ablation import ABLATIONS, CONTROL_RULES, LEARNING_RULES
+from benchmarks.learning.methods.ablation import ABLATIONS, CONTROL_RULES, LEARNING_RULES, PRIOR
 from benchmarks.learning.methods.redeployment import paper
 from benchmarks.learning.methods.registry import default_methods, is_method, method_of
 from benchmarks.learning.tasks import Task
@@ -46,7 +46,7 @@ def test_every_rule_is_a_setting_that_is_on_by_default() -> None:
     learning, control = LearningSettings(), ControlSettings()
     assert all(getattr(learning, name) is True for name in LEARNING_RULES)
     assert {field.name for field in fields(control) if getattr(control, field.name) is True} == set(CONTROL_RULES)
-    assert set(ABLATIONS) == {*LEARNING_RULES, *CONTROL_RULES, "all_rules"}
+    assert set(ABLATIONS) == {*LEARNING_RULES, *CONTROL_RULES, PRIOR, "all_rules"}
 
 
 @pytest.mark.parametrize("rule", [*LEARNING_RULES, *CONTROL_RULES])
@@ -66,7 +66,7 @@ def test_one_rule_is_off_and_the_first_deployment_is_the_common_one(
 def test_names_of_methods_and_rules_are_checked() -> None:
     assert all(map(is_method, default_methods()))
     assert is_method("gp_on_linear-all_rules")
-    for name in ("none", "magic", "gp_on_linear-magic", "magic-drift", "gp_on_linear-", "gp_on_linear-drift-monitor"):
+    for name in ("none", "magic", "gp_on_linear-magic", "magic-drift", "gp_on_linear-", "gp_on_linear-drift-cautious"):
         assert not is_method(name)
 
 
