@@ -85,8 +85,8 @@ MOST, YOUNG = 10, 3
 MOST_MONOMIALS: Final = 150
 """With more monomials of degree 2 beliefs are about degree 1: no deployment tells so many weights apart."""
 WAVES, WAVE_LENGTH, LEAST_FOR_WAVES = 30, 2.0, 100
-"""Number and length scale [half ranges] of the waves among the features, and number of steps that must be known before a
-deployment for it to have them: with fewer they only make the map less sure where the robot has not been."""
+"""Number and length scale [half ranges] of the waves among the features, and number of steps that must be known before
+a deployment for it to have them: with fewer they only make the map less sure where the robot has not been."""
 REPORTED_ODDS, SUDDEN = 30.0, 10
 """A change is reported from these odds on, within this number of steps from its beginning: a belief that wins later is
 a better model, not a change."""

@@ -25,7 +25,7 @@ from stepgap.learning.prior import Prior
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.residual_fit import fit_residual
-from stepgap.learning.settings import LearningSettings
+from stepgap.learning.settings import AUTO, LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps, runs_before
 from stepgap.step import Array, StepMap, StepRecord, StepSpace, StepStatus
 
@@ -108,11 +108,13 @@ class Learner:
     def redeployed(self, known: Steps, priors: Sequence[Prior] = ()) -> "Learner":
         """Returns the learner before the next deployment, with all steps known then; the priors are those of `start`.
 
-        A residual is fitted again. Beliefs go on, but for a deployment after which some of its steps proved doubtful.
+        A residual is fitted again. Beliefs go on; they begin again with all steps where so many are known that their
+        features are others, or after a deployment some of whose steps proved doubtful.
         """
         iteration, settings = self.iteration + 1, self.settings
         beliefs = self.beliefs if settings.residual == POSTERIOR.name else None
-        if beliefs is None or known.of_iteration(self.iteration).doubtful.any():
+        same = beliefs is not None and beliefs.features.waves == features_of(beliefs.features.inputs, len(known)).waves
+        if beliefs is None or not same or known.of_iteration(self.iteration).doubtful.any():
             return Learner.start(self.nominal, known, settings, iteration, priors)
         return self.restored(self.nominal, known, settings, iteration, self.residual, beliefs.redeployed())
 
@@ -223,7 +225,7 @@ def _fitted(nominal: StepMap, known: Steps, settings: LearningSettings, *, belie
     seen = observe(known.planned(), nominal)
     alone = believes and settings.residual == POSTERIOR.name
     name = "none" if alone or not len(seen) else settings.residual
-    if name != settings.residual:
+    if name != settings.residual != AUTO:
         load_residual_model(settings.residual)  # if it cannot be loaded, no robot moves
     return fit_residual(name, seen, settings.lagged_inputs, settings.forgetting_time)
 
@@ -232,7 +234,7 @@ def _begun(nominal: StepMap, known: Steps, residual: Residual, priors: Sequence[
     """The beliefs before a deployment: about what a fitted residual leaves, or about all steps known."""
     space = nominal.space
     n, m, context = len(space.state), len(space.command), len(space.context_inputs)
-    features = features_of(n + m + context)
+    features = features_of(n + m + context, len(known))
     if residual.kind != "none":
         return Beliefs.start(features, (n, m), (), residual.noise_std / space.state_scale)
     beliefs = Beliefs.start(features, (n, m), [prior.family(space, features) for prior in priors], None)
