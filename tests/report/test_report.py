@@ -14,6 +14,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from stepgap.experiment.bands import interval_coverage
 from stepgap.experiment.run import Run
+from stepgap.experiment.settings import Experiment
+from stepgap.learning.settings import LearningSettings
 from stepgap.records.summary import MEASURED, MEASURES, NoiseFloor, Summary
 from stepgap.report.drawing import LOOK
 from stepgap.report.figures import drawn_figures
@@ -21,7 +23,7 @@ from stepgap.report.figures.steps import command_figure, error_figure, map_capti
 from stepgap.report.text import decimal
 from stepgap.robots.hopper.paper import STATE_NAMES, paper_reference, paper_result
 from stepgap.step import Quantity, StepSpace
-from tests.control.maps import YAW, LossyHopper
+from tests.control.maps import LossyHopper
 from tests.quick_runs import leave_out_files_of_figures
 from tests.report.pages import Page, check_alone, check_same_files
 from tests.report.runs import make_run, report_of, write_run, write_summary
@@ -292,10 +294,9 @@ def test_decimal(value: float, text: str) -> None:
     assert decimal(value) == text
 
 
-def test_jumps_of_the_standard_deviation_are_explained_where_the_yaw_is_known(written: Path) -> None:
-    run = Run(written)
-    assert "It is larger where state and command are farther" in map_caption(run, 0)
-    assert "It jumps where the estimate" not in map_caption(run, 0)
-    steps = run.steps.in_space(replace(run.space, context=(YAW,))).with_columns(context=0.1)
-    with_yaw = Run(written, summary=run.summary, recorded=steps)
-    assert "It jumps where the estimate" in map_caption(with_yaw, 0)
+def test_jumps_of_the_standard_deviation_are_explained_where_beliefs_plan(written: Path) -> None:
+    jumps = "It jumps where what is believed of the robot changes."
+    for drift in (True, False):
+        run = Run(written, settings=Experiment(learning=LearningSettings(drift=drift)))
+        assert "It is larger where state and command are farther" in map_caption(run, 0)
+        assert (jumps in map_caption(run, 0)) == drift

@@ -38,7 +38,7 @@ def learned_sentences(analysis: Analysis) -> list[str]:
         return [f"{model}: {learned.residual.model.description}."]
     parameters = [parameter for each in learned.residual.regressions for parameter in each.parameters()]
     believed, periodic = learned.residual.kind == POSTERIOR.name, run.steps.space.periodic
-    besides = f"what returns with the {periodic.name}, and " if periodic else ""
+    besides = f"what returns with the {periodic.name}, and " if periodic and np.isfinite(run.steps.phase).any() else ""
     return [
         f"{model}: for each state coordinate {learned.residual.model.description}, "
         f"{'learned from' if believed else 'fitted to'} actual − nominal of {learned.steps} earlier steps.",
