@@ -1,7 +1,5 @@
 """The methods to compare with: each is what its name says, by an independent computation."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
@@ -41,9 +39,8 @@ def inputs(state: Array, command: Array) -> Array:
 
 
 def learned(nominal: StepMap, log: Steps, method: str) -> Learner:
-    """The learner of a method after it learned from all steps one by one, also from those that seem to be outliers."""
-    settings = replace(METHODS[method].learning, drift=False, reject_outliers=False)
-    learner = Learner.start(nominal, Steps(SPACE), settings, 0)
+    """The learner of a method after it learned from all steps one by one."""
+    learner = Learner.start(nominal, Steps(SPACE), METHODS[method].learning, 0)
     for logged in log:
         learner = learner.after(logged)
     return learner
