@@ -234,7 +234,7 @@ class _Sizes:
 
 
 def features_used(controller: PortableController) -> Features:
-    """The features of beliefs or of a fitted residual, which may lack waves; a constant and the inputs if there are none.
+    """The features of beliefs or of a fitted residual, which may lack waves; without both, those of degree 1.
 
     Raises:
         InputError: Those of the residual are others.
