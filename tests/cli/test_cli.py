@@ -98,7 +98,7 @@ def test_its_settings_rerun_it(finished: Path, stepgap: Command) -> None:
     lines = result.err.splitlines()
     assert len(lines) == 2, "a plain line for each deployment"
     assert re.fullmatch(r"deployment 0 of 1 \(none\): 3 steps, RMSE speed [0-9.]+ m/s, height [0-9.]+ m", lines[0])
-    assert lines[1].startswith("deployment 1 of 1 (gp_on_linear): 3 steps, RMSE")
+    assert lines[1].startswith("deployment 1 of 1 (posterior): 3 steps, RMSE")
 
 
 @pytest.mark.usefixtures("no_report", "no_repeats")

@@ -100,13 +100,25 @@ def test_several_priors_compete_and_are_copied(family: Path, stepgap: Command) -
     refused(stepgap("run", *arguments, "third", "--prior", "empty"), "empty", "no file of `stepgap prior`")
 
 
-def test_online_runs_begin_with_that_of_the_robot(family: Path, stepgap: Command) -> None:
+def test_runs_begin_with_that_of_the_robot(family: Path, stepgap: Command) -> None:
     arguments = ["--reference", family / "targets.csv", "--iterations", 0, "--quiet", "--out"]
     for name, more in {"with": ["--online"], "without": ["--online", "--prior", "none"], "default": []}.items():
         assert stepgap("run", *arguments, name, *more).code == 0
-        assert Path(name, "models/iteration_0.json").exists() == (name == "with")
+        assert Path(name, "models/iteration_0.json").exists() == (name != "default")
     first = {name: Path(name, "steps.csv").read_text().splitlines()[2] for name in ("with", "without", "default")}
     assert len({*first.values()}) == 3  # the first hop, too, is learned from online
+
+
+def test_redeployments_begin_with_that_of_the_robot(stepgap: Command) -> None:
+    Path("short.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n")
+    models = []
+    for name, more in {"with": [], "without": ["--prior", "none"]}.items():
+        arguments = ["--reference", "short.csv", "--iterations", 1, "--quiet", "--out", name, *more]
+        assert stepgap("run", *arguments).code == 0
+        models.append(json.loads(Path(name, "models/iteration_1.json").read_text()))
+        assert not Path(name, "models/iteration_0.json").exists()
+    families = [[each["kind"] for each in model["beliefs"]["beliefs"]].count("family") for model in models]
+    assert families[0] > 0 == families[1]
 
 
 def test_cases_of_a_sweep_may_have_several_priors(family: Path, stepgap: Command) -> None:

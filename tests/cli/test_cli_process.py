@@ -77,7 +77,7 @@ def test_a_failing_program_leaves_its_steps_and_learning_goes_on(run, kind: str,
     result = run(sys.executable, "robot.py")
     assert result.code == 0, result.err
     assert message in result.err
-    assert "deployment 1 of 2 (gp_on_linear): 12 steps, then it was stopped, RMSE speed" in result.err
+    assert "deployment 1 of 2 (posterior): 12 steps, then it was stopped, RMSE speed" in result.err
     log = read_step_log(Path("out/steps.csv"), SPACE)
     assert [len(log.of_iteration(number)) for number in log.iterations] == [12, 12, 12]
     assert [logged.record.status for logged in log.of_iteration(1)][-2:] == [StepStatus.OK, StepStatus.STOPPED]

@@ -78,7 +78,7 @@ def test_what_a_run_learned_in_its_only_deployment_is_described(finished: Path, 
     shutil.copy(finished.parent / "targets.csv", "targets.csv")
     run = ["run", "--reference", "targets.csv", "--online", "--explore", "6", "--iterations", "0", "--out", "run"]
     assert stepgap(*run, "--prior", "none").code == 0
-    assert not Path("run/models").exists()
+    assert [each.name for each in Path("run/models").iterdir()] == ["iteration_0.json"], "what is believed beforehand"
     text = Path("run/report.html").read_text(encoding="utf-8")
     assert "A further deployment would begin with the residual" in text
     assert "of 9 earlier steps" in text

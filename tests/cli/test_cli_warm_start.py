@@ -46,7 +46,7 @@ def test_a_warm_start_is_far_better_and_its_folder_is_complete(cold: Path, stepg
     result = stepgap("run", *arguments, "warm", "--seed", 8, "--warm-start", cold / "run")
     assert result == CommandResult(0, "warm/report.html\n", "")
     first, (warm,) = entries(cold / "run")[0], entries(Path("warm"))
-    assert (first["residual"], warm["residual"]) == ("none", "gp_on_linear")
+    assert (first["residual"], warm["residual"]) == ("none", "posterior")
     assert error(warm) < 0.5 * error(first)
     assert Path("warm/warm_start.csv").read_bytes() == (cold / "run" / "steps.csv").read_bytes()
     assert 'warm_start = "warm_start.csv"\n' in Path("warm/experiment.toml").read_text()

@@ -86,7 +86,7 @@ def test_only_the_phase_matters_not_how_it_is_measured(run: Path, tmp_path: Path
         run, ran(tmp_path / "angle", Walker(context=(YAW,))), ran(tmp_path / "none", Walker(context=(GROUND,))),
     )]  # fmt: skip
     assert rmse[0] == pytest.approx(rmse[1], rel=1e-6)
-    assert rmse[0] < 0.85 * rmse[2]
+    assert rmse[0] < 0.95 * rmse[2]
 
 
 def test_a_second_periodic_quantity_is_refused() -> None:
@@ -120,12 +120,12 @@ def test_an_old_run_is_read_by_a_robot_without_context(old: Path, tmp_path: Path
 def test_an_old_run_is_continued_with_the_columns_that_it_has(tmp_path: Path) -> None:
     """The robot that recorded a column for each step, without a number in it, declares no context any more."""
     walker, folder = Walker(context=()), tmp_path / "old"
-    ran(folder, walker, replace(LEARNING, iterations=1, remove_yaw_dependence=False))
+    ran(folder, walker, replace(LEARNING, iterations=1))
     header, *rows = (folder / "steps.csv").read_text().splitlines()
     with_yaw = [header.replace(",status", ",yaw_after,status"), *(row.replace(",ok", ",nan,ok") for row in rows[:80])]
     (folder / "steps.csv").write_text("".join(f"{line}\n" for line in with_yaw))
     (folder / "summary.json").unlink()
-    ran(folder, walker, replace(LEARNING, iterations=1, remove_yaw_dependence=False))
+    ran(folder, walker, replace(LEARNING, iterations=1))
     found = (folder / "steps.csv").read_text().splitlines()
     assert [line.replace(",yaw_after,", ",").replace(",nan,ok", ",ok") for line in found] == [header, *rows]
     assert len(Run(folder, space=walker.space).steps) == 120

@@ -61,7 +61,7 @@ def test_the_page(served: str, watched_page: Watched) -> None:
     watched_page.keep_screenshot("view_tracking")
 
     page.get_by_text("What was learned").click()
-    expect(body).to_contain_text("with which deployment 1 began (gp_on_linear)")
+    expect(body).to_contain_text("with which deployment 1 began (posterior)")
     choose(watched_page, "Along", "fx")
     expect(page.locator(".uplot:visible").first).to_be_visible()
     page.wait_for_timeout(500)
