@@ -61,7 +61,8 @@ def test_the_file_and_what_is_read_from_it_are_the_same(family: Path) -> None:
 def test_a_run_begins_with_it_and_can_be_repeated(family: Path, stepgap: Command) -> None:
     arguments = ["--reference", family / "targets.csv", "--iterations", 0, "--online", "--seed", 3, "--quiet", "--out"]
     assert stepgap("run", *arguments, "first", "--prior", family / "prior.json").code == 0
-    assert json.loads(Path("first/models/iteration_0.json").read_text())["kind"] == "prior"
+    beliefs = json.loads(Path("first/models/iteration_0.json").read_text())["beliefs"]["beliefs"]
+    assert "family" in [each["kind"] for each in beliefs]
     assert Path("first/prior.json").read_bytes() == (family / "prior.json").read_bytes()
     assert 'prior = "prior.json"\n' in Path("first/experiment.toml").read_text()
 
@@ -83,12 +84,11 @@ def test_several_priors_compete_and_are_copied(family: Path, stepgap: Command) -
     Path("both/a_wrong.json").write_text(json.dumps(found))
     Path("both/right.json").write_bytes((family / "prior.json").read_bytes())
     arguments = ["--reference", family / "targets.csv", "--iterations", 1, "--seed", 3, "--quiet", "--out"]
-    assert stepgap("run", *arguments, "first", "--prior", "both", "--learning.residual", "quadratic").code == 0
-    assert stepgap("run", *arguments, "one", "--prior", "both/right.json", "--learning.residual", "quadratic").code == 0
-    used = [Path(run, "models/iteration_1.json") for run in ("first", "one")]
-    assert [json.loads(each.read_text())["kind"] for each in used] == ["prior", "prior"]
-    first, one = (json.loads(each.read_text())["regressions"][0]["prior"] for each in used)
-    np.testing.assert_allclose(first["projection"], one["projection"])
+    assert stepgap("run", *arguments, "first", "--prior", "both").code == 0
+    assert stepgap("run", *arguments, "one", "--prior", "both/right.json").code == 0
+    first, one = (json.loads(Path(run, "models/iteration_1.json").read_text()) for run in ("first", "one"))
+    for both, alone in zip(first["regressions"], one["regressions"], strict=True):
+        np.testing.assert_allclose(both["weights"], alone["weights"], atol=0.01)
     assert sorted(each.name for each in Path("first/priors").iterdir()) == ["a_wrong.json", "right.json"]
     assert 'prior = "priors"\n' in Path("first/experiment.toml").read_text()
 
@@ -107,6 +107,16 @@ def test_runs_begin_with_that_of_the_robot(family: Path, stepgap: Command) -> No
         assert Path(name, "models/iteration_0.json").exists() == (name != "default")
     first = {name: Path(name, "steps.csv").read_text().splitlines()[2] for name in ("with", "without", "default")}
     assert len({*first.values()}) == 3  # the first hop, too, is learned from online
+
+
+@pytest.mark.parametrize("setting", [("residual", "linear"), ("residual", "auto"), ("drift", "false")])
+def test_a_prior_that_nothing_would_begin_with_is_refused(
+    family: Path, stepgap: Command, setting: tuple[str, str]
+) -> None:
+    name, value = setting
+    arguments = ["--prior", family / "prior.json", f"--learning.{name}", value, "--out", "run"]
+    refused(stepgap("run", *arguments), "only beliefs begin with a prior", "learning.residual = 'posterior'")
+    assert not Path("run").exists()
 
 
 def test_redeployments_begin_with_that_of_the_robot(stepgap: Command) -> None:

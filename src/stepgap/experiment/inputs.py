@@ -118,6 +118,17 @@ def load_priors(experiment: Experiment, space: StepSpace) -> list[PriorFile]:
     return found
 
 
+def check_prior_is_used(experiment: Experiment) -> None:
+    """Raises InputError if a prior is wanted, but what is learned cannot begin with it."""
+    learning, usual = experiment.learning, LearningSettings().residual
+    wanted = experiment.prior not in (PRIOR_OF_ROBOT, NO_PRIOR)
+    if wanted and not (learning.drift and learning.residual == usual):
+        raise InputError(
+            f"prior = {experiment.prior!r}: only beliefs begin with a prior; leave it out, or set learning.residual = "
+            f"{usual!r} and learning.drift = true"
+        )
+
+
 def prior_files(path: Path) -> list[Path]:
     """The file itself, or the files of priors in a folder, by name."""
     if not path.is_dir():

@@ -14,7 +14,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.output_files import free_name
 from stepgap.base.ranges import format_value
 from stepgap.control.reference import Reference
-from stepgap.experiment.inputs import load_known, load_priors
+from stepgap.experiment.inputs import check_prior_is_used, load_known, load_priors
 from stepgap.experiment.loop import Setup, is_finished
 from stepgap.experiment.outcome import unheld_steps
 from stepgap.experiment.plants import PlantRequest, choose_plants
@@ -78,6 +78,7 @@ def load_setup(request: PlantRequest, nominal: StepMap) -> Setup:
         raise InputError("control.table: a table needs a target of every state coordinate at every step; set it to 0")
     known = load_known(settings, settings.space)
     plants = choose_plants(request)
+    check_prior_is_used(settings)
     priors = load_priors(settings, settings.space)
     return Setup(
         nominal,
