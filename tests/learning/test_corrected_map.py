@@ -3,7 +3,6 @@ import pytest
 from numpy.typing import ArrayLike
 
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.disturbance import Disturbance
 from stepgap.learning.observations import Observations
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_fit import fit_residual
@@ -127,26 +126,20 @@ def test_standard_deviation_is_the_residual_s(corrected: CorrectedMap, residual:
     np.testing.assert_array_equal(corrected.std_gradient(state, command), residual.std_gradient(point))
 
 
-def test_a_disturbance_adds_to_the_state_and_its_standard_deviation_to_that(residual: Residual) -> None:
-    rng = np.random.default_rng(8)
-    roots = rng.normal(0, 1e-3, (2, 4, 4))
-    added = Disturbance(np.array([0.01, -0.002]), rng.normal(0, 0.01, (2, 3)), roots @ roots.transpose(0, 2, 1))
-    plain, shifted = CorrectedMap(NOMINAL, residual), CorrectedMap(NOMINAL, residual, added)
+def test_an_offset_is_taken_from_measured_states(residual: Residual) -> None:
+    """The step begins where the state is, not where it was measured; what is measured at its end is right again."""
+    offset = np.array([0.03, -0.01])
+    plain, shifted = CorrectedMap(NOMINAL, residual), CorrectedMap(NOMINAL, residual, offset)
     state, command = apexes(20, seed=7)
     state[:, 0] *= 0.9  # away from the falls
-    inputs = np.hstack([SPACE.scaled_state(state), SPACE.point_of(command)])
-    np.testing.assert_allclose(shifted(state, command) - plain(state, command), added.mean(inputs), atol=1e-12)
-    std = shifted.std(state, command)
-    np.testing.assert_allclose(std**2 - plain.std(state, command) ** 2, added.std(inputs) ** 2, atol=1e-12)
+    np.testing.assert_allclose(shifted(state + offset, command), plain(state, command), rtol=1e-9)
+    for name in ("jacobian", "std", "std_gradient"):
+        found, expected = getattr(shifted, name)(state + offset, command), getattr(plain, name)(state, command)
+        np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-12)
+    scale = np.concatenate([SPACE.state_scale, SPACE.command_scale])
+    expected = difference_jacobian(shifted, state, command) * scale
+    np.testing.assert_allclose(shifted.jacobian(state, command) * scale, expected, rtol=1e-5, atol=1e-8)
     np.testing.assert_array_equal(shifted.noise_std, plain.noise_std)
-    points, scale = join_points(state, command), 1e-5 * np.concatenate([SPACE.state_scale, SPACE.command_scale])
-    gradient, jacobian = shifted.std_gradient(state, command), shifted.jacobian(state, command)
-    for column, step in enumerate(np.diag(scale)):
-        moved = [(moved[:, :2], moved[:, 2:]) for moved in (points + step, points - step)]
-        ahead, behind = (shifted.std(*each) for each in moved)
-        np.testing.assert_allclose(gradient[..., column] * scale[column], (ahead - behind) / 2, rtol=1e-4, atol=1e-11)
-        ahead, behind = (shifted(*each) for each in moved)
-        np.testing.assert_allclose(jacobian[..., column] * scale[column], (ahead - behind) / 2, rtol=1e-3, atol=1e-9)
 
 
 def test_without_a_residual_the_map_is_the_nominal_one() -> None:
