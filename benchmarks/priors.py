@@ -37,7 +37,6 @@ from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.learner import Learner
 from stepgap.learning.observations import Observations, observe
 from stepgap.learning.prior import LEAST_FOR_PRIOR, Prior, fit_prior
-from stepgap.learning.prior_evidence import residual_with
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.plants.plant import Plant
@@ -158,7 +157,9 @@ def print_bound(kind: str, priors: Mapping[str, Prior | None]) -> None:
     robot = load_robot(kind)
     nominal, reference = nominal_of(robot), next(iter(robot.references().values()))().of(robot.space)
     for name in ("none", "prior"):
-        start = residual_with(priors[name], observe(Steps(nominal.space), nominal))
+        known = [each for each in (priors[name],) if each]
+        learner = Learner.start(nominal, Steps(nominal.space), LearningSettings(online=True), 0, known)
+        start = learner.conditioned_residual
         goals = goals_of(reference, CorrectedMap(nominal, start))
         for way in ("best", "reference"):
             residual, state, cells = start, nominal.space.state_centre, list[str]()

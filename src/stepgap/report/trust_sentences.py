@@ -18,7 +18,7 @@ _FOUND: Final = {
 
 def alarm_sentence(alarm: Alarm) -> str:
     """What an alarm means, as a sentence without a full stop."""
-    return f"after step {alarm.step}, {_FOUND[alarm.source]} (docs/never_worse.md)"
+    return f"after step {alarm.step}, {_FOUND[alarm.source]} (docs/learning.md)"
 
 
 def trust_sentences(run: Run) -> list[str]:
