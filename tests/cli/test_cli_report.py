@@ -81,7 +81,7 @@ def test_what_a_run_learned_in_its_only_deployment_is_described(finished: Path, 
     assert [each.name for each in Path("run/models").iterdir()] == ["iteration_0.json"], "what is believed beforehand"
     text = Path("run/report.html").read_text(encoding="utf-8")
     assert "A further deployment would begin with the residual" in text
-    assert "of 9 earlier steps" in text
+    assert "of 8 earlier steps" in text, "without the hop from rest"
     assert "Corrected map: " in text
 
 

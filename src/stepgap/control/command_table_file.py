@@ -15,7 +15,7 @@ from stepgap.step import Quantity, StepSpace
 LARGEST_TABLE = 2**30
 """Largest table that is read, compressed or not [bytes]."""
 TABLE_SCHEMA = 1
-KINDS = {
+ARRAY_KINDS = {
     "schema": "i", "state": "U", "command": "U", "units": "U", "ranges": "f",
     "commands": "f", "predicted": "f", "reached": "b", "statuses": "i",
 }  # fmt: skip
@@ -64,9 +64,9 @@ def read_table(path: str | Path) -> CommandTable:
 
 def _table_of(arrays: Mapping[str, NDArray[np.generic]]) -> CommandTable:
     """Converts the arrays of a file to a table; ValueError if they are not those of one."""
-    if arrays.keys() != KINDS.keys():
-        raise ValueError(f"it contains {', '.join(arrays) or 'nothing'} instead of {', '.join(KINDS)}")
-    for name, kind in KINDS.items():
+    if arrays.keys() != ARRAY_KINDS.keys():
+        raise ValueError(f"it contains {', '.join(arrays) or 'nothing'} instead of {', '.join(ARRAY_KINDS)}")
+    for name, kind in ARRAY_KINDS.items():
         if arrays[name].dtype.kind != kind:
             raise ValueError(f"{name} has entries of type {arrays[name].dtype}")
     if arrays["schema"].shape != () or arrays["schema"] != TABLE_SCHEMA:

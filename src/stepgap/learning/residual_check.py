@@ -13,7 +13,7 @@ from stepgap.step import Array
 CHECKED_POINTS: Final = 30
 """Largest number of points at which a new regression is checked; they are spread over those that it was fitted to."""
 
-LARGEST: Final = 1e100
+LARGEST_RETURNED: Final = 1e100
 """Largest absolute value of a prediction and of its gradient in SI units; squares of it are still finite."""
 
 
@@ -76,15 +76,15 @@ def check_prediction(name: str, mean: Array, std: Array) -> None:
     _check(name, "std", std, np.shape(std), least=0)
 
 
-def _check(name: str, method: str, found: Any, shape: tuple[int, ...], least: float = -LARGEST) -> None:
-    """Raises ResidualError unless these are numbers of this shape, from `least` to `LARGEST`."""
+def _check(name: str, method: str, found: Any, shape: tuple[int, ...], least: float = -LARGEST_RETURNED) -> None:
+    """Raises ResidualError unless these are numbers of this shape, from `least` to `LARGEST_RETURNED`."""
     values = np.asarray(found)
     returned = f"residual '{name}': its {method} returned"
     if values.dtype.kind not in "fiu":
         raise ResidualError(f"{returned} {found!r:.40}; it must return numbers of shape {shape}")
     if values.shape != shape:
         raise ResidualError(f"{returned} the shape {values.shape}; it must be {shape}")
-    wrong = values[~((values >= least) & (values <= LARGEST))]
+    wrong = values[~((values >= least) & (values <= LARGEST_RETURNED))]
     if wrong.size:
         rule = "must be finite and not negative" if least == 0 else "must be finite"
-        raise ResidualError(f"{returned} {wrong[0]:g}; it {rule}, and at most {LARGEST:g}")
+        raise ResidualError(f"{returned} {wrong[0]:g}; it {rule}, and at most {LARGEST_RETURNED:g}")
