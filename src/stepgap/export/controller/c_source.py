@@ -244,7 +244,7 @@ def features_used(controller: PortableController) -> Features:
     inputs = len(controller.space.names)
     for each in known[1:]:
         same = features_to_dict(each) == features_to_dict(known[0])
-        if not same and (each.waves or each.degree != known[0].degree):
+        if not same and each.waves:
             raise InputError("beliefs and residual have different features, which C cannot have; run again")
     return known[0] if known else Features(inputs, 1, np.empty((0, inputs)), np.empty(0))
 
@@ -284,7 +284,7 @@ class _Tables:
             *(f"#define {name} R({value!r})" for name, value in self._numbers().items()),
             f"enum {{ {', '.join(f'{name} = {value}' for name, value in self._sizes().items())} }};",
             "enum { AFFINE, POLYNOMIAL_MAP };",
-            "enum { ZERO, POLYNOMIAL, POSTERIOR, GAUSSIAN_PROCESS };",
+            "enum { ZERO, WEIGHTED, GAUSSIAN_PROCESS };",
             "enum { MATERN_52, SQUARED_EXPONENTIAL };",
             *self._space(),
             *self._features(),
@@ -462,7 +462,7 @@ class _Tables:
 
     def _residual(self) -> str:
         declaration = (
-            "typedef struct {\n    int kind, degree, kernel, plug_in, centre_count;\n    real noise_std, signal;\n"
+            "typedef struct {\n    int kind, degree, waves, kernel, plug_in, centre_count;\n    real noise_std, signal;\n"
             "    const real *origin, *scale, *weights, *posterior, *centres, *factor, *slope_scale;\n} regression;"
         )
         arrays, rows = [], []
@@ -486,22 +486,19 @@ class _Tables:
                 "posterior": _triangle(noise_variance * inverse),
             }
             pointers = ", ".join(f"{name}_{each}" for each in arrays)
-            head = f"POLYNOMIAL, {regression.degree}, 0, 0, 0, {noise}, {self._literal(0.0)}"
+            head = f"WEIGHTED, {regression.degree}, 0, 0, 0, 0, {noise}, {self._literal(1.0)}"
             row = f"{head}, {pointers}, NULL, NULL, NULL"
         elif isinstance(regression, Posterior):
-            count, padded = regression.features.count, features_used(self.controller).count
-            weights, covariance = np.zeros(padded), np.zeros((padded, padded))
-            weights[:count] = regression.mean_weights[:count]
-            covariance[:count, :count] = regression.covariance[:count, :count]
+            used = regression.features
             arrays = {
                 "origin": regression.data.centre,
                 "scale": regression.data.scale,
-                "weights": weights,
-                "posterior": _triangle(covariance),
+                "weights": regression.mean_weights,
+                "posterior": _triangle(regression.covariance),
             }
             pointers = ", ".join(f"{name}_{each}" for each in arrays)
-            row = f"POSTERIOR, 0, 0, 0, 0, {noise}, {self._literal(regression.data.value_scale)}, {pointers}"
-            row += ", NULL, NULL, NULL"
+            scale = self._literal(regression.data.value_scale)
+            row = f"WEIGHTED, {used.degree}, {used.waves}, 0, 0, 0, {noise}, {scale}, {pointers}, NULL, NULL, NULL"
         elif isinstance(regression, GaussianProcessRegression):
             process = _process(regression)
             inducing, mean = process.inducing, process.posterior.mean
@@ -520,10 +517,10 @@ class _Tables:
             signal = self._literal(process.hyper_parameters.signal_std)
             pointers = ", ".join(f"{name}_{each}" for each in arrays)
             plug_in, count = int(regression.plug_in), len(process.inducing)
-            row = f"GAUSSIAN_PROCESS, 0, {kernel}, {plug_in}, {count}, {noise}, {signal}, {pointers}"
+            row = f"GAUSSIAN_PROCESS, 0, 0, {kernel}, {plug_in}, {count}, {noise}, {signal}, {pointers}"
         else:
             zero = self._literal(0.0)
-            return [], f"ZERO, 0, 0, 0, 0, {noise}, {zero}, NULL, NULL, NULL, NULL, NULL, NULL, NULL"
+            return [], f"ZERO, 0, 0, 0, 0, 0, {noise}, {zero}, NULL, NULL, NULL, NULL, NULL, NULL, NULL"
         return [self._array(f"{name}_{key}", value) for key, value in arrays.items()], row
 
     def _literal(self, value: float) -> str:
