@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from stepgap.control import command_table
 from stepgap.control.box_points import box_grid
 from stepgap.control.command_table import CommandTable, build_table, measure_table
-from stepgap.control.command_table_file import KINDS, read_table, write_table
+from stepgap.control.command_table_file import ARRAY_KINDS, read_table, write_table
 from stepgap.control.step_controller import StepController
 from stepgap.step import Array, StepFailed, StepStatus
 from tests.control.maps import FoldedMap, LossyHopper, NeverWorks, RedundantMap, StumblingHopper
@@ -223,4 +223,4 @@ def test_a_truncated_file_is_refused(file):
         file.write_bytes(whole[:length])
         with pytest.raises(ValueError, match="command table"):
             read_table(file)
-    assert set(KINDS) >= {"commands", "reached"}
+    assert set(ARRAY_KINDS) >= {"commands", "reached"}
