@@ -20,7 +20,8 @@ TARGETS = np.random.default_rng(5).uniform([0.05, 0.55], [0.35, 0.61], (45, 2)).
 
 @pytest.fixture(scope="module")
 def learner() -> Learner:
-    return Learner.start(NOMINAL, log_of(hops(REALITY, 60, seed=0)), LearningSettings("linear"), 1)
+    """One whose residual alone is learned: beliefs would find the noise of the robot by themselves."""
+    return Learner.start(NOMINAL, log_of(hops(REALITY, 60, seed=0)), LearningSettings("linear", drift=False), 1)
 
 
 def deployment(learner: Learner, noise: Array) -> Steps:
