@@ -1,26 +1,27 @@
 """A prior over robots: found from robots drawn from a known one, and used where it applies."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats
 
+from stepgap.gauss.features import Features
+from stepgap.gauss.monomials import monomials
+from stepgap.learning.beliefs import Beliefs, Family, Observed, unknown
 from stepgap.learning.observations import Observations
-from stepgap.learning.polynomial import QUADRATIC, Moments, fit_polynomial, monomials, weak_prior
+from stepgap.learning.polynomial import QUADRATIC, Moments, fit_polynomial
 from stepgap.learning.prior import DEGREE, PRIOR, Prior, fit_prior
-from stepgap.learning.regression import TrainingData
 from stepgap.learning.residual import HistoryInputs
-from stepgap.learning.residual_fit import learned_residual, residual_from_dict
-from stepgap.learning.settings import LearningSettings
-from stepgap.step import Array, Quantity, StepSpace
+from stepgap.learning.residual_fit import fit_residual, residual_from_dict
+from stepgap.step import Array, ContextQuantity, Quantity, StepSpace
 
 SPACE = StepSpace(
     (Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.5, 0.6)), (Quantity("fx", "N", -15.0, 15.0),)
 )
 SIZE = monomials(np.zeros(3), DEGREE).size
 NOISE = np.array([0.02, 0.03])
-SETTINGS = LearningSettings(online=True, remove_yaw_dependence=False)
 RNG = np.random.default_rng(5)
 MEAN = RNG.normal(0, 0.3, (2, SIZE))
 ROOT = RNG.normal(0, 0.2, (2, SIZE, 3))
@@ -64,101 +65,159 @@ def test_a_bad_robot_changes_little(prior: Prior) -> None:
         assert other.noise_std == pytest.approx(one.noise_std, rel=0.1)
 
 
-def test_without_steps_the_polynomial_is_the_prior(prior: Prior) -> None:
-    points = robot(MEAN, 7, np.random.default_rng(1))
-    residual = learned_residual(points.selected(np.arange(0)), SETTINGS, 0, priors=[prior])
-    inputs = np.hstack([points.state, points.command])
-    basis = monomials(SPACE.scaled_inputs(points.state, points.command), DEGREE)
+def features_of(space: StepSpace) -> Features:
+    """Those of beliefs about robots with this state, command and context inputs, without waves."""
+    inputs = len(space.names) + len(space.context_inputs)
+    return Features(inputs, DEGREE, np.empty((0, inputs)), np.empty(0))
+
+
+def moments_at(family: Family, features: Features, points: Array) -> tuple[Array, Array]:
+    """Mean and standard deviation of errors at points (p, d) in half ranges; shapes (p, 2)."""
+    basis = features(points)
+    variance = np.einsum("pa,nab,pb->pn", basis, family.covariance, basis)
+    return basis @ family.mean.T, np.sqrt(variance)
+
+
+def test_a_family_with_its_own_ranges_is_the_prior(prior: Prior) -> None:
+    family = prior.family(SPACE, features_of(SPACE))
     for number, found in enumerate(prior.coordinates):
-        unit, regression = SPACE.state_scale[number], residual.regressions[number]
-        np.testing.assert_allclose(regression.mean(inputs), basis @ found.mean * unit, atol=1e-9)
-        variance = np.einsum("pa,ab,pb->p", basis, found.covariance, basis)
-        np.testing.assert_allclose(regression.std(inputs), np.sqrt(variance) * unit, rtol=1e-5)
-        assert regression.noise_std == pytest.approx(found.noise_std * unit)
+        np.testing.assert_allclose(family.mean[number], found.mean, atol=1e-9)
+        np.testing.assert_allclose(family.covariance[number], found.covariance, atol=1e-9)
+        assert family.noise_std[number] == pytest.approx(found.noise_std)
 
 
-def test_other_ranges_and_more_inputs_change_nothing(prior: Prior) -> None:
-    """The same function of state and command, where ranges are others and inputs of a touchdown are added."""
-    points = robot(MEAN, 9, np.random.default_rng(2))
-    inputs = np.hstack([points.state, points.command])
-    plain = points.training_data(HistoryInputs(), 0)
-    wider = TrainingData(
-        np.hstack([inputs, np.zeros((9, 1))]),
-        plain.values,
-        np.append(plain.centre + 0.1 * plain.scale, 0.0),
-        np.append(1.5 * plain.scale, 1.0),
-        plain.value_scale,
+def test_other_ranges_change_nothing(prior: Prior) -> None:
+    """The same function of state and command in the units of both, with the same uncertainty and noise."""
+    other = StepSpace(
+        (Quantity("speed", "m/s", -0.1, 0.7), Quantity("height", "m", 0.52, 0.59)),
+        (Quantity("fx", "N", -12.0, 25.0),),
     )
-    one = fit_polynomial(plain, DEGREE, prior.moments(0, plain))
-    other = fit_polynomial(wider, DEGREE, prior.moments(0, wider))
-    queries = np.hstack([inputs, np.zeros((9, 1))])
-    np.testing.assert_allclose(other.mean(queries), one.mean(inputs), rtol=1e-5, atol=1e-7)
-    np.testing.assert_allclose(other.std(queries), one.std(inputs), rtol=2e-3)
+    points = robot(MEAN, 9, np.random.default_rng(2))
+    found = []
+    for space in (SPACE, other):
+        family, features = prior.family(space, features_of(space)), features_of(space)
+        mean, std = moments_at(family, features, space.scaled_inputs(points.state, points.command))
+        found.append((mean * space.state_scale, std * space.state_scale, family.noise_std * space.state_scale))
+    for one, again in zip(*found, strict=True):
+        np.testing.assert_allclose(again, one, rtol=1e-6, atol=1e-9)
+
+
+def test_robots_of_the_family_do_not_depend_on_context_inputs_as_far_as_is_known(prior: Prior) -> None:
+    """Where an input of a touchdown is zero, it is the prior; elsewhere nothing is known of its effect."""
+    more = replace(SPACE, context=(ContextQuantity("rise", "m", input_scale=0.05),))
+    assert len(more.context_inputs) == 1
+    rng = np.random.default_rng(4)
+    points, features = rng.uniform(-1, 1, (7, 3)), features_of(more)
+    family = prior.family(more, features)
+    wide = np.hstack([points, np.zeros((7, 1))])
+    for one, other in zip(
+        moments_at(family, features, wide),
+        moments_at(prior.family(SPACE, features_of(SPACE)), features_of(SPACE), points),
+        strict=True,
+    ):
+        np.testing.assert_allclose(one, other, atol=1e-9)
+    wide[:, -1] = 1.0
+    added = (
+        moments_at(family, features, wide)[1] ** 2
+        - moments_at(family, features, 0 * wide + wide * [1, 1, 1, 0])[1] ** 2
+    )
+    own = unknown(features, 2)
+    index = [4, *(1 + 4 + np.flatnonzero(np.triu_indices(4)[1] == 3))]  # of the input, and of its products
+    basis = features(wide)[:, index] ** 2
+    expected = basis @ np.diagonal(own.covariance, axis1=1, axis2=2)[:, index].T
+    np.testing.assert_allclose(added, expected, rtol=1e-6)
+
+
+def test_with_many_inputs_the_family_is_linear(prior: Prior) -> None:
+    features = Features(3, 1, np.empty((0, 3)), np.empty(0))
+    family = prior.family(SPACE, features)
+    for number, found in enumerate(prior.coordinates):
+        np.testing.assert_allclose(family.mean[number], found.mean[:4], atol=1e-9)
+        np.testing.assert_allclose(family.covariance[number], found.covariance[:4, :4], atol=1e-9)
+
+
+def learned(steps: Observations, priors: Sequence[Prior]) -> Beliefs:
+    """Beliefs after steps that did not follow each other."""
+    features = features_of(SPACE)
+    beliefs = Beliefs.start(features, (2, 1), [each.family(SPACE, features) for each in priors], None)
+    for state, command, error in zip(steps.state, steps.command, steps.error, strict=True):
+        point = SPACE.scaled_inputs(state, command)
+        step = Observed(point, error / SPACE.state_scale, np.nan, command=point[2:], from_elsewhere=lambda _: None)
+        beliefs = beliefs.unlinked().after(step)
+    return beliefs
+
+
+def error_of(beliefs: Beliefs, steps: Observations) -> float:
+    """Root mean square of the errors that are left at other steps [half ranges]."""
+    basis = beliefs.features(SPACE.scaled_inputs(steps.state, steps.command))
+    left = basis @ beliefs.mixture(np.nan).mean[:, : basis.shape[1]].T - steps.error / SPACE.state_scale
+    return float(np.sqrt(np.mean(left**2)))
+
+
+def share(beliefs: Beliefs, kind: str) -> float:
+    return float(sum(p for one, p in zip(beliefs.beliefs, beliefs.probabilities, strict=True) if one.kind == kind))
 
 
 def test_three_steps_say_more_with_it(prior: Prior) -> None:
-    rng, errors = np.random.default_rng(3), {"prior": 0.0, "quadratic": 0.0}
-    for _ in range(20):
+    rng, errors = np.random.default_rng(3), dict.fromkeys(("with", "without"), 0.0)
+    for _ in range(12):
         weights = weights_of(rng)
         known, others = robot(weights, 3, rng), robot(weights, 50, rng)
-        inputs = np.hstack([others.state, others.command])
-        for name, used in (("prior", prior), ("quadratic", None)):
-            settings = replace(SETTINGS, residual="quadratic")
-            residual = learned_residual(known, settings, 0, priors=[used] if used else [])
-            assert residual.kind == name
-            errors[name] += float(np.sum(((residual.mean(inputs) - others.error) / SPACE.state_scale) ** 2))
-    assert errors["prior"] < 0.2 * errors["quadratic"]
+        errors["with"] += error_of(learned(known, [prior]), others)
+        errors["without"] += error_of(learned(known, []), others)
+    assert errors["with"] < 0.4 * errors["without"]
 
 
-def test_it_is_dropped_where_it_is_wrong(prior: Prior) -> None:
-    """Of robots whose commands act the other way, it is dropped within six steps; of those it fits, never."""
+def test_it_loses_where_it_is_wrong(prior: Prior) -> None:
+    """Robots whose commands act the other way have left it after eight steps; those that it fits never do."""
     rng = np.random.default_rng(4)
-    for _ in range(20):
-        right = robot(weights_of(rng), 25, rng)
-        wrong = acting_otherwise(right)
-        for steps in (1, 3, 6, 25):
-            assert learned_residual(right.selected(np.arange(steps)), SETTINGS, 0, priors=[prior]).kind == PRIOR.name
-        assert learned_residual(wrong.selected(np.arange(6)), SETTINGS, 0, priors=[prior]).kind != PRIOR.name
+    for _ in range(8):
+        right = robot(weights_of(rng), 8, rng)
+        assert share(learned(right, [prior]), "family") > 0.9
+        assert share(learned(acting_otherwise(right), [prior]), "family") < 0.1
 
 
-def test_of_several_priors_the_right_one_is_used(prior: Prior) -> None:
+def test_of_several_priors_the_right_one_wins(prior: Prior) -> None:
     """The other one is of robots whose commands act the other way; the order does not matter."""
     rng = np.random.default_rng(9)
-    kinds = {"right": prior, "other": fit_prior([acting_otherwise(robot(weights_of(rng), 30, rng)) for _ in range(60)])}
-    for _ in range(10):
-        known = {"right": robot(weights_of(rng), 4, rng)}
-        known["other"] = acting_otherwise(robot(weights_of(rng), 4, rng))
-        for name, steps in known.items():
-            alone = learned_residual(steps, SETTINGS, 0, priors=[kinds[name]])
-            for order in (kinds, reversed(kinds)):
-                chosen = learned_residual(steps, SETTINGS, 0, priors=[kinds[each] for each in order])
-                assert chosen.to_dict() == alone.to_dict()
+    other = fit_prior([acting_otherwise(robot(weights_of(rng), 30, rng)) for _ in range(60)])
+    for _ in range(4):
+        weights = weights_of(rng)
+        for steps, right in ((robot(weights, 4, rng), prior), (acting_otherwise(robot(weights, 4, rng)), other)):
+            alone, queries = learned(steps, [right]), robot(weights, 20, rng)
+            for order in ([prior, other], [other, prior]):
+                found = learned(steps, order)
+                assert error_of(found, queries) == pytest.approx(error_of(alone, queries), abs=0.03)
 
 
 def acting_otherwise(steps: Observations) -> Observations:
     return replace(steps, error=steps.error + 0.8 * steps.command / 15.0 * SPACE.state_scale)
 
 
-def test_what_is_no_polynomial_is_left_to_the_residual_of_the_settings(prior: Prior) -> None:
-    rng = np.random.default_rng(6)
-    bent = robot(weights_of(rng), 120, rng)
-    bent = replace(bent, error=bent.error + 0.3 * np.sin(6 * bent.command / 15.0) * SPACE.state_scale)
-    assert learned_residual(bent, SETTINGS, 0, priors=[prior]).kind == "gp_on_linear"
-
-
-def test_without_a_residual_there_is_no_prior(prior: Prior) -> None:
-    known = robot(MEAN, 3, np.random.default_rng(7))
-    assert learned_residual(known, replace(SETTINGS, residual="none"), 0, priors=[prior]).kind == "none"
-
-
-def test_a_saved_residual_is_the_same(prior: Prior) -> None:
+@pytest.fixture
+def saved() -> dict[str, Any]:
+    """A residual of a former version: a quadratic polynomial with a prior, which its file has."""
     known = robot(MEAN, 4, np.random.default_rng(8))
-    residual = learned_residual(known, SETTINGS, 0, priors=[prior])
-    restored = residual_from_dict(residual.to_dict())
-    inputs = np.hstack([known.state, known.command])
-    for name in ("mean", "std"):
-        np.testing.assert_array_equal(getattr(restored, name)(inputs), getattr(residual, name)(inputs))
+    quadratic = fit_residual("quadratic", known)
+    regressions = []
+    for number, regression in enumerate(quadratic.regressions):
+        data = known.training_data(HistoryInputs(), number)
+        weak = fit_polynomial(data, DEGREE).prior
+        narrow = Moments(weak.information * 100, weak.projection + 0.01, weak.squares + 1.0, 4.0)
+        regressions.append({**regression.to_dict(), "prior": narrow.to_dict()})
+    return {**quadratic.to_dict(), "kind": "prior", "regressions": regressions}
+
+
+def test_a_residual_of_a_former_version_is_read_with_its_prior(saved: dict[str, Any]) -> None:
+    restored, known = residual_from_dict(saved), robot(MEAN, 4, np.random.default_rng(8))
     assert restored.kind == "prior"
+    assert residual_from_dict(restored.to_dict()).to_dict() == restored.to_dict()
+    inputs = np.hstack([known.state, known.command])
+    for number, regression in enumerate(restored.regressions):
+        prior = Moments.from_dict(saved["regressions"][number]["prior"])
+        expected = fit_polynomial(known.training_data(HistoryInputs(), number), DEGREE, prior)
+        np.testing.assert_array_equal(regression.mean(inputs), expected.mean(inputs))
+        np.testing.assert_array_equal(regression.std(inputs), expected.std(inputs))
 
 
 @pytest.mark.parametrize(
@@ -170,30 +229,10 @@ def test_a_saved_residual_is_the_same(prior: Prior) -> None:
         ("degrees_of_freedom", 2.0),
     ],
 )
-def test_a_damaged_prior_of_a_saved_polynomial_is_refused(prior: Prior, key: str, value: object) -> None:
-    known = robot(MEAN, 4, np.random.default_rng(8))
-    saved = learned_residual(known, SETTINGS, 0, priors=[prior]).to_dict()
+def test_a_damaged_prior_of_a_saved_polynomial_is_refused(saved: dict[str, Any], key: str, value: object) -> None:
     saved["regressions"][1]["prior"][key] = value
     with pytest.raises(ValueError, match=key if key != "projection" else "information"):
         residual_from_dict(saved)
-
-
-def test_evidence_is_the_product_of_predictions() -> None:
-    """Each value by Student's t distribution, given those before it."""
-    rng = np.random.default_rng(9)
-    points, values = rng.uniform(-1, 1, (12, 2)), rng.normal(0.1, 0.05, 12)
-    data = TrainingData(points[:0], values[:0], np.zeros(2), np.ones(2), 1.0)
-    prior = weak_prior(data, DEGREE)
-    prior = Moments(prior.information * 100, prior.projection + 0.01, prior.squares + 1.0, 4.0)
-    polynomial = fit_polynomial(data, DEGREE, prior)
-    expected = 0.0
-    for point, value in zip(points, values, strict=True):
-        degrees = polynomial.moments.degrees_of_freedom
-        mean, std = polynomial.predict(point)
-        scale = float(std) * np.sqrt((degrees - 2) / degrees)
-        expected += float(stats.t.logpdf(value, degrees, float(mean), scale))
-        polynomial = polynomial.append(point, float(value))
-    assert polynomial.log_evidence - 12 / 2 * np.log(2 * np.pi) == pytest.approx(expected)
 
 
 def test_too_few_robots_have_no_prior() -> None:

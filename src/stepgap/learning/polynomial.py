@@ -57,15 +57,6 @@ class Moments(NamedTuple):
             self.degrees_of_freedom + float(counts.sum()),
         )
 
-    def joined(self, other: "Moments") -> "Moments":
-        """The sums over the data of both."""
-        return Moments(
-            self.information + other.information,
-            self.projection + other.projection,
-            self.squares + other.squares,
-            self.degrees_of_freedom + other.degrees_of_freedom,
-        )
-
     def discounted(self, prior: "Moments", factor: float) -> "Moments":
         """Multiplies the weight of the data by a factor and keeps the prior."""
         return Moments(
@@ -96,14 +87,6 @@ class Moments(NamedTuple):
         require(found.squares > least, "squares", found.squares, f"be more than {least:g}")
         return found
 
-    def log_evidence(self, prior: "Moments") -> float:
-        """Logarithm of the probability density of the data, which these moments have beside this prior.
-
-        The marginal likelihood of the conjugate model, without its factor (2π)^(−N/2) (Bishop, Pattern Recognition and
-        Machine Learning, Exercise 3.23).
-        """
-        return _log_normalisation(prior) - _log_normalisation(self)
-
     def solve(self, basis: Array) -> tuple[Array, Array, float]:
         """Weights (d_φ,), information⁻¹ φᵀ for rows φ (k, d_φ), and the variance of a value's noise (Student's t)."""
         factor = cho_factor(self.information, lower=True)
@@ -115,13 +98,6 @@ class Moments(NamedTuple):
 def _is_positive(matrix: Array) -> bool:
     """Whether a matrix is symmetric and positive definite."""
     return np.array_equal(matrix, matrix.T) and bool((np.linalg.eigvalsh(matrix) > 0).all())
-
-
-def _log_normalisation(moments: Moments) -> float:
-    """Logarithm of the factor by which the normal-inverse-gamma density with these moments is normalised."""
-    shape, (weights, _, _) = moments.degrees_of_freedom / 2, moments.solve(moments.information[:1])
-    rate = (moments.squares - float(moments.projection @ weights)) / 2
-    return float(np.linalg.slogdet(moments.information)[1] / 2 + shape * math.log(rate) - math.lgamma(shape))
 
 
 @final
@@ -209,11 +185,6 @@ class Polynomial(BatchRegression):
         slopes = [Parameter("slope in the middle", self.mean_gradient(self.data.centre), "value per input")]
         middle = Parameter("in the middle", float(self.mean(self.data.centre)), "value")
         return [*super().parameters(), middle, *(slopes if self.degree else [])]
-
-    @property
-    def log_evidence(self) -> float:
-        """Logarithm of the probability density of the data by the prior, up to a term that all polynomials share."""
-        return self.moments.log_evidence(self.prior)
 
     @cached_property
     def _posterior(self) -> tuple[Array, Array, float]:

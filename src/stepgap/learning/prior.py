@@ -5,8 +5,8 @@ for each robot from one normal distribution. `fit_prior` finds that distribution
 expectation maximisation (Gelman et al., Bayesian Data Analysis, Sec. 15.5). The noise is that of each robot, so that a
 bad one has little weight.
 
-A residual with this prior needs some three steps of a new robot where one without it needs ten. If the data of the new
-robot are more probable by the weak prior of a polynomial, the robot is not of that kind, and the prior is not used.
+With this prior some three steps of a new robot say as much as ten without it. A belief that the robot is of that kind
+competes with beliefs that it is not, and loses if it predicts worse.
 """
 
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ from stepgap.gauss.features import Features
 from stepgap.gauss.monomials import monomials, number_of_monomials
 from stepgap.learning.beliefs import Family, unknown
 from stepgap.learning.observations import Observations
-from stepgap.learning.polynomial import QUADRATIC, Moments, fit_polynomial, weak_prior
-from stepgap.learning.regression import ResidualModel, TrainingData
+from stepgap.learning.polynomial import QUADRATIC, fit_polynomial
+from stepgap.learning.regression import ResidualModel
 from stepgap.step import Array, StepSpace
 
 DEGREE = 2
@@ -29,9 +29,6 @@ DEGREE = 2
 
 LEAST_FOR_PRIOR = 5
 """Number of robots from which a prior can be found."""
-
-NOISE_COUNT = 5.0
-"""Number of values that the noise of other robots is worth for a new one."""
 
 _ROUNDS = 60
 """Number of rounds of expectation maximisation; later ones change no weight by more than a hundredth of its spread."""
@@ -70,26 +67,6 @@ class Prior:
     centre: Array
     scale: Array
     coordinates: tuple[CoordinatePrior, ...]
-
-    def moments(self, coordinate: int, data: TrainingData) -> Moments:
-        """Moments of the polynomial of a state coordinate, whose inputs after the first d have the weak prior.
-
-        Args:
-            coordinate: Number of the coordinate.
-            data: Data of the polynomial, whose ranges may differ from those of the prior.
-        """
-        weak, found = weak_prior(data, DEGREE), self.coordinates[coordinate]
-        d, size = len(self.names), len(data.scale) - data.timed
-        back = self._converted(data.centre[:d], data.scale[:d])
-        mean, covariance = (found.mean @ back.T, back @ found.covariance @ back.T)
-        unit = float(self.scale[coordinate])
-        kept = _kept(d, size)
-        information, projection = weak.information.copy(), weak.projection.copy()
-        block = found.noise_std**2 * np.linalg.inv(covariance)
-        information[np.ix_(kept, kept)] = block = (block + block.T) / 2
-        projection[kept] = block @ mean * unit
-        squares = (NOISE_COUNT - 2) * (found.noise_std * unit) ** 2 + float(mean @ block @ mean) * unit**2
-        return Moments(information, projection, squares, NOISE_COUNT)
 
     def family(self, space: StepSpace, features: Features) -> Family:
         """The prior for beliefs about a robot with these ranges, in half ranges.
@@ -171,4 +148,4 @@ PRIOR: Final = ResidualModel(
     QUADRATIC.from_dict,
     complexity=4,
 )
-"""The residual `prior`: without one, it is `quadratic`."""
+"""The residual `prior` of former versions, whose model files have the prior; without one, it is `quadratic`."""

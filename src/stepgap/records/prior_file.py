@@ -11,9 +11,9 @@ import numpy as np
 from stepgap.base.errors import message_of
 from stepgap.base.files import read_bounded_text
 from stepgap.base.json_data import LARGEST_NUMBER, as_object, number, numbers, parse_json
+from stepgap.gauss.features import Features
 from stepgap.learning.polynomial import monomials
 from stepgap.learning.prior import DEGREE, CoordinatePrior, Prior
-from stepgap.learning.regression import TrainingData
 from stepgap.step import Array, StepSpace
 
 LARGEST_PRIOR = 2**24
@@ -126,16 +126,16 @@ def _coordinate(data: Mapping[str, Any], size: int) -> CoordinatePrior:
 
 def _check_condition(prior: Prior, space: StepSpace) -> None:
     """Raises ValueError if numbers are so different in size that weights cannot be solved for in this space."""
-    ranges = (
-        np.concatenate([space.state_centre, space.command_centre]),
-        np.concatenate([space.state_scale, space.command_scale]),
-    )
-    data = TrainingData(np.empty((0, len(space.names))), np.empty(0), *ranges, 1.0)
-    for coordinate, name in enumerate(space.state_names):
+    inputs = len(space.names)
+    features = Features(inputs, DEGREE, frequencies=np.empty((0, inputs)), shifts=np.empty(0))
+    with np.errstate(all="ignore"):
+        family = prior.family(space, features)
+    for name, covariance, noise in zip(space.state_names, family.covariance, family.noise_std, strict=True):
         with np.errstate(all="ignore"):
-            information = prior.moments(coordinate, data).information
-        values = np.linalg.eigvalsh(information) if np.isfinite(information).all() else np.zeros(1)
-        if values[0] <= _LEAST_CONDITION * max(values[-1], len(information)) or values[-1] >= 1 / _LEAST_CONDITION:
+            shares = covariance / noise**2
+        values = np.linalg.eigvalsh(shares) if np.isfinite(shares).all() else np.zeros(1)
+        least = _LEAST_CONDITION * max(values[-1], 1.0)
+        if values[0] <= least or values[-1] * len(shares) >= 1 / _LEAST_CONDITION:
             raise ValueError(
                 f"coordinates: {name}: noise_std, covariance, and centre and scale of the inputs do not fit each other "
                 "or the ranges of this robot: their sizes differ by too many powers of ten"
