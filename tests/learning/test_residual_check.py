@@ -29,7 +29,7 @@ from stepgap.records.model_files import MAP, NominalSource, saved_model_text
 from tests.learning.test_learner import NOISE, NOMINAL, REALITY, hops, log_of
 from tests.learning.test_own_residual import install, packages
 from tests.learning.test_residual import SPACE, steps
-from tests.logs.fits.test_validation import STATIC, steps_with
+from tests.logs.fits.test_validation import steps_with
 
 __all__ = ["packages"]
 
@@ -118,14 +118,17 @@ def test_what_cannot_be_saved_or_read_names_the_model(packages: Path) -> None:
         residual_from_dict(fit_residual("own", steps()).to_dict())
 
 
+@pytest.mark.parametrize("believed", [False, True], ids=["alone", "with beliefs"])
 @pytest.mark.parametrize("method", ["mean", "std"])
-def test_no_motor_gets_the_command_of_a_residual_without_a_prediction(method: str) -> None:
+def test_no_motor_gets_the_command_of_a_residual_without_a_prediction(method: str, *, believed: bool) -> None:
     """It has predictions at the steps that it was fitted to, but none for the commands of the deployment."""
     known, residual = sparse(method)
-    learner = Learner.start(NOMINAL, known, LearningSettings("linear"), 1, residual)
+    beliefs = Learner.start(NOMINAL, known, LearningSettings("linear"), 1).beliefs if believed else None
+    learner = Learner.restored(NOMINAL, known, LearningSettings("linear"), 1, residual, beliefs)
     plant = ModelPlant(REALITY, np.array([0.1, 0.55]), NOISE, np.random.default_rng(0))
     reference = Reference.from_segments(("speed", "height"), [(1, (0.2, 0.58))], steps=3)
-    with pytest.raises(ResidualError, match=f"residual 'told': its {method} returned nan"):
+    name = "posterior" if believed else "told"
+    with pytest.raises(ResidualError, match=f"residual '{name}': its {method} returned nan"):
         next(deploy(learner, plant, reference, 1))
 
 
@@ -155,6 +158,6 @@ def test_a_model_that_cannot_be_used_is_left_out_of_comparisons(packages: Path) 
     assert {"none", "linear", "fails"} < set(names)
     data = steps_with(lambda state, command: 0 * state, 40, seed=0)
     with pytest.warns(StepGapWarning, match="left out: residual 'fails': made None"):
-        assert list(validate(("none", "fails"), data, contiguous_folds(40, 2), STATIC).held_out) == ["none"]
+        assert list(validate(("none", "fails"), data, contiguous_folds(40, 2)).held_out) == ["none"]
     with pytest.warns(StepGapWarning, match="left out: residual 'fails': made None"):
-        assert list(validate_on(("none", "fails"), data, data, STATIC).held_out) == ["none"]
+        assert list(validate_on(("none", "fails"), data, data).held_out) == ["none"]
