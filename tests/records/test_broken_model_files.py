@@ -19,7 +19,6 @@ from stepgap.learning.entry_points import load_residual_model
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.observations import Observations
 from stepgap.learning.residual import Residual, no_residual
-from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.logs.fits.fit import FitData
 from stepgap.logs.fits.model_application import apply_model
@@ -39,7 +38,7 @@ def steps() -> FitData:
     predicted = NOMINAL.evaluate(state, command).next_state
     steps = Steps.of_columns(SPACE, state=state, command=command, next_state=predicted + 0.01, predicted=predicted)
     observed = Observations(SPACE, state, command, steps.next_state - predicted)
-    return FitData(steps, observed, np.full(4, "row"), {}, "a map", SOURCE, LearningSettings())
+    return FitData(steps, observed, np.full(4, "row"), {}, "a map", SOURCE)
 
 
 def model(kind: str) -> dict[str, Any]:

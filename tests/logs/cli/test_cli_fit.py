@@ -10,7 +10,7 @@ import pytest
 from stepgap.cli.app import main
 from stepgap.learning.residual_fit import fit_residual, residual_from_dict
 from stepgap.learning.steps import LoggedStep
-from stepgap.records.model_files import MAP, NominalSource, read_saved_model, write_model
+from stepgap.records.model_files import MAP, Model, NominalSource, read_saved_model, write_model
 from stepgap.records.steps_csv import StepWriter
 from stepgap.robots.hopper import CommandBounds
 from stepgap.robots.hopper.model.apex_map import ApexMap
@@ -42,11 +42,8 @@ def write_log(path: Path, offset: float, count: int = 40, seed: int = 0) -> None
     path.write_text("\n".join(["v,y,fx,fy,v2,y2", *rows]) + "\n")
 
 
-def write_run(folder: Path, offset: float, tilt: float = 0.0) -> None:
-    """Writes the record of two deployments on a hopper with an offset in height; the last step is a fall.
-
-    With a tilt, the speed has an additional error tilt · sin(yaw), and the yaw is recorded.
-    """
+def write_run(folder: Path, offset: float) -> None:
+    """Writes the record of two deployments on a hopper with an offset in height; the last step is a fall."""
     folder.mkdir()
     rng, bounds = np.random.default_rng(0), CommandBounds().space()
     states, commands = rng.uniform([0.1, 0.55], [0.3, 0.6], (31, 2)), rng.uniform(-2, 2, (31, 2))
@@ -54,10 +51,8 @@ def write_run(folder: Path, offset: float, tilt: float = 0.0) -> None:
     with StepWriter(folder / "steps.csv", bounds) as writer:
         for i in range(31):
             status = StepStatus.OK if i < 30 else StepStatus.FELL
-            end = after[i] + [tilt * np.sin(0.9 * i), 0] if i < 30 else np.full(2, np.nan)
-            yaw = 0.9 * (i + 1) if tilt else np.nan
-            ran = {"requested": commands[i], "context": {"yaw": yaw}}
-            record = StepRecord(states[i], 3 * commands[i], commands[i] / 2, end, status, **ran)
+            end = after[i] if i < 30 else np.full(2, np.nan)
+            record = StepRecord(states[i], 3 * commands[i], commands[i] / 2, end, status, requested=commands[i])
             writer.append(LoggedStep(i // 15, i % 15 + 1, states[i], states[i], np.zeros(2), record))
 
 
@@ -124,7 +119,7 @@ def test_a_saved_model_predicts_another_log(stepgap: Command, saved: Path) -> No
         np.testing.assert_array_equal(table[f"nominal_{name}"], log[name])
     residual = residual_from_dict(json.loads(saved.read_text()))
     first = np.array([log[name][0] for name in ("v", "y", "fx", "fy")])
-    corrected = [table["corrected_v"][0], table["corrected_y"][0]]  # no disturbance is known before the first step
+    corrected = [table["corrected_v"][0], table["corrected_y"][0]]
     np.testing.assert_allclose(corrected, first[:2] + residual.mean(first), atol=1e-12)
     left = table["next_v"] - table["corrected_v"]
     scores = json.loads(Path("scores.json").read_text())
@@ -152,7 +147,7 @@ def test_the_model_of_a_run_is_applied(stepgap: Command) -> None:
     folder, nominal = Path("run/models"), ApexMap()
     folder.mkdir()
     saved = read_saved_model(Path("model.json"), nominal.space, NominalSource(MAP, nominal))
-    write_model(Path("run"), 1, saved, nominal)
+    write_model(Path("run"), 1, Model(saved, None), nominal)
     found = [stepgap("fit", "run", "--load", path) for path in ("model.json", "run/models/iteration_1.json")]
     assert found[0].code == 0, found[0].err
     assert "known       30 steps" in found[0].out
@@ -238,22 +233,6 @@ def rmse_of_gp(out: str) -> str:
     return next(line.split()[1] for line in out.splitlines() if line.startswith("gp "))
 
 
-def test_what_depends_on_the_yaw_is_removed_as_in_a_run(stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    compare_few_kinds(monkeypatch, "none", "constant")
-    write_run(Path("run"), 0.0, tilt=0.1)
-    as_run = stepgap("fit", "run", "--out", "as_run.json")
-    assert "disturbance yaw-dependent part removed from the errors before a fit; the rest estimated" in as_run.out
-    options = ("--learning.drift", "false", "--learning.remove_yaw_dependence", "false")
-    as_noise = stepgap("fit", "run", *options, "--out", "as_noise.json")
-    assert "disturbance errors fitted with their yaw-dependent part; the rest not estimated in held-out" in as_noise.out
-    speed = {}
-    for name in ("as_run", "as_noise"):
-        report = json.loads(Path(f"{name}.json").read_text())
-        speed[name] = {each["kind"]: each["rmse"]["speed"] for each in report["residuals"]}
-    assert speed["as_run"]["none"] == speed["as_noise"]["none"] == pytest.approx(0.1 / np.sqrt(2), rel=0.15)
-    assert speed["as_run"]["constant"] < 0.9 * speed["as_noise"]["constant"]
-
-
 def test_settings_are_those_of_the_run(stepgap: Command) -> None:
     write_run(Path("run"), 0.0)
     Path("run/experiment.toml").write_text("[gains]\nstiffness = 2400\n[learning]\nfeature_map = 'identity'\n")
@@ -308,6 +287,7 @@ def test_columns_from_a_file(stepgap: Command) -> None:
         ("fit log.csv --plot none/fit.png", ["none/fit.png: cannot be written", "choose another --plot"]),
         ("fit log.csv --plot fit.xyz", ["fit.xyz: the name must end with one of .pdf, .png, .svg"]),
         ("fit log.csv --gains.stifness 3", ["--gains.stifness: unknown key; did you mean stiffness?"]),
+        ("fit run --learning.residual linear", ["--learning.residual: every residual is fitted, without settings of"]),
     ],
 )
 def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, parts: list[str]) -> None:

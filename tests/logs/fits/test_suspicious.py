@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from stepgap.learning.observations import Observations
-from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.logs.columns import Columns
 from stepgap.logs.fits.fit import Comparison, FitData, compare
@@ -33,7 +32,7 @@ def data(arrays: dict[str, Array]) -> FitData:
     steps = Steps.of_columns(space, state=state, command=command, next_state=after, predicted=predicted)
     origin = np.array([f"line {row + 2}" for row in range(COUNT)])
     observed, source = Observations(space, state, command, after - predicted), NominalSource("predicted")
-    return FitData(steps, observed, origin, {}, "", source, LearningSettings(), COLUMNS)
+    return FitData(steps, observed, origin, {}, "", source, COLUMNS)
 
 
 def found(fitted: FitData, tested: FitData | None = None) -> Comparison:

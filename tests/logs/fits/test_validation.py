@@ -8,10 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import t
 
-from stepgap.learning.learner import Learner
-from stepgap.learning.observations import Observations, observe
-from stepgap.learning.settings import LearningSettings
-from stepgap.learning.steps import LoggedStep, Steps
+from stepgap.learning.observations import Observations
+from stepgap.learning.residual_fit import fit_residual
 from stepgap.logs.fits.validation import (
     FOLDS,
     HeldOut,
@@ -19,19 +17,16 @@ from stepgap.logs.fits.validation import (
     Validation,
     contiguous_folds,
     deployment_folds,
-    fit_steps,
     reduction,
     validate,
     validate_on,
 )
-from stepgap.step import Array, Quantity, StepRecord, StepSpace, StepStatus
-from tests.control.maps import LossyHopper
+from stepgap.step import Array, Quantity, StepSpace
 
 SPACE = StepSpace(
     (Quantity("speed", "m/s", -1, 1), Quantity("height", "m", -1, 1)),
     (Quantity("fx", "N", -1, 1), Quantity("fy", "N", -1, 1)),
 )
-STATIC = LearningSettings(drift=False, remove_yaw_dependence=False)
 SIMPLE: tuple[str, ...] = ("none", "constant", "gp")
 
 
@@ -40,7 +35,7 @@ def steps_with(truth, count: int, seed: int) -> Observations:
     rng = np.random.default_rng(seed)
     state, command = rng.uniform(-1, 1, (2, count, 2))
     error = truth(state, command) + rng.normal(size=(count, 2)) * [0.1, 0.01]
-    return Observations(SPACE, state, command, error, deployment=np.zeros(count, np.intp))
+    return Observations(SPACE, state, command, error)
 
 
 def held_out(remaining: Array) -> HeldOut:
@@ -91,70 +86,12 @@ def test_predictions_do_not_depend_on_the_held_out_steps() -> None:
     steps, folds = steps_with(lambda state, command: state, 40, 0), contiguous_folds(40, 4)
     held = folds.fold == 2
     spoilt = replace(steps, error=np.where(held[:, None], 1e3, steps.error))
-    for kind in SIMPLE:
-        before, after = (validate([kind], each, folds, STATIC).held_out[kind] for each in (steps, spoilt))
+    for kind in (*SIMPLE, "posterior"):
+        before, after = (validate([kind], each, folds).held_out[kind] for each in (steps, spoilt))
         np.testing.assert_array_equal(before.mean[held], after.mean[held])
         np.testing.assert_array_equal(before.std[held], after.std[held])
         if kind != "none":
             assert (before.mean[~held] != after.mean[~held]).all()
-
-
-def with_yaw(steps: Observations, shift: Array, laps: float = 2.0) -> Observations:
-    """The same steps in three deployments, of which each turns round twice, with errors that depend on the yaw."""
-    count = len(steps) // 3
-    yaw, deployment = np.tile(np.linspace(0, laps * 2 * np.pi, count), 3), np.repeat(np.arange(3), count)
-    turned = yaw + np.array([0.0, 1.0, 4.0])[deployment]  # each deployment begins elsewhere
-    return replace(steps, error=steps.error + np.outer(np.sin(turned), shift), phase=yaw, deployment=deployment)
-
-
-@pytest.mark.parametrize("number", [0, 1, 2])
-def test_a_prediction_depends_on_earlier_held_out_steps_only(number: int) -> None:
-    steps = with_yaw(steps_with(bent, 90, 2), np.array([0.4, 0.04]))
-    folds = deployment_folds(steps.labels[:, 0])
-    first = int(np.flatnonzero(folds.fold == number)[0])
-    later = np.arange(len(steps)) > first + 20
-    spoilt = replace(steps, error=steps.error + 0.5 * (later & (folds.fold == number))[:, None])
-    for kind in ("constant", "quadratic"):
-        before, after = (validate([kind], each, folds).held_out[kind] for each in (steps, spoilt))
-        known = slice(first, first + 22)
-        np.testing.assert_array_equal(before.mean[known], after.mean[known])
-        np.testing.assert_array_equal(before.std[known], after.std[known])
-        assert (before.mean[first + 22 : first + 30] != after.mean[first + 22 : first + 30]).any()
-
-
-@pytest.mark.parametrize("kind", ["constant", "gp_on_linear"])
-def test_a_deployment_is_predicted_as_the_learner_of_a_run_predicts_it(kind: str) -> None:
-    nominal, reality = LossyHopper(), LossyHopper(loss=0.45, keep=0.6, drift=0.09)
-    rng, log = np.random.default_rng(3), list[LoggedStep]()
-    for iteration in range(3):
-        state, yaw = np.array([0.2, 0.58]), 0.0
-        for number in range(1, 31):
-            command = rng.uniform(-4, 4, 2)
-            after = reality(state, command) + 0.03 * np.sin(yaw + iteration) + rng.normal(0, [4e-3, 1e-3])
-            yaw += 0.3
-            record = StepRecord(state, command, command, after, StepStatus.OK, {"yaw": yaw})
-            log.append(LoggedStep(iteration, number, after, after, np.zeros(2), record))
-            state = after
-    settings_of_run = LearningSettings(residual=kind, monitor=False)
-    learner = Learner.start(nominal, Steps(nominal.space, log[:60]), settings_of_run, iteration=2)
-    expected = []
-    for logged in log[60:]:
-        expected.append(learner.step_map()(logged.record.state, logged.record.requested))
-        learner = learner.after(logged)
-    observed = observe(Steps(nominal.space, log), nominal)
-    predicted = nominal.evaluate(observed.state, observed.command).next_state
-    held = validate([kind], observed, deployment_folds(observed.labels[:, 0])).held_out[kind]
-    np.testing.assert_allclose((predicted + held.mean)[60:], expected, rtol=0, atol=1e-12)
-
-
-def test_errors_that_depend_on_the_yaw_do_not_hide_what_can_be_learned() -> None:
-    truth = lambda state, command: np.stack([0.5 * state[:, 0], 0.05 * command[:, 1]], axis=-1)  # noqa: E731
-    steps = with_yaw(steps_with(truth, 180, 5), np.array([0.5, 0.05]))
-    folds = deployment_folds(steps.labels[:, 0])
-    as_run, as_noise = (validate(("none", "linear"), steps, folds, each) for each in (LearningSettings(), STATIC))
-    assert (as_noise.held_out["linear"].rmse > [0.3, 0.03]).all(), "the amplitude 0.5 is an RMSE of 0.35"
-    assert (as_run.held_out["linear"].rmse < [0.25, 0.025]).all(), "the noise is 0.1"
-    np.testing.assert_array_equal(as_run.held_out["none"].mean, 0)
 
 
 # Scores
@@ -277,8 +214,8 @@ def test_each_coordinate_is_judged_separately() -> None:
 
 def test_other_steps_are_predicted_by_a_fit_to_all() -> None:
     steps, other = (steps_with(bent, count, seed) for count, seed in ((80, 0), (40, 1)))
-    found = validate_on(("none", "gp"), steps, other, STATIC)
-    residual = fit_steps(steps, replace(STATIC, residual="gp"))
+    found = validate_on(("none", "gp"), steps, other)
+    residual = fit_residual("gp", steps)
     points = np.hstack([other.state, other.command])
     np.testing.assert_allclose(found.held_out["gp"].mean, residual.mean(points), rtol=1e-12)
     assert found.folds.count == 1

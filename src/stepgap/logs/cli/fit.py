@@ -70,7 +70,7 @@ def fit(
             held out in turn]
         columns: TOML file that names columns; its keys are the options from here to --step, and units and factors.
         nominal: Source of the nominal next state: the robot's map, the predictions, the target, or the state.
-        experiment: TOML file of settings of the robot's map and of learning. [default: the settings of the runs]
+        experiment: TOML file of settings of the robot's map. [default: the settings of the runs]
         folds: Number of contiguous blocks that are held out in turn. [default: whole deployments, or 10 blocks of a
             single one]
         load: Model file of a run or of --save, with which LOG is predicted; then nothing is fitted.

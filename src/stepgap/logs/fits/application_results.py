@@ -25,13 +25,11 @@ APPLIED_SCHEMA: Final = 3
 def describe_application(applied: AppliedModel) -> str:
     """A few lines on the steps, and on what the model knows of them."""
     space, residual = applied.data.observed.space, applied.residual
-    drift = applied.data.learning.drift and residual.kind != "none"
     unknown = [quantity.name for quantity in (*space.state, *space.command) if not quantity.unit]
     fitted = "no correction" if residual.kind == "none" else f"fitted to {len(residual.regressions[0].points)} steps"
     lines = [
         describe_log(applied.data),
         f"model       {residual.kind} of {applied.path}, {fitted}",
-        f"disturbance {'estimated from earlier steps' if drift else 'not estimated'}",
         f"outside     {applied.outside} steps outside the range of those that the model was fitted to",
     ]
     if unknown:

@@ -11,7 +11,7 @@ from stepgap.base.errors import InputError
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import read_experiment
 from stepgap.learning.observations import Observations
-from stepgap.learning.settings import LearningSettings
+from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.steps import Steps, joined
 from stepgap.logs.columns import Columns
 from stepgap.logs.fits.suspicious import MOST_SUSPICIOUS, Reasons, far_rows, improbable_rows
@@ -22,10 +22,8 @@ from stepgap.logs.fits.validation import (
     Validation,
     contiguous_folds,
     deployment_folds,
-    fit_steps,
     validate,
     validate_on,
-    without_history,
 )
 from stepgap.logs.foreign_log import FoundSteps, describe_left_out, read_foreign_logs
 from stepgap.records.model_files import MAP, NominalSource, saved_model_text
@@ -61,7 +59,6 @@ class FitData:
         left_out: Number of excluded rows by reason, such as "that ended without a next state"; no zeros.
         nominal: Description of the source of the predictions.
         source: That source: its name is a key of `NOMINALS`.
-        learning: Settings of learning; those of the run, if the steps are those of a run.
         columns: Meaning of the columns if the ranges of state and command are those of the data; None if they are those
             of a robot.
     """
@@ -72,7 +69,6 @@ class FitData:
     left_out: Mapping[str, int]
     nominal: str
     source: NominalSource
-    learning: LearningSettings
     columns: Columns | None = None
 
     def without(self, rows: Reasons) -> "FitData":
@@ -127,16 +123,18 @@ def read_nominal_errors(
         logs: Run folders or their `steps.csv`; with `columns`, any CSV files.
         columns: Meaning of the columns of such files.
         nominal: A key of `NOMINALS`; None to choose by the content of the logs.
-        experiment: Settings of the robot and of learning; None for those of the runs or, without runs, the defaults.
+        experiment: Settings of the robot; None for those of the runs or, without runs, the defaults.
         overrides: Single settings that override these.
 
     Raises:
         InputError: The arguments do not fit each other.
         RecordError: The content of a log is wrong.
     """
-    of_map = [name for name, _ in overrides if not name.startswith("learning.")]
-    if nominal not in (None, MAP) and (experiment or of_map):
-        raise InputError(f"--nominal {nominal}: it has no settings but those of learning; leave the others out")
+    if nominal not in (None, MAP) and (experiment or overrides):
+        raise InputError(f"--nominal {nominal}: it has no settings; leave them out")
+    for name, _ in overrides:
+        if name.startswith("learning."):
+            raise InputError(f"--{name}: every residual is fitted, without settings of learning; leave it out")
     recorded = columns is None and experiment is None
     if columns is None:
         logs = [log / "steps.csv" if log.is_dir() else log for log in logs]
@@ -152,27 +150,23 @@ def read_nominal_errors(
         step_map = load_nominal(settings).map
         predicted = step_map.evaluate(steps.state, steps.requested).next_state
         description += f" with the settings of {experiment}" if experiment else " with default settings"
-        description += ", some overridden" if of_map else ""
+        description += ", some overridden" if overrides else ""
     elif len(steps) and np.isnan(predicted).any(axis=1).all():
         some = "none" if np.isnan(predicted).all() else "no step with one for every state coordinate"
         raise InputError(f"--nominal {source}: the log has {some}; name its columns by --{source}")
-    data = _with_errors(found, predicted, description, NominalSource(source, step_map), settings.learning)
+    data = _with_errors(found, predicted, description, NominalSource(source, step_map))
     return data if source == MAP else replace(data, columns=columns)
 
 
-def _with_errors(
-    found: FoundSteps, predicted: Array, nominal: str, source: NominalSource, learning: LearningSettings
-) -> FitData:
+def _with_errors(found: FoundSteps, predicted: Array, nominal: str, source: NominalSource) -> FitData:
     """The steps that have a nominal next state (N, n), and its errors; arguments as of `FitData`."""
     known, left_out = np.flatnonzero(np.isfinite(predicted).all(axis=1)), dict(found.left_out)
     if failed := len(predicted) - len(known):
         reason = "for which the nominal map predicts a failure" if source.step_map else f"without a whole {source.name}"
         left_out[reason] = failed
     steps = found.steps.with_columns(predicted=predicted).selected(known)
-    error, phase = steps.next_state - steps.predicted, found.phase[known]
-    arrays = steps.state, steps.requested, error
-    observed = Observations(steps.space, *arrays, phase=phase, deployment=steps.iteration)
-    return FitData(steps, observed, found.origin[known], left_out, nominal, source, learning)
+    observed = Observations(steps.space, steps.state, steps.requested, steps.next_state - steps.predicted)
+    return FitData(steps, observed, found.origin[known], left_out, nominal, source)
 
 
 def _common_experiment(logs: Sequence[Path]) -> Path | None:
@@ -317,8 +311,8 @@ def compare(
 
     def validated(data: FitData, tested: FitData | None) -> Validation:
         if tested is None:
-            return validate(kinds, data.observed, choose_folds(data.steps, folds), data.learning, on_fit)
-        return validate_on(kinds, data.observed, tested.observed, data.learning, on_fit)
+            return validate(kinds, data.observed, choose_folds(data.steps, folds), on_fit)
+        return validate_on(kinds, data.observed, tested.observed, on_fit)
 
     first = now = Comparison(data, tested, both := validated(data, tested), {}, both)
     for _ in range(_MOST_ROUNDS):
@@ -338,6 +332,6 @@ def compare(
 
 
 def best_model(data: FitData, validation: Validation) -> str:
-    """Model file of the residual that predicts best, fitted to all steps as before a further deployment."""
-    residual = fit_steps(data.observed, without_history(data.learning, validation.best.kind))
+    """Model file of the residual that predicts best, fitted to all steps."""
+    residual = fit_residual(validation.best.kind, data.observed)
     return saved_model_text(residual, data.observed.space, data.source)

@@ -18,7 +18,7 @@ from stepgap.logs.foreign_log import describe_left_out
 from stepgap.report.text import with_unit
 from stepgap.step import Array, Quantity
 
-FIT_SCHEMA = 6
+FIT_SCHEMA = 7
 """Version of the JSON file."""
 
 _MOST_NAMED = 10
@@ -81,8 +81,6 @@ def describe_fit_data(data: FitData, folds: Folds, test: FitData | None = None) 
         [
             describe_log(data),
             f"held out    {held_out}",
-            f"disturbance {_disturbance(data)}",
-            f"outliers    {'not learned from' if data.learning.reject_outliers else 'learned from, as other steps'}",
             *([f"processes   hyper-parameters from {EXACT_SIZE} of the steps, sparse"] if most > EXACT_SIZE else []),
         ]
     )
@@ -101,19 +99,6 @@ def describe_log(data: FitData) -> str:
             f"nominal     {data.nominal}",
         ]
     )
-
-
-def _disturbance(data: FitData) -> str:
-    """What is done about errors that depend on time and phase."""
-    phase = data.observed.phase
-    if not data.learning.remove_yaw_dependence:
-        removed = "errors fitted with their yaw-dependent part"
-    elif phase is None or not np.isfinite(phase).any():
-        removed = "no yaw known, so no yaw-dependent part removed"
-    else:
-        removed = "yaw-dependent part removed from the errors before a fit"
-    estimated = "estimated from earlier held-out steps" if data.learning.drift else "not estimated in held-out steps"
-    return f"{removed}; the rest {estimated}"
 
 
 def show_validation(state: Sequence[Quantity], validation: Validation, stream: TextIO) -> None:
@@ -174,11 +159,6 @@ def fit_report(logs: Sequence[Path], found: Comparison) -> dict[str, Any]:
         "units": {quantity.name: quantity.unit for quantity in (*state, *data.observed.space.command)},
         "steps": len(data.steps),
         "left_out": dict(data.left_out),
-        "learning": {
-            "residual": data.learning.residual,
-            "drift": data.learning.drift,
-            "remove_yaw_dependence": data.learning.remove_yaw_dependence,
-        },
         "folds": {"count": validation.folds.count, "whole_deployments": validation.folds.whole_deployments},
         "residuals": [
             {

@@ -82,7 +82,7 @@ def apply_model(path: Path, data: FitData) -> AppliedModel:
         )
     try:
         with np.errstate(over="raise", divide="raise", invalid="raise"):
-            validation = validate_fitted(residual, data.observed, data.learning)
+            validation = validate_fitted(residual, data.observed)
     except (FloatingPointError, np.linalg.LinAlgError):
         raise InputError(f"{path}: its numbers are so large or small that predictions overflow") from None
     held_out = validation.held_out[residual.kind]

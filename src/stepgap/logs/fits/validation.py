@@ -3,9 +3,7 @@
 Neighbouring steps are alike. So contiguous blocks are held out, or complete deployments, never single steps; and the
 standard errors count blocks, not steps.
 
-What is held out is treated as a further deployment of a run: the residual is fitted to the other steps as `Learner`
-fits it, without the periodic part of their errors; then the held-out steps are predicted one after another, each
-with the disturbance that `Trust`, as that of a `Learner`, finds in the held-out steps before it.
+Residuals are compared alone, as functions of state and command: nothing is learned from one held-out step to the next.
 """
 
 import warnings
@@ -13,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import count
-from math import inf, sqrt
+from math import sqrt
 from time import perf_counter
 from typing import Final
 
@@ -25,10 +23,9 @@ from stepgap.base.normal import INTERVAL_95
 from stepgap.learning.observations import Observations
 from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_check import ResidualError, check_prediction
-from stepgap.learning.residual_fit import learned_residual
-from stepgap.learning.settings import AUTO, LearningSettings
+from stepgap.learning.residual_fit import fit_residual
+from stepgap.learning.settings import AUTO
 from stepgap.learning.steps import Labels
-from stepgap.learning.trust import PredictedStep, Trust
 from stepgap.step import Array
 
 FOLDS = 10
@@ -36,9 +33,6 @@ FOLDS = 10
 
 LEAST_STEPS: Final = 2 * FOLDS
 """Least number of steps for a comparison of residuals."""
-
-DEFAULT_LEARNING: Final = LearningSettings(lagged_inputs="none")
-"""How a run learns by default, but without inputs from the step before, which a fitted map does not have."""
 
 TOGETHER: Final = 2000
 """Number of steps whose predictions are computed together; it bounds the memory."""
@@ -101,7 +95,7 @@ class HeldOut:
     Attributes:
         kind: Name of the residual.
         error: Actual − nominal next state; shape (N, n).
-        mean: Predicted error, with the estimated disturbance; shape (N, n).
+        mean: Predicted error; shape (N, n).
         std: Standard deviation with noise, zero for a residual without one; shape (N, n).
         seconds: Time of one fit [s]; NaN if it was fitted before.
     """
@@ -228,7 +222,6 @@ def validate(
     kinds: Sequence[str],
     steps: Observations,
     folds: Folds,
-    learning: LearningSettings = DEFAULT_LEARNING,
     on_fit: Callable[[int, int], None] = lambda done, total: None,
 ) -> Validation:
     """Holds out every fold from every residual; a `StepGapWarning` names each that is left out because it fails.
@@ -237,14 +230,12 @@ def validate(
         kinds: Names of the residuals, from simple to complex.
         steps: Errors of the nominal map at the steps.
         folds: Which steps are held out together.
-        learning: Whether the periodic part is removed and the disturbance estimated; its residual is not used.
         on_fit: Called with the number of fits done and the number of all fits.
     """
     held_out, done = {}, count(1)
     for kind in kinds:
-        settings = without_history(learning, kind)
         with _leaving_out_unusable():
-            held_out[kind] = _hold_out(steps, folds, settings, lambda: on_fit(next(done), len(kinds) * folds.count))
+            held_out[kind] = _hold_out(kind, steps, folds, lambda: on_fit(next(done), len(kinds) * folds.count))
     return Validation(folds, held_out)
 
 
@@ -252,7 +243,6 @@ def validate_on(
     kinds: Sequence[str],
     steps: Observations,
     test: Observations,
-    learning: LearningSettings = DEFAULT_LEARNING,
     on_fit: Callable[[int, int], None] = lambda done, total: None,
 ) -> Validation:
     """Fits every residual to some steps and predicts others, such as those of another day or robot.
@@ -263,33 +253,28 @@ def validate_on(
         kinds: Names of the residuals, from simple to complex.
         steps: Errors of the nominal map at the steps to fit.
         test: Those of the same map at the steps to predict.
-        learning: As of `validate`.
         on_fit: As of `validate`.
     """
     held_out = {}
     for done, kind in enumerate(kinds, 1):
-        settings = without_history(learning, kind)
         with _leaving_out_unusable():
             begin = perf_counter()
-            residual = fit_steps(steps, settings)
+            residual = fit_residual(kind, steps)
             seconds = perf_counter() - begin
-            held_out[kind] = HeldOut(kind, test.error, *_predict_deployments(residual, test, settings), seconds)
+            held_out[kind] = HeldOut(kind, test.error, *_predict(residual, test), seconds)
         on_fit(done, len(kinds))
     return Validation(_one_fold(len(test)), held_out)
 
 
-def validate_fitted(
-    residual: Residual, test: Observations, learning: LearningSettings = DEFAULT_LEARNING
-) -> Validation:
+def validate_fitted(residual: Residual, test: Observations) -> Validation:
     """Predicts steps with a residual that was fitted to others before, and without a correction (`none`).
 
     Args:
         residual: The residual; without history inputs.
         test: At least two steps to predict, with the errors of the nominal map that the residual predicts.
-        learning: Whether the disturbance is estimated; its residual is not used.
     """
     zero = np.zeros_like(test.error)
-    fitted = HeldOut(residual.kind, test.error, *_predict_deployments(residual, test, learning), np.nan)
+    fitted = HeldOut(residual.kind, test.error, *_predict(residual, test), np.nan)
     return Validation(
         _one_fold(len(test)), {"none": HeldOut("none", test.error, zero, zero, np.nan), residual.kind: fitted}
     )
@@ -309,60 +294,24 @@ def _one_fold(steps: int) -> Folds:
     return replace(contiguous_folds(steps, min(FOLDS, steps)), fold=np.zeros(steps, np.intp))
 
 
-def without_history(learning: LearningSettings, kind: str) -> LearningSettings:
-    """The settings with a residual of this kind that is a function of state and command alone."""
-    return replace(learning, residual=kind, lagged_inputs="none", forgetting_time=inf)
-
-
-def fit_steps(steps: Observations, learning: LearningSettings) -> Residual:
-    """Fits the residual of the settings to the steps, as before a further deployment."""
-    return learned_residual(steps, learning, int(steps.labels[:, 0].max()) + 1)
-
-
-def _hold_out(steps: Observations, folds: Folds, learning: LearningSettings, on_fit: Callable[[], None]) -> HeldOut:
+def _hold_out(kind: str, steps: Observations, folds: Folds, on_fit: Callable[[], None]) -> HeldOut:
     """Fits a residual to the steps outside each fold and predicts those inside."""
     mean, std, seconds = np.empty_like(steps.error), np.empty_like(steps.error), 0.0
     for number in range(folds.count):
         held = folds.fold == number
         begin = perf_counter()
-        residual = fit_steps(steps.selected(~held), learning)
+        residual = fit_residual(kind, steps.selected(~held))
         seconds += perf_counter() - begin
-        mean[held], std[held] = _predict_deployments(residual, steps.selected(held), learning)
+        mean[held], std[held] = _predict(residual, steps.selected(held))
         on_fit()
-    return HeldOut(learning.residual, steps.error, mean, std, seconds / folds.count)
+    return HeldOut(kind, steps.error, mean, std, seconds / folds.count)
 
 
-def _predict_deployments(residual: Residual, steps: Observations, learning: LearningSettings) -> tuple[Array, Array]:
-    """As `_predict`, for the steps of several deployments."""
-    mean, std = np.empty_like(steps.error), np.empty_like(steps.error)
-    for deployment in np.unique(steps.labels[:, 0]):
-        rows = steps.labels[:, 0] == deployment
-        mean[rows], std[rows] = _predict(residual, steps.selected(rows), learning)
-    return mean, std
-
-
-def _predict(residual: Residual, steps: Observations, learning: LearningSettings) -> tuple[Array, Array]:
-    """Means and standard deviations, with noise, of the errors of consecutive steps; shapes (N, n).
-
-    With `learning.drift`, each step is predicted with the disturbance in the steps before it that are no outliers.
-    """
+def _predict(residual: Residual, steps: Observations) -> tuple[Array, Array]:
+    """Means and standard deviations, with noise, of the errors of steps; shapes (N, n)."""
     points = join_points(steps.state, steps.command)
     parts = np.array_split(points, -(-len(points) // TOGETHER))
     mean = np.concatenate([residual.mean(part) for part in parts])
     std = np.concatenate([residual.std(part, include_noise=True) for part in parts])
     check_prediction(residual.kind, mean, std)
-    if not learning.drift or residual.kind == "none":
-        return mean, std
-    phase = np.full(len(steps), np.nan) if steps.phase is None else steps.phase
-    drift, reject = learning.drift, learning.reject_outliers
-    trust = Trust.start(steps.space.state_scale, residual, drift=drift, monitor=False, reject_outliers=reject)
-    inputs = steps.space.scaled_inputs(steps.state, steps.command)
-    offset, offset_std = np.empty_like(mean), np.empty_like(mean)
-    # As in a run, a step is predicted before its error is known: the disturbance comes from the rows above alone.
-    # Neither this nor the fit has seen the step, or the score would reward a residual that follows the noise.
-    for row in range(len(steps)):
-        disturbance = trust.predict(residual, phase[row])
-        offset[row], offset_std[row] = disturbance.mean(inputs[row]), disturbance.std(inputs[row])
-        step = PredictedStep(inputs=inputs[row], error=steps.error[row], mean=mean[row], std=std[row], phase=phase[row])
-        trust = trust.after(residual, step)
-    return mean + offset, np.hypot(std, offset_std)
+    return mean, std
