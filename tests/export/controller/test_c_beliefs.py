@@ -1,5 +1,6 @@
 """The exported C code believes what Python believes, step by step of a robot that changes and is measured wrongly."""
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 from stepgap.control.cautious_controller import CautiousController
+from stepgap.export.controller.c_source import Real, c_source
 from stepgap.export.controller.portable_controller import PortableController
 from stepgap.learning.beliefs import Beliefs
 from stepgap.step import StepRecord
@@ -64,3 +66,26 @@ def test_in_a_closed_loop_commands_and_alarms_are_those_of_python(
     assert max(differences) < HELD, max(differences)
     assert {"changed", "earlier"} <= set(found)
     assert moved, "a wrong measurement was suspected"
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_it_follows_a_change_in_both_arithmetics_in_the_memory_that_the_header_states(
+    real: Real, compile_in: Callable[..., Compiled]
+) -> None:
+    controller = learned("posterior")
+    code, beliefs = compile_in(controller, real), controller.beliefs
+    robot, alarms = ChangingRobot(controller, life=(("as learned", 18), ("loaded", 8))), set[str | None]()
+    rng, tolerance = np.random.default_rng(1), 1e-9 if real == "double" else 0.02
+    while robot.is_on_its_way:
+        command = SPACE.command_at(rng.uniform(-1, 1, 2))
+        record, phase = robot.step(command)
+        beliefs = controller.after(beliefs, record, phase)
+        assert update(code, record, phase) == 0
+        alarms.add(code.alarm)
+        status, planned, predicted, _ = code.plan(SPACE.state_centre, SPACE.state_centre, None, robot.phase)
+        expected = controller.map_by(beliefs, robot.phase)(SPACE.state_centre, planned)
+        assert status == 0
+        assert np.abs((predicted - expected) / SPACE.state_scale).max() < tolerance
+    assert "changed" in alarms
+    (stated,) = re.findall(r"about (\d+) kB: beliefs", c_source(controller, "controller", real).header)
+    assert 1000 * int(stated) == pytest.approx(code.call("size"), abs=1000)
