@@ -1,8 +1,9 @@
 """Compares what `stepgap fit` says about residuals with what they do in a run.
 
-For each seed: a default run, and `stepgap fit` of it; and for each residual, a run of one redeployment with it, whose
-tracking error is measured. Both errors are relative to those of `gp_on_linear` with the same seed, for both state
-coordinates together; the table has their geometric means over the seeds, with 95 % intervals by Student's t.
+For each seed: a default run, and `stepgap fit` of it; and for each residual, a run of one redeployment with it alone
+(`learning.drift = false`), whose tracking error is measured. Both errors are relative to those of `gp_on_linear` with
+the same seed, for both state coordinates together; the table has their geometric means over the seeds, with 95 %
+intervals by Student's t.
 
     ./go python benchmarks/fit_ranking.py --out FOLDER [--seeds 1,2,3,4,5]
 
@@ -22,7 +23,7 @@ from scipy.stats import t
 
 from stepgap.step import Array
 
-KINDS = ("constant", "linear", "quadratic", "gp", "gp_on_linear", "fitrgp")
+KINDS = ("constant", "linear", "quadratic", "gp", "posterior", "gp_on_linear", "fitrgp")
 USED = "gp_on_linear"
 STEPGAP = Path(sys.executable).with_name("stepgap")
 
@@ -49,7 +50,8 @@ def tracked_ratios(folder: Path, seed: int) -> dict[str, float]:
     rmse = {}
     for kind in KINDS:
         run = folder / f"{kind}_{seed}"
-        options = ("--seed", seed, "--iterations", 1, "--learning.residual", kind, "--quiet", "--out", run)
+        learned = ("--iterations", 1, "--learning.residual", kind, "--learning.drift", "false")
+        options = ("--seed", seed, *learned, "--quiet", "--out", run)
         last = result_of(run / "summary.json", "run", *options)["iterations"][1]
         rmse[kind] = np.array(list(last["rmse"].values())) if not last["falls"] else np.full(2, np.inf)
     return _relative(rmse)
