@@ -170,7 +170,7 @@ def quality(gap: RealityGap, bounds: CommandBounds, seeds: range, stairs: Array)
             done = run_experiment(Setup(nominal, plants, reference, learning, control, seed), Path(name))
             log = read_step_log(Path(name) / "steps.csv", nominal.space)
         first, last = (log.of_iteration(number) for number in (0, done[-1].iteration))
-        row = {"seed": seed, "falls": sum(each.failed_steps for each in done)}
+        row: dict[str, Any] = {"seed": seed, "falls": sum(each.failed_steps for each in done)}
         row["rmse"] = [each.rmse.round(5).tolist() for each in done]
         if row["falls"] == 0:
             found = stair_errors(first)

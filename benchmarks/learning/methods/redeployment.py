@@ -33,7 +33,7 @@ def residual(trial: Trial, kind: str) -> Sequence[Steps]:
     `auto` chooses one of the others; then it makes the same deployment, which is not computed again.
     """
     learner = trial.learner(trial.nominal, trial.first, LearningSettings(residual=kind), 1)
-    key = json.dumps([learner.residual.to_dict(), dict(trial.learning), asdict(trial.control)])
+    key = json.dumps([learner.learned.to_dict(), dict(trial.learning), asdict(trial.control)])
     return [trial.first, trial.once(key, lambda: trial.measure(learner, 1))]
 
 
