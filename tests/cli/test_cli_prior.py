@@ -173,7 +173,9 @@ def test_nothing_is_overwritten(family: Path, stepgap: Command) -> None:
 def test_a_prior_of_another_robot_or_map_is_refused(family: Path, stepgap: Command) -> None:
     prior = ["--prior", family / "prior.json", "--out", "x"]
     refused(stepgap("run", "--robot", "quadruped", *prior), "prior.json", "it is for speed, height, fx, fy", "fz")
-    refused(stepgap("run", "--method", "affine", *prior), "prior.json", "a linear map of nominal.kind = 'equations'")
+    linear = ["--nominal.linear", "true"]
+    refused(stepgap("run", *linear, *prior), "prior.json", "a linear map of nominal.kind = 'equations'")
+    refused(stepgap("run", "--method", "affine", *prior), "prior.json", "only beliefs begin with a prior")
     refused(stepgap("run", "--prior", "nowhere.json", "--out", "x"), "nowhere.json", "robot, none or a file")
 
 

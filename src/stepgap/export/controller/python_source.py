@@ -14,7 +14,7 @@ FILTER: Final = "stepgap.export.controller.step_filter"
 
 INSTEAD: Final = {
     Place("stepgap.control.gauss_newton", "_gesv"): Place(FILTER, "solved_square"),
-    Place("stepgap.base.compiled", "compiled"): Place(FILTER, "as_written"),
+    Place("stepgap.base.compiled", "compiled"): Place(FILTER, "uncompiled"),
 }
 """What takes the place of functions that need more than NumPy, or much more than the filter does."""
 

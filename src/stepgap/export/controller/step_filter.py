@@ -335,7 +335,7 @@ NUMBERS: Final = Numbers()
 """The algebra of the formulas here."""
 
 
-def as_written(function: Any) -> Any:
+def uncompiled(function: Any) -> Any:
     """The function, which NumPy executes: there is no compiler here."""
     return function
 
