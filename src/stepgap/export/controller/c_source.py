@@ -462,7 +462,8 @@ class _Tables:
 
     def _residual(self) -> str:
         declaration = (
-            "typedef struct {\n    int kind, degree, waves, kernel, plug_in, centre_count;\n    real noise_std, signal;\n"
+            "typedef struct {\n    int kind, degree, waves, kernel, plug_in, centre_count;\n"
+            "    real noise_std, signal;\n"
             "    const real *origin, *scale, *weights, *posterior, *centres, *factor, *slope_scale;\n} regression;"
         )
         arrays, rows = [], []
