@@ -39,7 +39,7 @@ PERIODIC_STD: Final = 0.3
 """Prior standard deviation of the periodic part [noise deviations]."""
 ERROR_BEFORE_STD, COMMAND_BEFORE_STD = 0.05, 0.03
 """Prior standard deviations of the weights of the step before: of its error, and of its command [half ranges]."""
-WAVE_STD: Final = 0.03
+WAVE_STD: Final = 0.06
 """Prior standard deviation of the part that no quadratic has [half ranges]."""
 UNKNOWN_STDS: Final = ((0.3, 0.08), (0.6, 0.6))
 """Prior standard deviations of the weights of robots of which nothing is known: up to degree 1, and of degree 2."""
@@ -57,8 +57,9 @@ RIVAL: Final = 0.02
 """Probability of each rival of what is expected of a robot, before its first step."""
 CHANGED_PART: Final = 0.25
 """Part of the covariance between robots by which a robot changes."""
-HAZARD, RETURN_HAZARD, FIRST_HAZARD = 3e-4, 1e-3, 0.05
-"""Probability of a change before a step, of a return to what was before, and of a change between two deployments."""
+HAZARD, RETURN_HAZARD, FIRST_HAZARD = 3e-4, 1e-3, 3e-3
+"""Probability of a change before a step, of a return to what was before, and of a change between two deployments. The
+last is below `LEAST_WEIGHT`, so that a change plans no step before one spoke for it."""
 WRONG: Final = 0.02
 """Probability of a push or a wrong measurement in a step."""
 WRONG_WIDTH, WRONG_FREEDOM = 10.0, 2.0
@@ -84,7 +85,7 @@ MOST, YOUNG = 10, 3
 """Number of beliefs that are kept, and the age up to which a belief is kept besides: it could not yet speak."""
 MOST_MONOMIALS: Final = 150
 """With more monomials of degree 2 beliefs are about degree 1: no deployment tells so many weights apart."""
-WAVES, WAVE_LENGTH, LEAST_FOR_WAVES = 30, 2.0, 100
+WAVES, WAVE_LENGTH, LEAST_FOR_WAVES = 30, 1.0, 100
 """Number and length scale [half ranges] of the waves among the features, and number of steps that must be known before
 a deployment for it to have them: with fewer they only make the map less sure where the robot has not been."""
 REPORTED_ODDS, SUDDEN = 30.0, 10
