@@ -59,8 +59,8 @@ def explain(
         simulated_on_all_cores,
         targets_of,
     )
+    from stepgap.gauss.monomials import number_of_monomials
     from stepgap.learning.observations import observe
-    from stepgap.learning.polynomial import number_of_monomials
     from stepgap.report.explanation import explanation_page, explanation_sentences, explanation_table
 
     if not 0 <= seed < 2**63:

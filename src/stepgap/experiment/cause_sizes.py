@@ -8,8 +8,9 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from stepgap.gauss.monomials import monomials
 from stepgap.learning.observations import Observations
-from stepgap.learning.polynomial import PRIOR_STD, fit_polynomial, monomials
+from stepgap.learning.polynomial import PRIOR_STD, fit_polynomial
 from stepgap.learning.regression import TrainingData
 from stepgap.robots.gap import Gap, differences
 from stepgap.step import Array

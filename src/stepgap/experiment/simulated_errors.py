@@ -21,9 +21,9 @@ from stepgap.experiment.deployment import deploy
 from stepgap.experiment.explanation import MOST_GROUPS, MOST_SIMULATED, SIMULATED_ROUNDS
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import Experiment
+from stepgap.gauss.monomials import number_of_monomials
 from stepgap.learning.learner import Learner
 from stepgap.learning.observations import Observations, observe
-from stepgap.learning.polynomial import number_of_monomials
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.rigs.rig import RigFault

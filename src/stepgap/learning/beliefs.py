@@ -218,9 +218,8 @@ class Beliefs:
             for rate in RATES
         ]
         size = beliefs[0].weights.mean.shape[1]
-        change = CHANGED_PART * beliefs[0].weights.covariance
-        if fitted is not None:
-            change = CHANGED_PART * beliefs[len(RATES)].weights.covariance
+        between_robots = beliefs[0] if fitted is None else beliefs[len(RATES)]
+        change = CHANGED_PART * between_robots.weights.covariance
         before = np.zeros(sum(sizes))
         return cls(features, tuple(beliefs), change, before, None, WRONG_MEASUREMENTS, np.empty((0, size)))
 
@@ -235,10 +234,9 @@ class Beliefs:
 
     def _after_run(self, steps: Sequence[tuple[Observed, bool]], log_weight: float) -> Belief:
         """The belief that the robot is that of an earlier run."""
-        beliefs = replace(self, beliefs=(self.beliefs[0],))
-        belief = self.beliefs[0]
+        beliefs, belief = self, self.beliefs[0]
         for step, follows in steps:
-            side = beliefs.side(step.phase) if follows else replace(beliefs, before=0 * self.before).side(step.phase)
+            side = (beliefs if follows else beliefs._forgetting()).side(step.phase)
             features = self.all_features(step.point, side)
             mean, variance = belief.weights.predicted(features)
             far = float(np.max(np.abs(step.error - mean) / np.sqrt(variance + belief.noise)))
@@ -270,8 +268,7 @@ class Beliefs:
     def probabilities(self) -> Array:
         """Probability of each belief."""
         weights = np.array([each.log_weight for each in self.beliefs])
-        shares = np.exp(weights - weights.max())
-        return shares / shares.sum()
+        return _shares(weights)
 
     def mixture(self, phase: float) -> Mixture:
         """The mixture of the beliefs that plan the next step, which starts at a phase [rad]."""
@@ -417,7 +414,7 @@ def features_of(inputs: int, steps: int) -> Features:
 
 def unknown_belief(features: Features) -> Belief:
     """A belief about one coordinate of a robot of which nothing is known, without what was before a step."""
-    family = unknown(features, 1, UNKNOWN_STDS[0])
+    family = unknown(features, 1)
     size = features.count
     covariance = WAVE_STD**2 * np.eye(size)[None]
     covariance[:, : features.monomials, : features.monomials] = family.covariance
@@ -460,7 +457,7 @@ def _judged(
     # A wrong step is as wide as the widest belief at least: otherwise every large error would be a change.
     wide = np.maximum(np.max(totals, axis=0), WRONG_WIDTH**2 * best.noise)
     doubt = elsewhere.probability if elsewhere else 0.0
-    found, evidence, wrongs, moved = list[Belief](), list[float](), list[float](), list[float]()
+    found, wrongs, moved = list[Belief](), list[float](), list[float]()
     for belief, (mean, _), total in zip(beliefs, predictions, totals, strict=True):
         # The density of the error by each explanation, in logarithms.
         regular = log(max(1 - WRONG - doubt, 1e-9)) + belief.log_density(error - mean, total)
@@ -474,12 +471,16 @@ def _judged(
         lesson = (elsewhere.features, elsewhere.error) if elsewhere and after > regular else (features, error)
         learned = belief if belief.kind == "earlier" else belief.learned(*lesson, trust)
         found.append(replace(learned, log_weight=belief.log_weight + density))
-        evidence.append(found[-1].log_weight)
         wrongs.append(exp(wrong - density))
         moved.append(exp(after - density))
-    shares = np.exp(np.array(evidence) - max(evidence))
-    shares /= shares.sum()
+    shares = _shares(np.array([each.log_weight for each in found]))
     return _Judged(found, float(shares @ wrongs), float(shares @ moved))
+
+
+def _shares(log_weights: Array) -> Array:
+    """Probabilities from their logarithms up to a number that all share."""
+    shares = np.exp(log_weights - log_weights.max())
+    return shares / shares.sum()
 
 
 def _log_density_elsewhere(belief: Belief, elsewhere: _Elsewhere) -> float:

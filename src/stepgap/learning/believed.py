@@ -7,9 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from stepgap.learning.beliefs import Beliefs, Observed
+from stepgap.gauss.features import Features
+from stepgap.learning.beliefs import Beliefs, Mixture, Observed
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.observations import Observations, context_inputs_of, error_of, no_observations
+from stepgap.learning.observations import Observations, context_inputs_of, no_observations
 from stepgap.learning.posterior import POSTERIOR, Posterior
 from stepgap.learning.residual import HistoryInputs, Residual, join_points
 from stepgap.step import Array, StepMap, StepRecord
@@ -50,36 +51,46 @@ def observed(record: StepRecord, nominal: StepMap, error: Array, phase: float) -
 
 
 def believed_after(
-    beliefs: Beliefs, nominal: StepMap, residual: Residual, record: StepRecord, phase: float
+    beliefs: Beliefs,
+    nominal: StepMap,
+    residual: Residual,
+    record: StepRecord,
+    error: Array,
+    phase: float,
+    *,
+    planned: bool = True,
 ) -> tuple[Beliefs, bool]:
-    """What is believed after a step that was planned, and whether the step was learned.
+    """What is believed after a step, and whether the step was learned.
 
     Args:
         beliefs: What was believed before.
         nominal: Map of the physics model.
         residual: The fitted residual, a function of state and command.
         record: The step.
+        error: Error of the nominal map at it, NaN where it is unknown; shape (n,) [units of the state].
         phase: Phase at which it started [rad], NaN if it is unknown.
+        planned: Whether its command was planned: the first step of a plant is learned without a judgement.
     """
-    error = error_of(record, nominal)
     if not np.isfinite(error).all():
         return beliefs.unlinked(), False
     if residual.kind != "none":
         error = error - residual.mean(join_points(record.state, record.requested))
     step = observed(record, nominal, error, phase)
-    return (beliefs.unlinked(), False) if step is None else (beliefs.after(step), True)
+    if step is None:
+        return beliefs.unlinked(), False
+    return (beliefs.after(step) if planned else beliefs.taught(step)), True
 
 
-def believed(residual: Residual, beliefs: Beliefs, phase: float, seen: Observations) -> Residual:
+def believed(residual: Residual, features: Features, mixture: Mixture, seen: Observations) -> Residual:
     """The mixture of the beliefs about a step, added to a fitted residual.
 
     Args:
         residual: The fitted residual.
-        beliefs: What is believed of its remaining error.
-        phase: Phase at which the step starts [rad], NaN if it is unknown.
+        features: Those of the beliefs about its remaining error.
+        mixture: Their mixture.
         seen: Steps that become the data of the result, for reports.
     """
-    mixture, space = beliefs.mixture(phase), seen.space
+    space = seen.space
     base = residual if residual.kind != "none" else None
     context = len(space.context_inputs)
     inputs = base.history_inputs if base else HistoryInputs(context_inputs=context)
@@ -90,7 +101,7 @@ def believed(residual: Residual, beliefs: Beliefs, phase: float, seen: Observati
     regressions = tuple(
         Posterior(
             data=data[coordinate],
-            features=beliefs.features,
+            features=features,
             mean_weights=mixture.mean[coordinate],
             covariance=mixture.covariance[coordinate],
             side=mixture.side,
@@ -117,6 +128,7 @@ def planning_map(
     """
     if beliefs is None:
         return CorrectedMap(nominal, residual.conditioned_on(history))
-    found = believed(residual, beliefs, phase, no_observations(nominal.space)).conditioned_on(history)
-    offset = beliefs.mixture(phase).offset * nominal.space.state_scale
-    return CorrectedMap(nominal, found, offset=offset if offset.any() else None)
+    mixture = beliefs.mixture(phase)
+    found = believed(residual, beliefs.features, mixture, no_observations(nominal.space))
+    offset = mixture.offset * nominal.space.state_scale
+    return CorrectedMap(nominal, found.conditioned_on(history), offset=offset if offset.any() else None)

@@ -17,8 +17,8 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc  # the tails of scipy.stats, without its long import
 
 from stepgap.gauss.linear_regression import LinearFit, fit_linear
+from stepgap.gauss.monomials import monomials
 from stepgap.learning.observations import Observations
-from stepgap.learning.polynomial import monomials
 from stepgap.learning.residual import HistoryInputs
 from stepgap.learning.settings import LAGGED_INPUTS, LaggedInputs
 from stepgap.step import Array

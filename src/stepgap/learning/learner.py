@@ -10,7 +10,7 @@ import numpy as np
 
 from stepgap.learning.alarm import Alarm
 from stepgap.learning.beliefs import Beliefs, Observed, features_of
-from stepgap.learning.believed import believed, observed, planning_map
+from stepgap.learning.believed import believed, believed_after, observed, planning_map
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.entry_points import load_residual_model
 from stepgap.learning.observations import (
@@ -108,8 +108,8 @@ class Learner:
     def redeployed(self, known: Steps, priors: Sequence[Prior] = ()) -> "Learner":
         """Returns the learner before the next deployment, with all steps known then; the priors are those of `start`.
 
-        A residual is fitted again. Beliefs go on; they begin again with all steps where so many are known that their
-        features are others, or after a deployment some of whose steps proved doubtful.
+        A residual is fitted again. Beliefs go on. They begin again, with all steps, where the number of known steps
+        gives them other features, or after a deployment some of whose steps proved doubtful.
         """
         iteration, settings = self.iteration + 1, self.settings
         beliefs = self.beliefs if settings.residual == POSTERIOR.name else None
@@ -128,9 +128,9 @@ class Learner:
     def phase(self) -> float:
         """Phase of the periodic context quantity at which the next step starts [rad], NaN if it is unknown."""
         last = self.known.last
-        return (
-            nan if last is None or last.iteration != self.iteration else _phase_after(last.record, self.nominal.space)
-        )
+        if last is None or last.iteration != self.iteration:
+            return nan
+        return _phase_after(last.record, self.nominal.space)
 
     @property
     def conditioned_residual(self) -> Residual:
@@ -143,7 +143,7 @@ class Learner:
         if self.beliefs is None or self.settings.residual != POSTERIOR.name:
             return self.residual
         seen = observe(self.known.planned(), self.nominal)
-        return believed(self.residual, self.beliefs, self.phase, seen)
+        return believed(self.residual, self.beliefs.features, self.beliefs.mixture(self.phase), seen)
 
     def step_map(self) -> CorrectedMap:
         """Returns the map that plans the next step."""
@@ -173,18 +173,17 @@ class Learner:
         error = error_of(record, self.nominal)
         history = history_after(record, error, self.nominal.space, len(known))
         learner = replace(self, known=known, history=history)
-        if not np.isfinite(error).all():
-            return replace(learner, beliefs=self.beliefs.unlinked()) if self.beliefs else learner
-        if self.residual.kind != "none":
-            residual, point = self.residual.conditioned_on(self.history), join_points(record.state, record.requested)
+        known_error = bool(np.isfinite(error).all())
+        residual = self.residual.conditioned_on(self.history)
+        if known_error and residual.kind != "none":
+            point = join_points(record.state, record.requested)
             check_prediction(residual.kind, residual.mean(point), residual.std(point))
-            error = error - residual.mean(point) if self.beliefs else error
         if self.beliefs is None:
-            return learner._fitted_on(self.history, error) if self.settings.online else learner
-        step = observed(record, self.nominal, error, self.phase)
-        if step is None:
-            return replace(learner, beliefs=self.beliefs.unlinked())
-        beliefs = self.beliefs.after(step) if logged.planned else self.beliefs.taught(step)
+            learns = known_error and self.settings.online
+            return learner._fitted_on(self.history, error) if learns else learner
+        beliefs, _ = believed_after(
+            self.beliefs, self.nominal, residual, record, error, self.phase, planned=logged.planned
+        )
         alarms = [Alarm(logged.step, beliefs.alarm)] if beliefs.alarm else []
         return replace(learner, beliefs=beliefs, alarms=(*self.alarms, *alarms))
 
@@ -222,9 +221,10 @@ def _fitted(nominal: StepMap, known: Steps, settings: LearningSettings, *, belie
 
     The first step of a plant, such as a hop from rest, is not quite like others, and is left out.
     """
+    if believes and settings.residual == POSTERIOR.name:
+        return no_residual(len(nominal.space.state), len(nominal.space.command))
     seen = observe(known.planned(), nominal)
-    alone = believes and settings.residual == POSTERIOR.name
-    name = "none" if alone or not len(seen) else settings.residual
+    name = settings.residual if len(seen) else "none"
     if name != settings.residual != AUTO:
         load_residual_model(settings.residual)  # if it cannot be loaded, no robot moves
     return fit_residual(name, seen, settings.lagged_inputs, settings.forgetting_time)

@@ -17,7 +17,7 @@ from stepgap.base.json_data import LARGEST_NUMBER, as_object, integer, number, n
 from stepgap.base.ranges import require
 from stepgap.gauss.features import Features
 from stepgap.learning.beliefs import features_of, unknown_belief
-from stepgap.learning.regression import Parameter, Prediction, Regression, ResidualModel, TrainingData
+from stepgap.learning.regression import BatchRegression, Parameter, Prediction, Regression, ResidualModel, TrainingData
 from stepgap.step import Array
 
 NOISE_ROUNDS: Final = 3
@@ -29,11 +29,11 @@ MOST_FEATURES_READ: Final = 1000
 
 @final
 @dataclass(frozen=True, eq=False)
-class Posterior(Regression):
+class Posterior(BatchRegression):
     """The error of one state coordinate, as far as it is known.
 
     Attributes:
-        data: The steps that were learned from, for reports, and the ranges of the inputs; values in its units.
+        data: The steps that were learned from, for reports, and the ranges of the inputs.
         features: Features of the inputs `used`, in half ranges.
         mean_weights: Expected weights of the features, and of what follows them; shape (k,) [half ranges].
         covariance: Their covariance; shape (k, k) [half ranges²].
@@ -43,7 +43,6 @@ class Posterior(Regression):
         base: Regression with the same inputs to which all of this is added; None for none.
     """
 
-    data: TrainingData
     features: Features
     mean_weights: Array
     covariance: Array
@@ -51,21 +50,6 @@ class Posterior(Regression):
     noise: float
     used: tuple[int, ...]
     base: Regression | None = None
-
-    @property
-    def points(self) -> Array:
-        """Inputs of the steps that were learned from; shape (N, d)."""
-        return self.data.points
-
-    @property
-    def values(self) -> Array:
-        """Errors of these steps; shape (N,)."""
-        return self.data.values
-
-    @property
-    def inputs(self) -> int:
-        """Number of inputs d."""
-        return len(self.data.scale)
 
     @property
     def noise_std(self) -> float:

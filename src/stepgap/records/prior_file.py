@@ -12,7 +12,7 @@ from stepgap.base.errors import message_of
 from stepgap.base.files import read_bounded_text
 from stepgap.base.json_data import LARGEST_NUMBER, as_object, number, numbers, parse_json
 from stepgap.gauss.features import Features
-from stepgap.learning.polynomial import monomials
+from stepgap.gauss.monomials import monomials
 from stepgap.learning.prior import DEGREE, CoordinatePrior, Prior
 from stepgap.step import Array, StepSpace
 

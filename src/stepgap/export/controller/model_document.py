@@ -16,13 +16,14 @@ from stepgap.control.cautious_controller import FAILURE_RADIUS, RISK
 from stepgap.control.goal import CAUTION
 from stepgap.export.controller.portable_controller import PortableController
 from stepgap.gauss.kernel import MATERN_52, SQUARED_EXPONENTIAL
+from stepgap.gauss.monomials import monomials
 from stepgap.gauss.sparse_gaussian_process import SparseGaussianProcess
 from stepgap.learning import beliefs as rules
 from stepgap.learning.beliefs import Beliefs
 from stepgap.learning.beliefs_data import beliefs_from_dict, beliefs_to_dict
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.observations import no_observations
-from stepgap.learning.polynomial import Polynomial, monomials
+from stepgap.learning.polynomial import Polynomial
 from stepgap.learning.posterior import Posterior, features_to_dict
 from stepgap.learning.regression import Regression
 from stepgap.learning.zero import Zero

@@ -33,7 +33,7 @@ from stepgap.learning.believed import believed, believed_after, planning_map
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.learner import Learner
-from stepgap.learning.observations import Observations, no_observations, observe
+from stepgap.learning.observations import Observations, error_of, no_observations, observe
 from stepgap.learning.polynomial import Polynomial
 from stepgap.learning.posterior import Posterior
 from stepgap.learning.regression import Regression
@@ -134,7 +134,7 @@ class PortableController:
         if self.beliefs is None or self.residual.kind != "none":
             return self.residual
         steps = no_observations(self.space) if self.steps is None else self.steps
-        return believed(self.residual, self.beliefs, nan, steps)
+        return believed(self.residual, self.beliefs.features, self.beliefs.mixture(nan), steps)
 
     @cached_property
     def controller(self) -> CautiousController:
@@ -153,7 +153,10 @@ class PortableController:
             record: The step.
             phase: Phase at which it started [rad], NaN if it is unknown.
         """
-        return beliefs and believed_after(beliefs, self.nominal, self.residual, record, phase)[0]
+        if beliefs is None:
+            return None
+        error = error_of(record, self.nominal)
+        return believed_after(beliefs, self.nominal, self.residual, record, error, phase)[0]
 
 
 def portable_controller(

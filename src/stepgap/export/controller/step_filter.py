@@ -142,10 +142,11 @@ class StepFilter:
         )
         command = as_vector("command", command, len(self.space.command))
         record = StepRecord(start, command, command, end, StepStatus.OK)
-        _, status = self._nominal.evaluate(start, command)
+        expected, status = self._nominal.evaluate(start, command)
         if self._beliefs is not None:
             residual = cast("Residual", self._residual)
-            self._beliefs, learned = believed_after(self._beliefs, self._nominal, residual, record, phase)
+            error = end - expected
+            self._beliefs, learned = believed_after(self._beliefs, self._nominal, residual, record, error, phase)
         else:
             learned = bool(np.isfinite(end).all())
         return int(StepStatus.OK if learned else status or StepStatus.INVALID)
