@@ -2,7 +2,8 @@
 
     ./go python -m benchmarks.compare_gaussian_processes [--quick] [--out FILE]
 
-Run from the root of the repository. The table is that of `stepgap bench gp` with a row for each peer that is installed.
+Run from the root of the repository. The table is that of `benchmarks.speed gp`, with a row for each peer
+that is installed.
 """
 
 import argparse
@@ -11,7 +12,7 @@ import sys
 from pathlib import Path
 
 from benchmarks.peers.gaussian_processes import gp_peers
-from stepgap.bench.gaussian_process import bench_gp, describe_gp_bench
+from benchmarks.speed.gaussian_process import bench_gp, describe_gp_bench
 
 
 def main() -> None:

@@ -2,7 +2,7 @@
 
     ./go python -m benchmarks.compare_maps [--quick] [--out FILE] [--seed 0]
 
-Run from the root of the repository. The table is that of `stepgap bench map`, with a row for
+Run from the root of the repository. The table is that of `benchmarks.speed map`, with a row for
 each peer that is installed.
 """
 
@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 from benchmarks.peers.catalogue import map_peers
-from stepgap.bench.step_map import bench_map, describe_map_bench
+from benchmarks.speed.step_map import bench_map, describe_map_bench
 from stepgap.robots.hopper.model.apex_map import ApexMap
 
 

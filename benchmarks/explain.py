@@ -26,8 +26,16 @@ from benchmarks.disturbed_plant import finished, tracked
 from stepgap.base.blas import one_blas_thread
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
-from stepgap.experiment.cause_sizes import Cause, RunError, Shares, Surface, causes_of
-from stepgap.experiment.explanation import (
+from stepgap.experiment.settings import Experiment
+from stepgap.learning.learner import Learner
+from stepgap.learning.observations import Observations, observe
+from stepgap.learning.steps import Steps
+from stepgap.robots.hopper.robot import Hopper
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import LONGEST_STEP
+from stepgap.step import Array, StepSpace
+from stepgap.study.cause_sizes import Cause, RunError, Shares, Surface, causes_of
+from stepgap.study.explanation import (
     CAUSE_LOG_ODDS,
     Explanation,
     Simulate,
@@ -35,16 +43,8 @@ from stepgap.experiment.explanation import (
     explain_error,
     signature_products,
 )
-from stepgap.experiment.settings import Experiment
-from stepgap.experiment.simulated_errors import LEARNING, SimulatedRobots, gap_of, targets_of
-from stepgap.learning.learner import Learner
-from stepgap.learning.observations import Observations, observe
-from stepgap.learning.steps import Steps
-from stepgap.report.explanation import members_in_question
-from stepgap.robots.hopper.robot import Hopper
-from stepgap.robots.hopper.twin.reality_gap import RealityGap
-from stepgap.robots.hopper.twin.twin import LONGEST_STEP
-from stepgap.step import Array, StepSpace
+from stepgap.study.explanation_page import members_in_question
+from stepgap.study.simulated_errors import LEARNING, SimulatedRobots, gap_of, targets_of
 
 USUAL = {
     "body_mass_scale": 1.05,

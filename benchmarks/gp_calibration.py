@@ -9,8 +9,8 @@ from collections.abc import Callable
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from benchmarks.speed.gaussian_process import NOISE, SCALE, VALUE_SCALE, smooth_function
 from stepgap.base.normal import INTERVAL_95
-from stepgap.bench.gaussian_process import NOISE, SCALE, VALUE_SCALE, smooth_function
 from stepgap.gauss.gaussian_process_fit import Basis, fit_gaussian_process
 from stepgap.step import Array
 

@@ -20,11 +20,11 @@ from stepgap.base.random_streams import random_stream
 from stepgap.control.settings import ControlSettings
 from stepgap.export.controller.model_document import model_text
 from stepgap.export.controller.portable_controller import PortableController
-from stepgap.learning.individuals import ComparedRobots, Individual, compare_individuals
 from stepgap.learning.learner import Learner
 from stepgap.learning.observations import observe
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
+from stepgap.study.individuals import ComparedRobots, Individual, compare_individuals
 
 ROBOTS, STEPS, HELD = 10, 160, 8
 SLOW, TURNS_LITTLE = 3, 7

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from stepgap.mujoco_robots.monopod.robot import MONOPOD_SPACE
 from stepgap.records.steps_csv import read_step_log
-from stepgap.robots.monopod.robot import MONOPOD_SPACE
 from stepgap.step import Array
 from stepgap.sweep.results_table import as_numbers, read_results
 

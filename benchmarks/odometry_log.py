@@ -17,8 +17,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from stepgap.robots.velocity.robot import TrottingRobot
-from stepgap.robots.velocity.walking_robot import body_velocity
+from stepgap.mujoco_robots.velocity.robot import TrottingRobot
+from stepgap.mujoco_robots.velocity.walking_robot import body_velocity
 from stepgap.step import Array
 
 DURATION, TO_ROBOT, FROM_ROBOT, JITTER = 600.0, 0.06, 0.02, 0.005  # s

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from stepgap.mujoco_robots.quadruped.robot import SPACE
 from stepgap.records.steps_csv import read_step_log
-from stepgap.robots.quadruped.robot import SPACE
 from stepgap.step import Array
 from stepgap.sweep.results_table import ResultsTable, as_numbers, read_results
 

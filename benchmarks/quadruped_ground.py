@@ -26,11 +26,11 @@ from stepgap.experiment.deployment import deploy
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
+from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfPlant
+from stepgap.mujoco_robots.quadruped.pronk import PronkGains
+from stepgap.mujoco_robots.quadruped.robot import Quadruped
 from stepgap.plants.plant import Plant
 from stepgap.robots.ground import UnevenGround
-from stepgap.robots.mjcf.mjcf_robot import MjcfPlant
-from stepgap.robots.quadruped.pronk import PronkGains
-from stepgap.robots.quadruped.robot import Quadruped
 from stepgap.step import Array
 
 FLAT = UnevenGround(measured_heights=True)

@@ -29,12 +29,12 @@ from benchmarks.velocity_robots import (
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
 from stepgap.learning.prior import Prior
+from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfPlant, MjcfRobot
+from stepgap.mujoco_robots.monopod.robot import Monopod
+from stepgap.mujoco_robots.quadruped.robot import Quadruped
 from stepgap.plants.plant import Plant
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.simulation import TwinPlant, TwinSimulation
-from stepgap.robots.mjcf.mjcf_robot import MjcfPlant, MjcfRobot
-from stepgap.robots.monopod.robot import Monopod
-from stepgap.robots.quadruped.robot import Quadruped
 from stepgap.step import StepMap, StepSpace
 
 

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.experiment.displays import WrittenReport
 from stepgap.experiment.run import Run
 from stepgap.records.summary import NoiseFloor
-from stepgap.report import WrittenReport, drawing
+from stepgap.report import drawing
 from stepgap.step import StepMap
 from stepgap.sweep.cases import processes
 
@@ -38,7 +39,7 @@ def leave_out_report(patch: pytest.MonkeyPatch) -> None:
         (run.folder / "report.html").touch()
         return WrittenReport(run.folder / "report.html", ())
 
-    patch.setattr("stepgap.report.write_report", write_report)
+    patch.setattr("stepgap.report.run_report.write_report", write_report)
 
 
 def leave_out_sweep_report(patch: pytest.MonkeyPatch) -> None:

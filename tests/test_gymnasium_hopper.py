@@ -15,8 +15,8 @@ from stepgap.experiment.deployment import deploy
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
-from stepgap.robots.mjcf.mjcf_gap import MjcfGap
-from stepgap.robots.mjcf.mjcf_robot import MjcfPlant, MjcfStepper
+from stepgap.mujoco_robots.mjcf.mjcf_gap import MjcfGap
+from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfPlant, MjcfStepper
 from stepgap.robots.nominal_maps.surrogate_map import fit_surrogate
 from stepgap.robots.robot import stairs
 from stepgap.step import StepStatus

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.mujoco_robots.velocity.walking_robot import Walk
 from stepgap.plants.process import Child, ProcessPlant
-from stepgap.robots.velocity.walking_robot import Walk
 from stepgap.step import Array, StepStatus
 
 ROOT = Path(__file__).parent.parent

@@ -7,7 +7,7 @@ from typing import Any
 import numba
 
 from benchmarks.peers import full_system
-from stepgap.bench.step_map import Engine, MapPeers
+from benchmarks.speed.step_map import Engine, MapPeers
 from stepgap.robots.hopper.model.apex_map import ApexMap
 
 

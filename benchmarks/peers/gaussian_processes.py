@@ -5,7 +5,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from stepgap.bench.gaussian_process import GpPeers, Library
+from benchmarks.speed.gaussian_process import GpPeers, Library
 
 NOT_WRITTEN = {"GPy": "GPy", "GPyTorch": "gpytorch", "GPflow": "gpflow", "tinygp": "tinygp", "GPJax": "gpjax"}
 

@@ -51,6 +51,12 @@ if TYPE_CHECKING:
     from stepgap.learning.settings import LearningSettings as LearningSettings
     from stepgap.learning.steps import LoggedStep as LoggedStep
     from stepgap.learning.steps import Steps as Steps
+    from stepgap.mujoco_robots.mjcf.mjcf_gap import MjcfGap as MjcfGap
+    from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfRobot as MjcfRobot
+    from stepgap.mujoco_robots.mjcf.section import Section as Section
+    from stepgap.mujoco_robots.mjcf.section import apex as apex
+    from stepgap.mujoco_robots.mjcf.section import next_foot as next_foot
+    from stepgap.mujoco_robots.mjcf.section import touchdown as touchdown
     from stepgap.plants.model_plant import ModelPlant as ModelPlant
     from stepgap.plants.plant import Plant as Plant
     from stepgap.plants.rig_plant import RigPlant as RigPlant
@@ -71,12 +77,6 @@ if TYPE_CHECKING:
     from stepgap.robots.hopper.twin.reality_gap import RealityGap as RealityGap
     from stepgap.robots.hopper.twin.twin import Twin as Twin
     from stepgap.robots.map_simulation import MapSimulation as MapSimulation
-    from stepgap.robots.mjcf.mjcf_gap import MjcfGap as MjcfGap
-    from stepgap.robots.mjcf.mjcf_robot import MjcfRobot as MjcfRobot
-    from stepgap.robots.mjcf.section import Section as Section
-    from stepgap.robots.mjcf.section import apex as apex
-    from stepgap.robots.mjcf.section import next_foot as next_foot
-    from stepgap.robots.mjcf.section import touchdown as touchdown
     from stepgap.robots.nominal_maps.simulator import Simulator as Simulator
     from stepgap.robots.nominal_maps.simulator import SimulatorMap as SimulatorMap
     from stepgap.robots.published_result import PublishedResult as PublishedResult

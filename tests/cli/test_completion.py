@@ -30,7 +30,6 @@ def test_the_shell_reads_the_script(script: Path) -> None:
     ("line", "expected"),
     [
         ("stepgap comple", "completion"),
-        ("stepgap bench gp --qui", "--quick"),
         ("stepgap run --iterat", "--iterations"),
         ("stepgap run --gains.stif", "--gains.stiffness"),
         ("stepgap export --gains.stif", ""),

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stepgap.mujoco_robots.quadruped.robot import Quadruped
 from stepgap.records.prior_file import read_prior
 from stepgap.robots.hopper.robot import Hopper
-from stepgap.robots.quadruped.robot import Quadruped
 
 SPACE = Hopper().space
 FILE = Hopper().prior()

@@ -17,7 +17,7 @@ from stepgap.records.missing import Missing
 from stepgap.records.motion_file import INTERVAL
 from stepgap.records.steps_csv import column_names, row_of
 from stepgap.records.summary import MEASURES
-from stepgap.report import write_report
+from stepgap.report.run_report import write_report
 from stepgap.robots.scene import Link, Motion, Scene
 from stepgap.step import Array, Quantity, StepMap, StepRecord, StepSpace, StepStatus
 from tests.control.maps import YAW, LossyHopper

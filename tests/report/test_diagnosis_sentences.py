@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from stepgap.experiment.run import Run
+from stepgap.experiment.state_ranges import offset_sentences
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
-from stepgap.report.diagnosis_sentences import diagnosis_sentences, offset_sentences
+from stepgap.report.diagnosis_sentences import diagnosis_sentences
 from tests.learning.test_diagnosis import NOMINAL, SPACE, Error, plain, steps_of, varying, with_memory
 from tests.report.runs import write_run
 

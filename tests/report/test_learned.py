@@ -12,12 +12,12 @@ from stepgap.experiment.run import Run
 from stepgap.learning.residual import HistoryInputs
 from stepgap.learning.settings import LAGGED_INPUTS
 from stepgap.records.missing import Missing
+from stepgap.records.text import decimal
 from stepgap.report.analysis import Analysis, input_quantities
 from stepgap.report.gait_table import gait_table
 from stepgap.report.learned_residual import LearnedResidual
 from stepgap.report.learned_table import coverage_table, learned_tables
 from stepgap.report.reference_gait import reference_gait
-from stepgap.report.text import decimal
 from tests.control.maps import LossyHopper
 from tests.report.pages import Page, check_alone
 from tests.report.runs import TARGETS, make_run, report_of

@@ -17,10 +17,10 @@ from stepgap.experiment.run import Run
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.settings import LearningSettings
 from stepgap.records.summary import MEASURED, MEASURES, NoiseFloor, Summary
+from stepgap.records.text import decimal
 from stepgap.report.drawing import LOOK
 from stepgap.report.figures import drawn_figures
 from stepgap.report.figures.steps import command_figure, error_figure, map_caption, tracking_figure
-from stepgap.report.text import decimal
 from stepgap.robots.hopper.paper import STATE_NAMES, paper_reference, paper_result
 from stepgap.step import Quantity, StepSpace
 from tests.control.maps import LossyHopper
@@ -135,7 +135,7 @@ def test_it_computes_with_one_thread_of_blas(written: Path, tmp_path: Path, monk
         threads.update(each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas")
         return drawn_figures(*arguments)
 
-    monkeypatch.setattr("stepgap.report.drawn_figures", counted)
+    monkeypatch.setattr("stepgap.report.run_report.drawn_figures", counted)
     with threadpool_limits(2, user_api="blas"):
         report_of(shutil.copytree(written, tmp_path / "run"))
     assert threads == {1}

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from stepgap.experiment.settings_text import meanings
+from stepgap.mujoco_robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.robots.gap import POSITIVE, Drawn, difference, differences
 from stepgap.robots.hopper.twin.reality_gap import SHARE, RealityGap
-from stepgap.robots.mjcf.mjcf_gap import MjcfGap
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,10 @@ from websockets.typing import Origin
 
 from stepgap.base.errors import StepGapError
 from stepgap.view.access import guarded, is_known, is_welcome, names_here
+from stepgap.view.address import HERE
 from stepgap.view.page import Page
 from stepgap.view.source import Source
-from stepgap.view.watch import HERE, start_server, stop_server
+from stepgap.view.watch import start_server, stop_server
 
 NAMES = names_here(HERE)
 PROTOCOL: Any = [f"viser-v{viser.__version__}"]

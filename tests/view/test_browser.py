@@ -9,9 +9,10 @@ from threading import Event, Thread
 import pytest
 from playwright.sync_api import FloatRect, ViewportSize, expect
 
+from stepgap.view.address import HERE
 from stepgap.view.page import Page
 from stepgap.view.source import Source
-from stepgap.view.watch import HERE, start_server, watch
+from stepgap.view.watch import start_server, watch
 from tests.browser import Watched
 from tests.browser import chromium as chromium  # fixtures
 from tests.browser import watched_page as watched_page

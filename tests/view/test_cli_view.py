@@ -17,8 +17,8 @@ import pytest
 
 from stepgap.experiment.loop import Observer
 from stepgap.learning.steps import LoggedStep
+from stepgap.view.address import HERE
 from stepgap.view.live import LiveView
-from stepgap.view.watch import HERE
 from tests.cli.command_line import Command, refused
 from tests.view.conftest import TARGETS
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from stepgap.base.errors import InputError
+from stepgap.view.address import HERE
 from stepgap.view.page import Page
 from stepgap.view.source import Source
-from stepgap.view.watch import HERE, start_server, stop_server, watch
+from stepgap.view.watch import start_server, stop_server, watch
 from tests.view.conftest import STEPS
 
 

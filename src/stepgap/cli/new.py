@@ -4,7 +4,7 @@ import json
 import sys
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -14,24 +14,24 @@ from stepgap.base.output_files import EXISTING_IS_COMPLETE, writing
 from stepgap.base.plugins import load_plugin
 from stepgap.cli.new_package import (
     EQUATIONS,
-    MJCF,
     MUJOCO,
     check_package_name,
     readme_name,
     starter_text,
     write_package,
 )
-from stepgap.cli.new_policy import POLICY_FILE, write_policy
 from stepgap.cli.options import NO_COLUMNS, ColumnNames, Flag
 from stepgap.cli.terminal import warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from stepgap.learning.steps import Steps
     from stepgap.step import Array, Quantity, StepSpace
 
 
+STARTERS = "stepgap.starters"
+"""Entry points of this group write a robot from files of others: `mjcf` from a model, `policy` from a network, too."""
 IMPORTERS = "stepgap.importers"
 """Entry points of this group read the steps of logs of other programs."""
 PRACTICE = """\
@@ -91,17 +91,25 @@ def new(
         with new_folder(folder) as partial:
             for name, text in contents.items():
                 create(partial / name, text)
-            missing = write_policy(partial, folder.name, policy, mjcf) if policy and mjcf else []
-            if not contents and not policy:
-                starter = MJCF if mjcf else MUJOCO if mujoco else EQUATIONS
-                write_package(partial, folder.name, starter, mjcf)
+            missing = []
+            if policy and mjcf:
+                missing = _starter("policy")(partial, folder.name, policy, mjcf)
+            elif mjcf:
+                _starter("mjcf")(partial, folder.name, mjcf)
+            elif not contents:
+                write_package(partial, folder.name, MUJOCO if mujoco else EQUATIONS)
     print(folder / "README.md")
     if missing:
-        warn(f"fill in {', '.join(missing)} in {folder / POLICY_FILE} first: they are not in {policy}")
+        warn(f"fill in {', '.join(missing)} in {folder / 'policy.toml'} first: they are not in {policy}")
     elif mjcf and not policy:
         warn(f"write the controller in {folder / folder.name}.py first, for the joints and actuators of the model")
     for command in next_commands(folder):
         print(f"next: {command}", file=sys.stderr)
+
+
+def _starter(name: str) -> "Callable[..., Any]":
+    """The function that writes a robot from files of others."""
+    return load_plugin(STARTERS, "starter", name, callable, "callable with (folder, name, files)")
 
 
 def _program(name: str, log: "Steps | None") -> dict[str, str]:

@@ -14,15 +14,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from stepgap.cli.terminal import warn
 from stepgap.experiment.exploration import worthwhile
 from stepgap.experiment.loop import Observer, fails_no_later
-from stepgap.experiment.state_ranges import COMPARED_STEPS, far_states
+from stepgap.experiment.state_ranges import COMPARED_STEPS, far_states, offset_sentences
 from stepgap.learning.alarm import Alarm
 from stepgap.learning.residual import Residual
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.records.steps_csv import values_of
 from stepgap.records.summary import Deployment, deployment_entry
-from stepgap.report.diagnosis_sentences import offset_sentences
-from stepgap.report.text import decimal, listed, unit_suffix
-from stepgap.report.trust_sentences import alarm_sentence
+from stepgap.records.text import decimal, listed, unit_suffix
 from stepgap.step import StepSpace, StepStatus, ending_of
 
 
@@ -139,7 +137,7 @@ class RunProgress:
 
     def _on_alarm(self, alarm: Alarm) -> None:
         if not self._quiet:
-            self._console.print(alarm_sentence(alarm), soft_wrap=True)
+            self._console.print(alarm.sentence, soft_wrap=True)
 
     def _on_warning(self, sentence: str) -> None:
         if not self._quiet:

@@ -17,14 +17,13 @@ from stepgap.cli.options import Address, FileName, Flag, FolderName, Integer, Na
 from stepgap.cli.terminal import announces_compilation, check_consent, is_output_error, warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
+    from stepgap.experiment.displays import LivePage, WrittenReport
     from stepgap.experiment.loop import Setup
     from stepgap.experiment.nominal import Nominal
     from stepgap.experiment.settings import Experiment
     from stepgap.experiment.tick_recorder import TickRecorder
     from stepgap.plants.compiled_rig import Rows
     from stepgap.plants.ticks.stream import OnTicks
-    from stepgap.report import WrittenReport
-    from stepgap.view.live import LiveView
 
 
 @Parameter(name="*")
@@ -147,20 +146,18 @@ def run(
         raise InputError(
             "--resume, --extend: give only --resume for an interrupted run, only --extend for a finished one"
         )
-    if display.view:
-        _check_address(display)
     changes = [*(overrides or []), *shorthand.overrides()]
     continued = resume or extend is not None
     if continued:
         out = folder_to_continue("--resume" if resume else "--extend", experiment, out, changes)
     with run_folder(out) as folder:
         settings = _settings(experiment, folder, changes, continued, extend)
+        recorder, live = _watchers(settings, folder, display)
         reference = load_reference(settings, settings.space)
         with plant_compiled_beside(settings):
             nominal = nominal_with_progress(settings)
             if nominal.surrogate:  # it was fitted now
                 check_surrogate(nominal.surrogate)
-        recorder, live = _watchers(settings, folder, display)
         on_ticks = _all_of(recorder.on_ticks, live)
         request = PlantRequest(settings, reference, folder, arm, on_ticks, program or [])
         try:
@@ -197,13 +194,6 @@ def _how_to_resume(folder: Path, arm: bool, program: Sequence[str] | None) -> st
     return f"resume with: stepgap run --out {shlex.quote(str(folder))} --resume{' --arm' if arm else ''}{end}"
 
 
-def _check_address(display: Display) -> None:
-    """Raises InputError, before anything is done, if the page cannot be served at the wanted address."""
-    from stepgap.view.watch import HERE, free_port
-
-    free_port(display.host or HERE, display.port)
-
-
 def _settings(
     experiment: Path | None, folder: Path, changes: Sequence[tuple[str, str]], continued: bool, extend: int | None
 ) -> "Experiment":
@@ -222,25 +212,24 @@ def _settings(
     return settings
 
 
-def _watchers(settings: "Experiment", folder: Path, display: Display) -> "tuple[TickRecorder, LiveView | None]":
+def _watchers(settings: "Experiment", folder: Path, display: Display) -> "tuple[TickRecorder, LivePage | None]":
     """The recorder of the ticks that the report will show, and the live page, if it is wanted."""
+    from stepgap.experiment.displays import load_display
     from stepgap.experiment.replay import find_kinematics
     from stepgap.experiment.tick_recorder import TickRecorder
     from stepgap.records.missing import Missing
     from stepgap.records.motion_file import INTERVAL
-    from stepgap.view.live import LiveView
-    from stepgap.view.source import VIEW_INTERVAL
 
-    units, per_frame, per_view = {}, 1, 1
-    if settings.simulated:  # a rig has its own tick logs
-        kinematics = find_kinematics(settings)
-        if not isinstance(kinematics, Missing):
-            units, per_frame, per_view = kinematics.units, kinematics.every(INTERVAL), kinematics.every(VIEW_INTERVAL)
-    page = (display.host or "127.0.0.1", display.port, units, per_view)
-    return TickRecorder(units, per_frame), LiveView(folder, *page) if display.view else None
+    found = find_kinematics(settings) if settings.simulated else None  # a rig has its own tick logs
+    kinematics = None if isinstance(found, Missing) else found
+    recorder = TickRecorder(kinematics.units, kinematics.every(INTERVAL)) if kinematics else TickRecorder({}, 1)
+    if not display.view:
+        return recorder, None
+    live_page = load_display("live")
+    return recorder, live_page(folder, display.host, display.port, kinematics)
 
 
-def _all_of(record: "OnTicks", live: "LiveView | None") -> "OnTicks":
+def _all_of(record: "OnTicks", live: "LivePage | None") -> "OnTicks":
     """Function that passes ticks to the recorder and, if there is one, to the live page."""
     if live is None:
         return record
@@ -256,7 +245,7 @@ def _execute(
     setup: "Setup",
     folder: Path,
     recorder: "TickRecorder",
-    live: "LiveView | None",
+    live: "LivePage | None",
     display: Display,
     on_execution: Callable[[], None],
 ) -> None:
@@ -277,14 +266,15 @@ def _execute(
 def _report(folder: Path, recorder: "TickRecorder", display: Display) -> "WrittenReport":
     """Writes the report of the run."""
     from stepgap.cli.progress import progress_bar
+    from stepgap.experiment.displays import load_display
     from stepgap.experiment.run import Run
-    from stepgap.report import write_report
 
+    write_report = load_display("report")
     with progress_bar("report", display.quiet) as progress:
         return write_report(Run(folder, ticks=recorder.kept, on_replay=progress))
 
 
-def _finish(report: "WrittenReport", live: "LiveView | None", display: Display) -> None:
+def _finish(report: "WrittenReport", live: "LivePage | None", display: Display) -> None:
     """Prints the path of the report, and keeps the live page until Ctrl-C."""
     from stepgap.cli.progress import print_event
 

@@ -28,9 +28,16 @@ ORDER = (
         "gait",
         "map",
     ),
-    *("doctor", "completion", "bench", "rig"),
+    *("doctor", "completion", "rig"),
 )
 """Order of the verbs in the help; those of other packages follow by name."""
+
+
+GONE_VERBS = {
+    "bench": "it measures the project itself; in a clone of StepGap type ./go python -m benchmarks.speed, or "
+    "./go python -m benchmarks.learning for the learning benchmark",
+}
+"""Verbs of earlier versions, with what replaces them."""
 
 
 def command_line(only: str = "") -> App:
@@ -51,6 +58,8 @@ def command_line(only: str = "") -> App:
         default_parameter=Parameter(negative=()),
     )
     names = verb_names()
+    if only in GONE_VERBS and only not in names:
+        raise InputError(f"{only}: this verb is no longer in the package: {GONE_VERBS[only]}")
     for name in [only] if only in names else names:
         try:
             add_verb(app, name, load_plugin(VERBS, "verb", name, callable, "a function or a Cyclopts App"))

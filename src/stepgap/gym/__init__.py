@@ -29,7 +29,7 @@ from stepgap.experiment.settings import Experiment
 from stepgap.gym.camera import FRAMES_PER_SECOND, Camera
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
-from stepgap.report.text import in_scale, unit_suffix
+from stepgap.records.text import in_scale, unit_suffix
 from stepgap.robots.entry_points import load_robot, simulations_of
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap, StepStatus

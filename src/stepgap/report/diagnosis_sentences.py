@@ -2,23 +2,17 @@
 
 from stepgap.experiment.command_response import command_response
 from stepgap.experiment.run import Run
-from stepgap.experiment.state_ranges import far_states
+from stepgap.experiment.state_ranges import far_states, offset_sentences
 from stepgap.learning.diagnosis import SMALLEST_GAIN, Diagnosis, diagnose, part_at_bounds
 from stepgap.learning.observations import Observations, observe
 from stepgap.learning.posterior import POSTERIOR
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
-from stepgap.report.text import capitalised, decimal, listed, unit_suffix
+from stepgap.records.text import capitalised, decimal, listed
 from stepgap.step import StepMap
 
 WORTH_MENTION = 1.25
 """Smallest ratio of noises that is worth a sentence."""
-
-FEWEST_OFFSET = 5
-"""Smallest number of steps that show that a coordinate stays away from its targets."""
-
-FAR_OFFSET = 2.0
-"""Smallest ratio of a mean error to its scatter that is called an offset."""
 
 OFFSET_ADVICE = (
     "No command that was tried made up for this, so further redeployments would hardly help. Compare the range of the "
@@ -38,31 +32,6 @@ def diagnosis_sentences(run: Run) -> list[str]:
     if isinstance(run.nominal, Missing):
         return [*far_states(first), *offsets, f"Not available: {run.nominal.reason}."]
     return [*far_states(first), *offsets, *_of_nominal(run, run.nominal)]
-
-
-def offset_sentences(deployment: Steps) -> list[str]:
-    """Sentences on coordinates that ended on the same side of all their targets, far away, in a deployment.
-
-    Before anything was learned, that is an error of the nominal map unless it is larger than half the range of use.
-    """
-    steps = deployment.tracking().completed()
-    if len(steps) < FEWEST_OFFSET:
-        return []
-    sentences = []
-    for row, quantity in enumerate(steps.space.state):
-        error, ends, unit = steps.tracking_errors()[:, row], steps.next_state[:, row], unit_suffix(quantity)
-        low, high = error.min(), error.max()
-        apart = ends.max() < steps.target[:, row].min() or ends.min() > steps.target[:, row].max()
-        if low * high <= 0 or not apart or abs(error.mean()) < FAR_OFFSET * error.std():
-            continue
-        if not steps.std.any() and abs(error.mean()) < steps.space.state_scale[row]:
-            continue
-        side, least, most = ("above", low, high) if low > 0 else ("below", -high, -low)
-        sentences.append(
-            f"In all {len(steps)} steps of deployment {steps.iterations[0]}, {quantity.name} ended {side} all targets, "
-            f"{decimal(least)} to {decimal(most)}{unit} from its own."
-        )
-    return sentences
 
 
 def _of_nominal(run: Run, nominal: StepMap) -> list[str]:

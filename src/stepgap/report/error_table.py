@@ -8,9 +8,9 @@ from stepgap.experiment.bands import WINDOW, executed_steps_to_band, window_erro
 from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
 from stepgap.records.summary import MEASURED, MEASURES, Deployment
+from stepgap.records.text import decimal, unit_suffix, with_unit
 from stepgap.report.html import safe, table
 from stepgap.report.sentences import end_in_a_word
-from stepgap.report.text import decimal, unit_suffix, with_unit
 from stepgap.robots.published_result import PublishedResult
 from stepgap.step import Array
 

@@ -5,9 +5,9 @@ from matplotlib.figure import Figure
 
 from stepgap.control.limit_cycle import FixedPoint, ReachableSet
 from stepgap.control.reach import SMALL_PART, command_effect
+from stepgap.records.text import decimal, in_scale, in_words, unit_suffix
 from stepgap.report.drawing import axis_label
 from stepgap.report.reach_sentences import effect_sentences
-from stepgap.report.text import decimal, in_scale, in_words, unit_suffix
 from stepgap.step import StepMap, StepSpace, StepStatus
 
 

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from stepgap.control.limit_cycle import FixedPoint
+from stepgap.records.text import between, decimal, in_scale, trimmed, with_unit
 from stepgap.report.html import table
 from stepgap.report.measured_loop import MeasuredLoop
 from stepgap.report.reference_gait import MapGait, Multipliers, ReferenceGait
-from stepgap.report.text import between, decimal, in_scale, trimmed, with_unit
 from stepgap.step import Array, StepSpace
 
 

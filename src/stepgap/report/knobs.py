@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stepgap.experiment.knobs import KnobPair, KnobStudy, largest_effect
+from stepgap.records.text import decimal, in_scale, trimmed, unit_suffix
 from stepgap.report.drawing import axis_label, new_figure
-from stepgap.report.text import decimal, in_scale, trimmed, unit_suffix
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from matplotlib.figure import Figure

@@ -10,10 +10,10 @@ from stepgap.experiment.run import Run
 from stepgap.learning.posterior import POSTERIOR
 from stepgap.learning.regression import Parameter
 from stepgap.records.missing import Missing
+from stepgap.records.text import decimal, with_unit
 from stepgap.report.analysis import Analysis, input_quantities
 from stepgap.report.html import table
 from stepgap.report.learned_residual import LearnedResidual
-from stepgap.report.text import decimal, with_unit
 from stepgap.step import Array
 
 UNIT_NOTES: Final = {

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from stepgap.base.errors import StepGapError
-from stepgap.report.text import capitalised
+from stepgap.records.text import capitalised
 from stepgap.step import Array, StepSpace
 
 Verdict = Literal["ok", "wrong", "left out"]

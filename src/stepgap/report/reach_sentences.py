@@ -3,8 +3,8 @@
 import numpy as np
 
 from stepgap.control.reach import CommandEffect
+from stepgap.records.text import capitalised, decimal, in_words, listed
 from stepgap.report.reference_gait import MapGait, ReferenceGait
-from stepgap.report.text import capitalised, decimal, in_words, listed
 from stepgap.step import StepSpace
 
 

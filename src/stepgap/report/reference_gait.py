@@ -19,8 +19,8 @@ from stepgap.learning.gradient_samples import gradient_samples
 from stepgap.learning.observations import next_history
 from stepgap.learning.residual import join_points
 from stepgap.records.missing import Missing
+from stepgap.records.text import in_words
 from stepgap.report.learned_residual import LearnedResidual, steps_before
-from stepgap.report.text import in_words
 from stepgap.step import Array, StepFailed, StepMap, StepSpace
 
 MOST_GAITS: Final = 40

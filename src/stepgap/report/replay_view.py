@@ -12,8 +12,8 @@ from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
 from stepgap.records.motion_file import INTERVAL, Replay
+from stepgap.records.text import decimals_of
 from stepgap.report.html import absence, safe
-from stepgap.report.text import decimals_of
 from stepgap.robots.scene import GroundPieces, Motion, Scene
 from stepgap.step import Array, Quantity
 

@@ -12,9 +12,9 @@ from stepgap.control.reach import SMALL_PART, command_effect
 from stepgap.control.reference import Reference
 from stepgap.experiment.nominal import check_surrogate
 from stepgap.experiment.outcome import unheld_steps
+from stepgap.records.text import in_words
 from stepgap.report.part_results import PartResult, half_ranges
 from stepgap.report.reach_sentences import effect_sentences
-from stepgap.report.text import in_words
 from stepgap.robots.nominal_maps.surrogate_map import SurrogateMap
 from stepgap.robots.robot import Robot
 from stepgap.step import StepFailed, StepMap, StepStatus

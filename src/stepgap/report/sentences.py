@@ -8,7 +8,7 @@ import numpy as np
 from stepgap.experiment.outcome import TRACKED
 from stepgap.experiment.run import Run
 from stepgap.records.summary import Deployment
-from stepgap.report.text import between, capitalised, decimal, in_words, listed, unit_suffix
+from stepgap.records.text import between, capitalised, decimal, in_words, listed, unit_suffix
 from stepgap.report.verdict import NEAR_FLOOR, Achievement
 from stepgap.robots.published_result import PublishedResult
 from stepgap.step import Array, StepStatus, ending_of

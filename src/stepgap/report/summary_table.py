@@ -3,8 +3,8 @@
 import numpy as np
 
 from stepgap.experiment.run import Run
+from stepgap.records.text import decimal, with_unit
 from stepgap.report.html import table
-from stepgap.report.text import decimal, with_unit
 from stepgap.report.verdict import Achievement
 from stepgap.step import Array
 

@@ -2,8 +2,8 @@
 
 from stepgap.experiment.run import Run
 from stepgap.records.missing import Missing
+from stepgap.records.text import decimal
 from stepgap.report.html import table
-from stepgap.report.text import decimal
 
 
 def times_table(run: Run) -> str:

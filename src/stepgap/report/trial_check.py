@@ -9,9 +9,9 @@ from stepgap.experiment.run import Run
 from stepgap.experiment.trial_reference import TRIAL_STEPS
 from stepgap.learning.steps import Steps
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.records.text import unit_suffix
 from stepgap.report.diagnosis_sentences import response_sentences
 from stepgap.report.part_results import PartResult, half_ranges
-from stepgap.report.text import unit_suffix
 from stepgap.step import StepStatus
 
 UNEVEN: Final = 3.0

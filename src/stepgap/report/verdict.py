@@ -19,7 +19,7 @@ from stepgap.experiment.run import Run
 from stepgap.learning.observations import observe
 from stepgap.records.missing import Missing
 from stepgap.records.summary import Deployment
-from stepgap.report.text import decimal
+from stepgap.records.text import decimal
 from stepgap.step import Array
 
 ABOUT: Final = 1.05

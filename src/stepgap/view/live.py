@@ -2,16 +2,21 @@
 
 import subprocess
 import sys
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
+from stepgap.experiment.displays import LivePage
 from stepgap.experiment.loop import Observer
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.ticks.stream import thinned
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.records.summary import Deployment
+from stepgap.robots.scene import Kinematics
+from stepgap.view.address import HERE, free_port
+
+VIEW_INTERVAL = 0.008
+"""Time between two drawn ticks [s]."""
 
 ROWS = 2**16
 """Number of ticks that the ring keeps for the page: nine minutes of motion."""
@@ -20,7 +25,7 @@ _LONGEST_END = 10.0
 """Time after which a page that does not end by itself is killed [s]."""
 
 
-class LiveView:
+class LiveView(LivePage):
     """A page that shows a run from a separate process.
 
     The run writes some of its ticks into shared memory, without waiting; the page reads steps and models from the run
@@ -28,15 +33,20 @@ class LiveView:
 
     Args:
         folder: Folder of the run, which contains the settings when the context is entered.
-        host: Host name or address at which the page is served.
+        host: Host name or address at which the page is served; None for this machine alone.
         port: Port of the page; None for the first free one.
-        units: Columns of the ticks with their units; empty if the robot has no ticks.
-        every: Interval of the ticks that the page gets.
+        kinematics: Kinematics of the robot, whose ticks are shown; None if it has no ticks.
+
+    Raises:
+        InputError: The page cannot be served there.
     """
 
-    def __init__(self, folder: Path, host: str, port: int | None, units: Mapping[str, str], every: int):
-        self._folder, self._host, self._port, self._units = folder, host, port, units
-        self._iteration, self._push_some = 0, thinned(self._push, every)
+    def __init__(self, folder: Path, host: str | None, port: int | None, kinematics: Kinematics | None):
+        self._folder, self._host, self._port = folder, host or HERE, port
+        free_port(self._host, port)
+        self._fields = len(kinematics.units) if kinematics else 0
+        self._iteration = 0
+        self._push_some = thinned(self._push, kinematics.every(VIEW_INTERVAL) if kinematics else 1)
 
     def on_ticks(self, rows: Rows, step: int) -> None:
         """Passes some of the ticks to the page."""
@@ -56,7 +66,7 @@ class LiveView:
         self._process.wait()
 
     def __enter__(self) -> Self:
-        self._ring = TickRing.create(2 + len(self._units), ROWS)
+        self._ring = TickRing.create(2 + self._fields, ROWS)
         program = "import sys; from stepgap.cli.app import main; main(sys.argv[1:])"
         options = ["--host", self._host, *(["--port", str(self._port)] if self._port else [])]
         self._process = subprocess.Popen(

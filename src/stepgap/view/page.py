@@ -10,8 +10,8 @@ from viser import GuiDropdownHandle, ViserServer
 from stepgap.learning.observations import error_of
 from stepgap.learning.residual import join_points
 from stepgap.learning.steps import LoggedStep
+from stepgap.records.text import in_scale, in_words
 from stepgap.report.drawing import BLUE, VERMILLION
-from stepgap.report.text import in_scale, in_words
 from stepgap.robots.scene import Scene
 from stepgap.step import StepStatus
 from stepgap.view.learned import curve_along

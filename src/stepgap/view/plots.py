@@ -10,8 +10,8 @@ import numpy as np
 from viser import GuiApi, GuiUplotHandle, uplot
 
 from stepgap.learning.steps import LoggedStep
+from stepgap.records.text import with_unit
 from stepgap.report.drawing import BLUE, VERMILLION
-from stepgap.report.text import with_unit
 from stepgap.step import Array, Quantity
 from stepgap.view.learned import Curve
 

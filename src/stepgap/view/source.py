@@ -23,9 +23,7 @@ from stepgap.records.missing import Missing
 from stepgap.records.model_files import model_path
 from stepgap.robots.scene import GroundPieces, Kinematics, Motion
 from stepgap.step import Array
-
-VIEW_INTERVAL = 0.008
-"""Time between two drawn ticks [s]."""
+from stepgap.view.live import VIEW_INTERVAL
 
 STILL = 0.75
 """Displayed duration of a step with unknown motion [s]."""

@@ -11,10 +11,10 @@ import pytest
 from stepgap.control.settings import ControlSettings
 from stepgap.export.controller.model_document import model_text
 from stepgap.export.controller.portable_controller import PortableController
-from stepgap.learning.individuals import Individual
+from stepgap.study.individuals import Individual
 from tests.cli.command_line import Command, CommandResult, refused
-from tests.learning.test_individuals import robot
 from tests.report.runs import make_run
+from tests.study.test_individuals import robot
 
 
 def write_model(individual: Individual, path: Path) -> None:

@@ -15,7 +15,7 @@ from stepgap.gauss.gaussian_process_fit import EXACT_SIZE
 from stepgap.logs.fits.fit import Comparison, FitData
 from stepgap.logs.fits.validation import Best, Folds, HeldOut, Reduction, Validation
 from stepgap.logs.foreign_log import describe_left_out
-from stepgap.report.text import with_unit
+from stepgap.records.text import with_unit
 from stepgap.step import Array, Quantity
 
 FIT_SCHEMA = 7

@@ -15,6 +15,7 @@ from stepgap.experiment.outcome import cut_commands
 from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
+from stepgap.records.text import capitalised, unit_suffix
 from stepgap.report.analysis import Analysis
 from stepgap.report.drawing import (
     BLACK,
@@ -31,7 +32,6 @@ from stepgap.report.drawing import (
     unit_label,
 )
 from stepgap.report.figures import RunFigure
-from stepgap.report.text import capitalised, unit_suffix
 from stepgap.step import Array, StepStatus
 
 if TYPE_CHECKING:  # slow imports are made where they are used

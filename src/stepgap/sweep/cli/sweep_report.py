@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from stepgap.base.errors import InputError, message_of
+from stepgap.experiment.displays import FolderReport, WrittenReport
 from stepgap.experiment.settings import Experiment, experiment_table, read_experiment
 from stepgap.records.missing import Missing
-from stepgap.report import FolderReport, WrittenReport
 from stepgap.robots.entry_points import load_robot
 from stepgap.sweep.report.page import SweepContext, write_sweep_report
 from stepgap.sweep.results_table import RESULTS

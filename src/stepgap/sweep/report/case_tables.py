@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
+from stepgap.records.text import decimal, with_unit
 from stepgap.report.html import paragraph, table
-from stepgap.report.text import decimal, with_unit
 from stepgap.step import Quantity
 from stepgap.sweep.report.cases import LevelCodes, SweepCases
 

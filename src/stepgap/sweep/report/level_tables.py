@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
+from stepgap.records.text import decimal, with_unit
 from stepgap.report.html import table
 from stepgap.report.settings_table import DASH
-from stepgap.report.text import decimal, with_unit
 from stepgap.step import Quantity
 from stepgap.sweep.report.cases import LevelCodes, SweepAxis, SweepCases
 from stepgap.sweep.report.levels import Estimates, level_means, matched_groups, paired_ratios, quartiles

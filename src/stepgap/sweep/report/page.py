@@ -8,13 +8,13 @@ from typing import Any, Final
 import numpy as np
 
 from stepgap.base.files import write_whole
+from stepgap.experiment.displays import WrittenReport
 from stepgap.experiment.settings import SettingsFile, read_settings_file
 from stepgap.records.missing import Missing
-from stepgap.report import WrittenReport
+from stepgap.records.text import capitalised
 from stepgap.report.drawing import Drawing, draw_figure, has_figures, write_figures
 from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section
 from stepgap.report.settings_table import changed_settings
-from stepgap.report.text import capitalised
 from stepgap.step import Quantity
 from stepgap.sweep.report.case_tables import failed_cases, worst_cases
 from stepgap.sweep.report.cases import SweepAxis, SweepCases, sweep_cases

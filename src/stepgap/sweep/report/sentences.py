@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from stepgap.records.missing import Missing
-from stepgap.report.text import decimal, unit_suffix
+from stepgap.records.text import decimal, unit_suffix
 from stepgap.report.verdict import ABOUT
 from stepgap.step import Array, Quantity
 from stepgap.sweep.report.cases import SweepCases

@@ -1,1 +1,0 @@
-"""The measurements of `stepgap bench`, and the baselines with which learning is compared."""

@@ -1,0 +1,1 @@
+"""The forms of `stepgap new` that begin with files of others."""

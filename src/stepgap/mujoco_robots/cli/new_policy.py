@@ -1,0 +1,114 @@
+"""The folder of a robot with a trained policy that `stepgap new --policy` makes."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, fields
+from pathlib import Path
+from string import Template
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
+
+from stepgap.base.errors import InputError
+from stepgap.base.files import create, write_whole
+from stepgap.cli.new_package import readme_name, starter_text
+from stepgap.mujoco_robots.cli.new_model import TEXTS, copied_model
+
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from stepgap.mujoco_robots.velocity.policy.proposal import Proposal
+
+POLICY_FILE, NETWORK_FILE = "policy.toml", "policy.onnx"
+_WIDTH = 100
+"""Longest line of a comment."""
+
+
+def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> list[str]:
+    """Writes the files of a robot that a policy moves; returns what is to be filled in, as sentences.
+
+    Args:
+        folder: An empty folder.
+        name: Its name.
+        policy: Network of the policy, which is copied and tried.
+        mjcf: MuJoCo model that is copied with all its files, and loaded.
+
+    Raises:
+        InputError: Network or model cannot be copied or loaded, or they do not fit.
+    """
+    from stepgap.mujoco_robots.mjcf.model_files import MODEL_FILE
+    from stepgap.mujoco_robots.velocity.policy.onnx_network import read_network
+    from stepgap.mujoco_robots.velocity.policy.policy_model import standing_height
+    from stepgap.mujoco_robots.velocity.policy.policy_robot import PolicyFile, PolicyRobot
+    from stepgap.mujoco_robots.velocity.policy.policy_trial import parts_of_network
+    from stepgap.mujoco_robots.velocity.policy.proposal import completed_model, propose_policy
+
+    try:
+        network = parts_of_network(policy)
+        create(folder / NETWORK_FILE, read_network(policy))
+    except ValueError as error:
+        raise InputError(f"--policy {error}") from None
+    parts = copied_model(mjcf, folder)
+    model = folder / MODEL_FILE
+    found = propose_policy(network, parts)
+    known = {"policy": NETWORK_FILE, "model": MODEL_FILE, **found.values}
+    joints, positions = known.get("joints", []), known.get("default_joint_pos", [])
+    text, added = completed_model(model.read_text("utf-8"), parts, joints)
+    if added:
+        write_whole(model, text)
+    create(folder / POLICY_FILE, _policy_toml(found._replace(values=known)))
+    missing = _missing(known, found.advice)
+    try:
+        height = standing_height(joints, positions, model)
+        if not missing:
+            robot = PolicyRobot(policy=PolicyFile(str(folder / POLICY_FILE)))
+            robot.mjcf_spec().compile()
+            robot.walking_control()
+    except ValueError as error:
+        raise InputError(f"--policy {policy}, --mjcf {mjcf}: {str(error).replace(f'{folder}/', '')}") from None
+    todo = f"\n**First fill in {', '.join(missing)} in `policy.toml`.**\n" if missing else ""
+    values = {"name": readme_name(name), "fall_height": f"{0.5 * height:.3f}", "todo": todo, "added": ""}
+    if added:
+        values["added"] = f" It had no {' and no '.join(added)}, so they were added."
+    for target, source in {"experiment.toml": "policy.toml.txt", "README.md": "README_policy.md.txt"}.items():
+        create(folder / target, Template(starter_text(source, TEXTS)).substitute(values))
+    return missing
+
+
+def _missing(known: Mapping[str, Any], advice: Mapping[str, Sequence[str]]) -> list[str]:
+    """Settings that are not known, and have no default or one that does not fit."""
+    from stepgap.mujoco_robots.velocity.policy.policy_settings import PolicySettings
+
+    unknown = [each for each in fields(PolicySettings) if each.name not in known]
+    return [each.name for each in unknown if each.default is MISSING or each.name in advice]
+
+
+def _policy_toml(proposal: "Proposal") -> str:
+    """All settings of a policy with their meanings; a missing one is a comment, to be filled in."""
+    from stepgap.base.settings_file import to_table, toml_line
+    from stepgap.experiment.settings_text import meanings
+    from stepgap.mujoco_robots.velocity.policy.policy_settings import PolicySettings, Scales
+
+    lines = [
+        "# A trained policy. Lines that say `Check` are guesses; where one says `Fill in`, remove the # before a key."
+    ]
+    texts = meanings(PolicySettings)
+    for entry in fields(PolicySettings):
+        if entry.name == "scale":
+            continue
+        advice = proposal.advice.get(entry.name, [])
+        lines += ["", *_comment(texts[entry.name]), *(f"# {_printable(line)}" for line in advice)]
+        value = proposal.values.get(entry.name, entry.default)
+        if value is not MISSING:
+            lines.append(toml_line(entry.name, value))
+        elif not any(line.startswith(f"{entry.name} = ") for line in advice):
+            lines.append(f"# {entry.name} = []")
+    lines += ["", *_comment(texts["scale"]), "[scale]"]
+    for name, text in meanings(Scales).items():
+        lines += [*_comment(text), toml_line(name, to_table(Scales())[name])]
+    return "\n".join([*lines, ""])
+
+
+def _comment(text: str) -> list[str]:
+    return [f"# {line}" for line in wrap(text, _WIDTH)]
+
+
+def _printable(text: str) -> str:
+    """A text of others on one line."""
+    return "".join(each for each in text if each.isprintable())

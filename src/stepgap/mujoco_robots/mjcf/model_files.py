@@ -1,0 +1,187 @@
+"""A MuJoCo model with all of its files, as they can be copied: included files are part of the text, assets beside it.
+
+The files are read as XML, so that a model which would take all memory, or never end, is refused before MuJoCo reads it.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+from xml.etree import ElementTree as ET
+
+from stepgap.base.errors import InputError, message_of
+from stepgap.base.files import read_bounded_text
+from stepgap.mujoco_robots.mjcf.model_size import DEEPEST_MODEL, check_model_size
+
+LARGEST_XML: Final = 2**24
+"""Largest XML file that is read [bytes]."""
+
+LARGEST_ASSETS: Final = 2**30
+"""Largest total size of the assets that are copied [bytes]."""
+
+MOST_FILES: Final = 10_000
+"""Largest number of included files and assets."""
+
+MODEL_FILE, ASSETS = "model.xml", "assets"
+"""Name of the copied model, and of the folder of its assets."""
+
+_FOLDERS: Final = ("meshdir", "texturedir", "assetdir")
+"""Attributes of `compiler` that name folders of assets."""
+
+NAMED_BY_FILE: Final = ("mesh", "hfield", "texture")
+"""Assets that have the name of their file, where they are given no other one."""
+
+_PACKAGE: Final = "package://"
+"""Begins the path of a file in a URDF that is given by the package which has it."""
+
+_HINT: Final = "give a MuJoCo model (MJCF) or a URDF"
+
+
+def model_files(path: Path) -> dict[str, str | Path]:
+    """All files of a model: by their paths in a new folder, the text or the file that is copied.
+
+    Args:
+        path: MJCF, or URDF without macros.
+
+    Raises:
+        InputError: A file is missing or is no XML, or the model is too large.
+    """
+    found = _Found(path)
+    found.files[MODEL_FILE] = found.text_of(path, f"{ASSETS}/")
+    return found.files
+
+
+class _Found:
+    """The files that were found; they have different names in one folder.
+
+    Args:
+        main: The model.
+    """
+
+    def __init__(self, main: Path):
+        self.main, self.files, self._read, self._bytes = main, dict[str, str | Path](), 0, 0
+        self._names: dict[Path, str] = {}
+
+    def text_of(self, path: Path, before: str) -> str:
+        """XML of a model with its includes, in which its assets are named as in the new folder.
+
+        Args:
+            path: The model.
+            before: What precedes the names of assets.
+        """
+        places: dict[ET.Element, Path] = {}
+        root = self._expanded(path, path.parent, (), places)
+        check_model_size(root, path)
+        folders = [text for each in root.iter("compiler") for key in _FOLDERS if (text := each.attrib.pop(key, ""))]
+        for each in root.iter("compiler"):
+            each.attrib.pop("strippath", "")
+        urdf = root.tag == "robot"
+        if urdf:
+            _discard_visuals(root, path.parent, folders)
+        for element in root.iter():
+            for key in [key for key in element.attrib if key.startswith("file")]:
+                if value := element.attrib[key].strip():
+                    source = self._source(value, [path.parent, places[element]], folders, element)
+                    if element.tag in NAMED_BY_FILE and not urdf:
+                        element.attrib.setdefault("name", source.stem)
+                    element.set(key, self._copied(source, element, "" if urdf else before))
+        if urdf:
+            _assets_of_urdf(root)
+        ET.indent(root)
+        return f"{ET.tostring(root, 'unicode')}\n"
+
+    def _expanded(self, path: Path, home: Path, inside: tuple[Path, ...], places: dict[ET.Element, Path]) -> ET.Element:
+        """The root of a file, whose includes are replaced by what they contain; `places` gets its elements."""
+        if path.resolve() in inside or len(inside) > DEEPEST_MODEL:
+            raise InputError(f"{path}: it includes itself, or files include each other more than {DEEPEST_MODEL} deep")
+        root, inside = self._parsed(path), (*inside, path.resolve())
+        waiting = [(root, 0)]
+        while waiting:
+            parent, depth = waiting.pop()
+            if depth > DEEPEST_MODEL:
+                raise InputError(f"{path}: its elements are nested more than {DEEPEST_MODEL} deep; {_HINT}")
+            children: list[ET.Element] = []
+            for child in parent:
+                if child.tag == "include":
+                    included = self._source(child.get("file", ""), [path.parent, home], [], child)
+                    children += self._expanded(included, home, inside, places)
+                else:
+                    waiting.append((child, depth + 1))
+                    children.append(child)
+            parent[:] = children
+            places.setdefault(parent, path.parent)
+        return root
+
+    def _parsed(self, path: Path) -> ET.Element:
+        self._count()
+        try:
+            text = read_bounded_text(path, LARGEST_XML)
+            if "<!ENTITY" in text:
+                raise ValueError("has entities, which MuJoCo does not read")
+            return ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
+        except (OSError, ValueError, ET.ParseError) as error:
+            reason = message_of(error)
+            raise InputError(f"{reason if str(path) in reason else f'{path}: {reason}'}; {_HINT}") from None
+
+    def _source(self, value: str, homes: list[Path], folders: list[str], element: ET.Element) -> Path:
+        """The file that an attribute names, in one of the folders in which MuJoCo looks."""
+        paths = list(_candidates(value, homes, folders))
+        found = next((path for path in paths if path.is_file()), None)
+        if found is None:
+            where = f"{self.main}: <{element.tag} {element.get('name', '')}".rstrip()
+            raise InputError(f"{where}>: there is no file {value!r:.200}; MuJoCo would look for {paths[0]!s:.200}")
+        return found
+
+    def _copied(self, source: Path, element: ET.Element, before: str) -> str:
+        """The name of a file in the new folder, where it will be copied once."""
+        known = source.resolve()
+        if known not in self._names:
+            self._count()
+            name, number = source.name, 2
+            while name.lower() in map(str.lower, self._names.values()):
+                name, number = f"{source.stem}_{number}{source.suffix}", number + 1
+            self._names[known] = name
+            self.files[f"{ASSETS}/{name}"] = source
+            if element.tag == "model":  # of an <attach>: a model with its own assets, which are beside it
+                self.files[f"{ASSETS}/{name}"] = self.text_of(source, "")
+            self._bytes += source.stat().st_size
+            if self._bytes > LARGEST_ASSETS:
+                raise InputError(f"{self.main}: its files are larger than {LARGEST_ASSETS} bytes together")
+        return f"{before}{self._names[known]}"
+
+    def _count(self) -> None:
+        self._read += 1
+        if self._read > MOST_FILES:
+            raise InputError(f"{self.main}: it has more than {MOST_FILES} files")
+
+
+def _candidates(value: str, homes: list[Path], folders: list[str]) -> Iterator[Path]:
+    """Where a file may be: by its path, or by its name alone as with `strippath`; for `package://`, also further up."""
+    if value.startswith(_PACKAGE):
+        package, _, inner = value.removeprefix(_PACKAGE).partition("/")
+        for folder in (above for home in homes for above in (home.resolve(), *home.resolve().parents)):
+            if folder.name == package:
+                yield folder / inner
+            yield folder / package / inner
+        value = inner
+    for text in (value, Path(value.replace("\\", "/")).name):
+        for home in homes:
+            yield from (home / folder / text for folder in dict.fromkeys((*folders, "")))
+
+
+def _discard_visuals(root: ET.Element, home: Path, folders: list[str]) -> None:
+    """Removes from a URDF what is only seen and has no file here; MuJoCo does without it, too."""
+    for link in root.iter("link"):
+        for visual in link.findall("visual"):
+            named = [text for each in visual.iter() if (text := each.get("filename", "").strip())]
+            if not all(any(map(Path.is_file, _candidates(text, [home], folders))) for text in named):
+                link.remove(visual)
+
+
+def _assets_of_urdf(root: ET.Element) -> None:
+    """Says to MuJoCo where the assets of a URDF are, of whose paths it takes the names only."""
+    extension = root.find("mujoco")
+    if extension is None:
+        extension = ET.Element("mujoco")
+        root.insert(0, extension)
+    compiler = extension.find("compiler")
+    (ET.SubElement(extension, "compiler") if compiler is None else compiler).set("meshdir", ASSETS)

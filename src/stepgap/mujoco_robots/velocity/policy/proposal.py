@@ -1,0 +1,176 @@
+"""What a network and a model say of the settings of a policy, and what is left to fill in."""
+
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from typing import Any, Final, NamedTuple
+from xml.etree import ElementTree as ET
+
+from stepgap.base.settings_file import toml_line
+from stepgap.mujoco_robots.mjcf.model_trial import Parts
+from stepgap.mujoco_robots.velocity.policy.policy_settings import TERMS
+from stepgap.mujoco_robots.velocity.policy.policy_trial import NetworkParts
+
+_ALIASES: Final = {
+    "velocity_commands": "command",
+    "twist": "command",
+    "generated_commands": "command",
+    "last_action": "actions",
+    "joint_pos_rel": "joint_pos",
+    "joint_vel_rel": "joint_vel",
+}
+"""Other names of terms, in mjlab, Isaac Lab and what extends them."""
+
+_MOTION: Final = ("base_lin_vel", "base_ang_vel", "projected_gravity")
+_JOINTS: Final = ("joint_pos", "joint_vel", "actions")
+_LAYOUTS: Final = {
+    "mjlab, MuJoCo Playground": (*_MOTION, *_JOINTS, "command"),
+    "Isaac Lab": (*_MOTION, "command", *_JOINTS),
+    "mjlab without base_lin_vel": (*_MOTION[1:], *_JOINTS, "command"),
+    "Isaac Lab without base_lin_vel": (*_MOTION[1:], "command", *_JOINTS),
+    "unitree_rl_gym": (*_MOTION[1:], "command", *_JOINTS, "phase_sin", "phase_cos"),
+}
+"""Usual observations."""
+
+_USUAL_PERIOD: Final = 0.02
+"""Time between two actions in most trainings [s]; the metadata of mjlab does not have it."""
+
+
+class Proposal(NamedTuple):
+    """What is known of the settings of a policy, in part.
+
+    Attributes:
+        values: Values of the settings by their keys.
+        advice: What is to be checked, or how a missing setting is to be filled in, in lines, by its key.
+    """
+
+    values: Mapping[str, Any]
+    advice: Mapping[str, Sequence[str]]
+
+
+def propose_policy(network: NetworkParts, model: Parts) -> Proposal:
+    """The settings as far as metadata of the network, as mjlab writes it, or the model has them.
+
+    Args:
+        network: What is in the network.
+        model: What is in the model.
+    """
+    said = {key: _items(text) for key, text in network.metadata.items()}
+    values: dict[str, Any] = {"timestep": model.timestep, "period": _period(model.timestep)}
+    advice = {key: ["Check it: no file says it."] for key in ("timestep", "period")}
+    _propose_joints(said, network, model, values, advice)
+    for key, name in (("action_scale", "action_scale"), ("stiffness", "joint_stiffness"), ("damping", "joint_damping")):
+        numbers = _numbers(said.get(name, []))
+        if len(numbers) in (1, network.outputs):
+            values[key] = numbers
+    if "action_scale" not in values:
+        advice["action_scale"] = ["Fill it in, such as 0.25 or 0.5:"]
+    if "stiffness" not in values and not (model.servos and all(model.servos)):
+        advice["stiffness"] = ["Fill it in, and damping: not every joint has a position servo with gains in the model."]
+    if imus := [site for site in model.sites if "imu" in site.lower()]:
+        values["imu"], advice["imu"] = imus[0], ["Check it: the name of a site of the model."]
+    _propose_observation(said, network, values, advice)
+    return Proposal(values, advice)
+
+
+def _propose_joints(
+    said: Mapping[str, list[str]],
+    network: NetworkParts,
+    model: Parts,
+    values: dict[str, Any],
+    advice: dict[str, list[str]],
+) -> None:
+    """Adds the joints and their default positions."""
+    named = said.get("action_joint_names") or said.get("joint_names", [])
+    known = [_in_model(name, list(model.addresses)) for name in named]
+    driven = [joint for joint in model.driven if joint in model.addresses] or list(model.addresses)
+    values["joints"] = known if known and all(known) else driven
+    if values["joints"] is driven:
+        advice["joints"] = ["Check the order: it is that of the model, not of the training."]
+    if len(values["joints"]) != network.outputs:
+        found = values.pop("joints")
+        advice["joints"] = [f"Fill in the joints of the {network.outputs} actions; the model has these {len(found)}:"]
+        advice["joints"].append(toml_line("joints", found))
+    positions = _numbers(said.get("default_joint_pos", []))
+    if values.get("joints") is known and len(positions) == network.outputs:
+        values["default_joint_pos"] = positions
+    elif "joints" in values:
+        name = "home" if "home" in model.keyframes else next(iter(model.keyframes), "")
+        posture = model.keyframes.get(name, model.start)
+        values["default_joint_pos"] = [posture[model.addresses[joint]] for joint in values["joints"]]
+        where = f"keyframe {name!r}" if name else "first posture"
+        advice["default_joint_pos"] = [f"Check it: it is the {where} of the model."]
+    else:
+        advice["default_joint_pos"] = ["Fill in one number for each joint."]
+
+
+def _propose_observation(
+    said: Mapping[str, list[str]], network: NetworkParts, values: dict[str, Any], advice: dict[str, list[str]]
+) -> None:
+    """Adds the terms of the observation and their histories, or the usual ones that would fit."""
+    names = [_ALIASES.get(name, name) for name in said.get("observation_names", [])]
+    histories = [int(number) for number in _numbers(said.get("observation_history_lengths", []))]
+    if len(histories) == len(names) and max(histories, default=1) > 1:
+        values["history"] = histories
+    if names and all(name in TERMS for name in names):
+        values["observation"] = names
+        return
+    lines = [f"Fill it in: the order and terms of the training, {network.inputs} numbers together."]
+    if names:
+        unknown = ", ".join(name for name in names if name not in TERMS)
+        lines.append(f"Of the terms that the policy names, there is no {unknown:.200}: {', '.join(names):.600}")
+    for what, terms in _LAYOUTS.items():
+        size = sum(network.outputs if term in _JOINTS else 1 if "phase" in term else 3 for term in terms)
+        if network.inputs % size == 0:
+            lines.append(f"{what}{f', history {network.inputs // size}' if network.inputs > size else ''}:")
+            lines.append(toml_line("observation", terms))
+    advice["observation"] = lines
+
+
+def completed_model(text: str, model: Parts, joints: Sequence[str]) -> tuple[str, list[str]]:
+    """A model with ground, and with position servos of its joints, if it has none; and what was added.
+
+    Args:
+        text: The model, in MJCF.
+        model: What is in it.
+        joints: Joints that get servos, whose gains are to be set.
+    """
+    root, added = ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))), list[str]()
+    if not model.ground:
+        world = root.find("worldbody")
+        ET.SubElement(ET.SubElement(root, "worldbody") if world is None else world, "geom", _GROUND)
+        added.append("ground")
+    if not model.actuators:
+        servos = ET.SubElement(root, "actuator")
+        for joint in joints:
+            ET.SubElement(servos, "position", {"name": joint, "joint": joint})
+        added.append("position servos")
+    ET.indent(root)
+    return f"{ET.tostring(root, 'unicode')}\n", added
+
+
+_GROUND: Final = {"name": "ground", "type": "plane", "size": "0 0 0.05"}
+
+
+def _period(timestep: float) -> float:
+    """The usual period, or the multiple of the time step that is nearest to it."""
+    return round(max(1, round(_USUAL_PERIOD / timestep)) * timestep, 9)
+
+
+def _in_model(name: str, known: Sequence[str]) -> str:
+    """A joint of the model that has this name, perhaps after a prefix such as `robot/`; empty if there is none."""
+    found = [each for each in known if each == name] or [each for each in known if each.endswith(f"/{name}")]
+    return found[0] if len(found) == 1 else ""
+
+
+def _items(text: str) -> list[str]:
+    """Items of a list in metadata: separated by commas, perhaps as JSON."""
+    return [word for part in text.strip(" []").split(",") if (word := part.strip(" \"'"))]
+
+
+def _numbers(items: Sequence[str]) -> list[float]:
+    """The items as numbers; none if one is no finite number."""
+    try:
+        numbers = [float(item) for item in items]
+    except ValueError:
+        return []
+    return numbers if all(map(isfinite, numbers)) else []

@@ -1,0 +1,242 @@
+"""A robot that walks at a commanded velocity, as a `Robot`: the state is its mean velocity over a time.
+
+Its MuJoCo model, its start posture and its `WalkingControl` make a walking robot of it; all else is here.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# (MuJoCo ships no types for its compiled part.)
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from math import exp
+from typing import Any, final
+
+import mujoco
+import numpy as np
+
+from stepgap.base.ranges import require
+from stepgap.control.reference import Reference
+from stepgap.mujoco_robots.mjcf.mjcf_gap import MjcfGap
+from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfRobot
+from stepgap.mujoco_robots.mjcf.section import Section, every
+from stepgap.mujoco_robots.velocity.walking_control import WalkingControl
+from stepgap.mujoco_robots.velocity.walking_gap import WalkingGap
+from stepgap.robots.nominal_maps.affine_map import AffineMap
+from stepgap.step import Array, Quantity, StepMap, StepSpace
+
+_NAMES = (("vx", "m/s"), ("vy", "m/s"), ("wz", "rad/s"))
+_USERDATA = 4
+"""Numbers of `data.userdata` that a walking robot uses: sums of its velocity in a step, and the number of its ticks."""
+
+_WALKS = np.array(
+    [
+        (0.3, 0.0, 0.0),
+        (0.6, 0.0, 0.0),
+        (0.6, 0.0, 0.5),
+        (0.15, 0.0, 0.5),
+        (0.0, 0.0, 0.0),
+        (0.15, 0.0, 0.0),
+        (0.15, 0.5, 0.0),
+        (0.4, 0.5, -0.5),
+        (0.8, 0.0, -0.2),
+        (0.4, -0.5, 0.2),
+        (0.1, -0.2, -0.2),
+        (-0.5, 0.0, 0.0),
+        (0.0, 0.0, 0.7),
+        (0.0, 0.4, 0.0),
+        (0.3, -0.3, -0.5),
+        (0.6, 0.2, 0.3),
+        (0.2, 0.0, 0.0),
+    ]
+)
+"""Targets of `walks`, as shares of the upper end of each range of use, or of the lower one."""
+
+
+@dataclass(frozen=True)
+class VelocityRange:
+    """Ranges of one velocity.
+
+    Attributes:
+        lower: Lower end of the range of use.
+        upper: Its upper end.
+        command_lower: Smallest commanded velocity. A command beyond the range of use makes a robot reach its ends that
+            walks slower than it is told.
+        command_upper: Largest commanded velocity.
+    """
+
+    lower: float
+    upper: float
+    command_lower: float
+    command_upper: float
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "command_lower"):
+            upper = getattr(self, name.replace("lower", "upper"))
+            require(getattr(self, name) < upper, name, getattr(self, name), f"be less than the upper end, {upper:g}")
+
+
+@dataclass(frozen=True)
+class Walk:
+    """How a step is made of walking.
+
+    Attributes:
+        seconds: Duration of a step, over which the velocity is averaged [s]: one or several periods of the gait.
+        time_constant: Time constant with which the robot of the nominal map `lag` follows its command [s].
+        fall_height: Height of the body's frame below which the robot has fallen [m].
+        fall_tilt: Angle between the body's vertical axis and the vertical from which on it has fallen [rad].
+        vx: Forward velocity [m/s].
+        vy: Velocity to the left [m/s].
+        wz: Velocity of turning to the left [rad/s].
+    """
+
+    seconds: float = 0.5
+    time_constant: float = 0.1
+    fall_height: float = 0.15
+    fall_tilt: float = 0.9
+    vx: VelocityRange = VelocityRange(-0.2, 0.8, -0.5, 1.2)
+    vy: VelocityRange = VelocityRange(-0.3, 0.3, -0.5, 0.5)
+    wz: VelocityRange = VelocityRange(-0.6, 0.6, -1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        require(0.05 <= self.seconds <= 2.0, "seconds", self.seconds, "lie from 0.05 to 2")
+        require(0 <= self.time_constant <= 10, "time_constant", self.time_constant, "lie from 0 to 10")
+        require(self.fall_height >= 0, "fall_height", self.fall_height, "not be negative")
+        require(0 < self.fall_tilt <= 3, "fall_tilt", self.fall_tilt, "lie between 0 and 3")
+
+    @property
+    def space(self) -> StepSpace:
+        """State vx, vy, wz: means over a step in the body's frame; command command_vx, command_vy, command_wz."""
+        ranges = [(name, unit, getattr(self, name)) for name, unit in _NAMES]
+        return StepSpace(
+            tuple(Quantity(name, unit, each.lower, each.upper) for name, unit, each in ranges),
+            tuple(Quantity(f"command_{name}", u, each.command_lower, each.command_upper) for name, u, each in ranges),
+        )
+
+
+def walks(space: StepSpace, steps: int = 6) -> Reference:
+    """Walking at changing velocities, some of them slow, sideways, turning, and standing still.
+
+    Args:
+        space: State vx, vy, wz.
+        steps: Number of steps at each target.
+    """
+    upper, lower = np.array([[each.upper, -each.lower] for each in space.state]).T
+    targets = np.where(_WALKS >= 0, _WALKS * upper, _WALKS * lower)
+    segments = [(1 + steps * number, target.tolist()) for number, target in enumerate(targets)]
+    return Reference.from_segments(space.state_names, segments, steps=steps * len(targets))
+
+
+@dataclass(frozen=True)
+class WalkingRobot(MjcfRobot):
+    """A robot that walks at a commanded velocity. A subclass has its model, its start posture and its control.
+
+    Attributes:
+        walk: How a step is made of walking.
+    """
+
+    gap: MjcfGap = field(default_factory=WalkingGap)
+    walk: Walk = field(default_factory=Walk)
+
+    @abstractmethod
+    def mjcf_spec(self) -> Any:
+        """The model, a new `mujoco.MjSpec`; its first body has a free joint, its ground is a plane at height 0."""
+
+    @abstractmethod
+    def stand(self, model: Any, data: Any) -> None:
+        """Writes the start posture into `data.qpos`, and values that hold it into `data.ctrl`."""
+
+    @abstractmethod
+    def walking_control(self) -> WalkingControl:
+        """A new control."""
+
+    @property
+    def space(self) -> StepSpace:
+        """Velocities, and commanded velocities."""
+        return self.walk.space
+
+    @property
+    def start_state(self) -> Array:
+        """Standing still."""
+        return np.zeros(len(_NAMES))
+
+    def nominal_maps(self) -> Mapping[str, Callable[[], StepMap]]:
+        """The velocity follows its command with a lag, and the simulated model without differences."""
+        return {"lag": self._lag, **super().nominal_maps()}
+
+    def _lag(self) -> AffineMap:
+        """Mean velocity over a step at whose begin a first-order lag has the velocity of the step before.
+
+        With time constant τ and duration T: next = a·velocity + (1 − a)·command, a = τ/T·(1 − exp(−T/τ)).
+        """
+        share = self.walk.time_constant / self.walk.seconds
+        kept = share * (1 - exp(-1 / share)) if share else 0.0
+        unit, zero = np.eye(len(_NAMES)), np.zeros(len(_NAMES))
+        return AffineMap(self.space, zero, zero, zero, np.hstack([kept * unit, (1 - kept) * unit]))
+
+    def references(self) -> Mapping[str, Callable[[], Reference]]:
+        """Walks with slow velocities and pauses, and stairs."""
+        return {"walks": lambda: walks(self.space), **super().references()}
+
+    @final
+    def mjcf_model(self) -> Any:
+        """The model of `mjcf_spec`."""
+        spec = self.mjcf_spec()
+        spec.nuserdata = _USERDATA
+        spec.worldbody.first_body().simple = 0  # a load may move its centre of mass
+        return spec.compile()
+
+    def controller(self) -> "_Walking":
+        """The control at its period, and the means of the velocity."""
+        return _Walking(self.walking_control(), self.walk.seconds)
+
+    def section(self) -> Section:
+        """The end of a duration."""
+        return every(self.walk.seconds)
+
+    def state(self, model: Any, data: Any) -> Array:  # noqa: ARG002
+        """Mean velocity since the begin of the step; shape (3,)."""
+        return data.userdata[:3] / data.userdata[3]
+
+    def place(self, model: Any, data: Any, state: Array) -> None:
+        """In the start posture, moving with the velocity of the state, as if it had done so in the step before."""
+        self.stand(model, data)
+        turn = np.empty(9)
+        mujoco.mju_quat2Mat(turn, data.qpos[3:7])
+        data.qvel[:3] = turn.reshape(3, 3) @ [state[0], state[1], 0.0]
+        data.qvel[5] = state[2]
+        data.userdata[:] = [*state, 1.0]
+
+    def failed(self, model: Any, data: Any) -> bool:  # noqa: ARG002
+        """Whether the body is too low or too much tilted."""
+        _, x, y, _ = data.qpos[3:7]
+        return bool(data.qpos[2] < self.walk.fall_height or 1 - 2 * (x * x + y * y) < np.cos(self.walk.fall_tilt))
+
+
+class _Walking:
+    """A control law for a tick, made of a `WalkingControl`; sums up the velocity in `data.userdata`."""
+
+    def __init__(self, control: WalkingControl, seconds: float):
+        self._control, self._seconds = control, seconds
+        self._step, self._due, self._held = -1, 0.0, np.empty(0)
+
+    def __call__(self, model: Any, data: Any, command: Array) -> None:
+        now = data.time + 0.5 * model.opt.timestep  # the time is a sum, and not exact
+        if self._step < 0:
+            self._control.start(model, data)
+        if now > self._due:
+            self._held = np.array(self._control.control(model, data, command), float)
+            self._due += self._control.period
+        data.ctrl[:] = self._held
+        if now // self._seconds != self._step:
+            self._step = now // self._seconds
+            data.userdata[:] = 0.0
+        data.userdata[:] += [*body_velocity(data), 1.0]
+
+
+def body_velocity(data: Any) -> Array:
+    """Velocity forward and to the left, and of turning to the left, in the frame of a free first body; shape (3,)."""
+    back, velocity = np.empty(4), np.empty(3)
+    mujoco.mju_negQuat(back, data.qpos[3:7])
+    mujoco.mju_rotVecQuat(velocity, data.qvel[:3], back)
+    return np.array([velocity[0], velocity[1], data.qvel[5]])

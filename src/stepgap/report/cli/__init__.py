@@ -1,0 +1,1 @@
+"""The verbs `stepgap report`, `stepgap check` and `stepgap gait`."""

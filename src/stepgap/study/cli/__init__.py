@@ -1,0 +1,1 @@
+"""The verbs `stepgap explain` and `stepgap compare`."""

@@ -1,0 +1,161 @@
+"""The verb `stepgap explain`."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stepgap.base.errors import InputError
+from stepgap.base.files import create
+from stepgap.base.output_files import PICTURE_FORMATS, check_new, format_by_name, writing
+from stepgap.cli.options import Flag, Integer, NamedValues, Names
+from stepgap.cli.terminal import announces_compilation
+from stepgap.robots.gap import Gap, differences
+
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from stepgap.study.cause_sizes import Cause
+    from stepgap.study.explanation import Explanation
+    from stepgap.study.simulated_errors import SimulatedRobots
+
+LEAST_PER_MONOMIAL = 2
+"""Number of completed steps, for each monomial of the errors' polynomial, from which a run says something."""
+
+
+@announces_compilation
+def explain(
+    run: Path,
+    /,
+    *,
+    causes: Names | None = None,
+    known: NamedValues | None = None,
+    seed: Integer = 0,
+    out: Path | None = None,
+    quiet: Flag = False,
+) -> None:
+    """Explain the error of a run: which differences from the model the robot may have, of what size, and what is left.
+
+    Some hundred robots that differ from the model in one or a few ways are simulated, on all cores, which takes a
+    minute to some minutes.
+
+    Args:
+        run: Folder of the run.
+        causes: Differences that are possible, as keys of the table gap; by default all that are not known.
+        known: Differences that the robot certainly has, as keys of the table gap with their values, such as the
+            resolution of its encoders.
+        seed: Random seed of the simulations.
+        out: New file: a page (.html), or the figure alone (.png, .pdf or .svg).
+        quiet: Show no progress.
+    """
+    from stepgap.cli.progress import progress_bar
+    from stepgap.experiment.run import Run
+    from stepgap.experiment.settings_text import meanings
+    from stepgap.gauss.monomials import number_of_monomials
+    from stepgap.learning.observations import observe
+    from stepgap.study.cause_sizes import SIGNATURE_DEGREE, RunError
+    from stepgap.study.explanation import explain_error
+    from stepgap.study.explanation_page import explanation_page, explanation_sentences, explanation_table
+    from stepgap.study.simulated_errors import (
+        SimulatedRobots,
+        gap_of,
+        most_simulations,
+        simulated_on_all_cores,
+        targets_of,
+    )
+
+    if not 0 <= seed < 2**63:
+        raise InputError(f"--seed {seed}: it must lie between 0 and 2⁶³")
+    form = _format(out) if out else ""
+    opened = Run(run).checked()
+    settings = opened.needed(opened.settings)
+    gap = gap_of(settings)
+    steps = observe(opened.recorded, opened.needed(opened.nominal))
+    needed = LEAST_PER_MONOMIAL * number_of_monomials(len(steps.space.names), SIGNATURE_DEGREE)
+    if len(steps) < needed:
+        raise InputError(f"{run}: {len(steps)} completed steps say too little; {needed} are needed")
+    robots = SimulatedRobots(settings, targets_of(steps), seed, _known(known, gap))
+    chosen = _chosen(causes, robots)
+    with progress_bar("simulated robots", quiet) as progress:
+        total = most_simulations(len(chosen))
+        with simulated_on_all_cores(robots, lambda done: progress(min(done, total), total)) as simulate:
+            found = explain_error(RunError.of(steps), chosen, simulate)
+    for sentence in explanation_sentences(found, steps.space):
+        print(sentence)
+    texts = meanings(type(gap))
+    if found.groups:
+        _print_table(*explanation_table(found, texts))
+    if out:
+        content = (
+            explanation_page(opened.folder.resolve().name, found, steps.space, texts)
+            if form == "html"
+            else _figure(found, form)
+        )
+        with writing(out, "--out"):
+            create(out, content)
+        print(out)
+
+
+def _format(out: Path) -> str:
+    check_new(out, "--out")
+    return format_by_name(out, ("html", *PICTURE_FORMATS))
+
+
+def _chosen(names: str | None, robots: "SimulatedRobots") -> "list[Cause]":
+    """The causes of these names.
+
+    Raises:
+        InputError: There is no such cause, or none at all.
+    """
+    possible = {name: each for name, each in robots.causes.items() if name not in robots.known}
+    if not possible:
+        raise InputError("--known: it names all differences, so none can be a cause")
+    wanted = [each.strip() for each in names.split(",")] if names is not None else [*possible]
+    for name in wanted:
+        if name in robots.known:
+            raise InputError(f"--causes {name}: --known says that the robot has it, so it is no possible cause")
+        if name not in possible:
+            raise InputError(f"--causes {name}: no such cause; it must be one of {', '.join(possible)}")
+    return [possible[name] for name in dict.fromkeys(wanted)]
+
+
+def _known(text: str | None, gap: Gap) -> dict[str, float]:
+    """Values of known differences.
+
+    Raises:
+        InputError: There is no such difference, or it cannot have this value.
+    """
+    found, keys = dict[str, float](), differences(gap)
+    for part in text.split(",") if text is not None else ():
+        name, _, number = part.strip().partition("=")
+        try:
+            if name in found:
+                raise ValueError("each can have one value")
+            if name not in keys:
+                raise ValueError("no such difference")
+            found[name] = float(number)
+        except ValueError as error:
+            raise InputError(
+                f"--known {part}: {error}; give NAME=VALUE, where NAME is one of {', '.join(keys)}"
+            ) from None
+    try:
+        replace(type(gap).none(), **found)
+    except ValueError as error:
+        raise InputError(f"--known {text}: {error}") from None
+    return found
+
+
+def _figure(found: "Explanation", form: str) -> bytes:
+    from stepgap.report.own_style import own_style
+    from stepgap.study.explanation_page import explanation_figure
+
+    content = BytesIO()
+    with own_style():
+        explanation_figure(found).savefig(content, dpi=150, format=form)
+    return content.getvalue()
+
+
+def _print_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    widths = [max(len(row[column]) for row in [heads, *rows]) for column in range(len(heads))]
+    print()
+    for row in [heads, *rows]:
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())

@@ -1,0 +1,1 @@
+"""The verb `stepgap view`."""

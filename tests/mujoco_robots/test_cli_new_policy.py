@@ -1,0 +1,115 @@
+"""`stepgap new --policy`: with metadata the folder runs at once, without them it says what is to be filled in."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.mujoco_robots.velocity.policy.policy_settings import read_policy_settings
+from tests.cli.command_line import Command, refused
+from tests.mujoco_robots.velocity.policy.networks import TERMS, WHEELS, cart_xml, driving, mjlab_metadata, write_network
+
+QUICK = ("--iterations", "1", "--learning.early_stop", "false", "--weights.vy", "0", "--quiet")
+
+
+@pytest.fixture(autouse=True)
+def started_without_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in an environment of a user, however the tests were started."""
+    monkeypatch.delenv("STEPGAP_GO", raising=False)
+
+
+def targets() -> Path:
+    rows = [f"{vx},{wz}" for vx, wz in ((0.2, 0.0), (0.5, 0.2), (0.3, -0.2), (0.1, 0.1)) for _ in range(6)]
+    Path("targets.csv").write_text("\n".join(["vx,wz", *rows, ""]))
+    return Path("targets.csv").resolve()
+
+
+def rmse(folder: str) -> np.ndarray:
+    entries = json.loads(Path(folder, "summary.json").read_text())["iterations"]
+    return np.array([[entry["rmse"][name] for name in ("vx", "wz")] for entry in entries])
+
+
+@pytest.mark.usefixtures("no_repeats", "no_report")
+def test_a_policy_with_metadata_runs_at_once_and_is_corrected(
+    stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_network(Path("walk.onnx"), driving(), mjlab_metadata())
+    Path("cart.xml").write_text(cart_xml())
+    made = stepgap("new", "my cart", "--policy", "walk.onnx", "--mjcf", "cart.xml")
+    assert (made.code, made.out) == (0, "my cart/README.md\n")
+    assert made.err == "next: stepgap run 'my cart/experiment.toml'\n"
+    assert "It had no ground and no position servos" in Path("my cart/README.md").read_text()
+    Path("walk.onnx").rename("gone.onnx")
+    Path("elsewhere").mkdir()
+    reference = targets()
+    monkeypatch.chdir("elsewhere")
+    result = stepgap("run", "../my cart/experiment.toml", "--reference", reference, "--out", "../out", *QUICK)
+    assert result.code == 0, result.err
+    before, after = rmse("../out")
+    assert np.linalg.norm(after) < 0.7 * np.linalg.norm(before)
+    again = stepgap("run", "../out/experiment.toml", "--out", "../again", "--quiet")
+    assert again.code == 0, again.err
+    assert Path("../again/steps.csv").read_bytes() == Path("../out/steps.csv").read_bytes()
+
+
+def test_a_policy_without_metadata_says_what_is_missing_until_it_is_filled_in(stepgap: Command) -> None:
+    write_network(Path("walk.onnx"), driving())
+    Path("cart.xml").write_text(cart_xml())
+    made = stepgap("new", "cart", "--policy", "walk.onnx", "--mjcf", "cart.xml")
+    assert made.code == 0
+    assert (
+        "fill in action_scale, observation, stiffness in cart/policy.toml first: they are not in walk.onnx" in made.err
+    )
+    file = Path("cart/policy.toml")
+    refused(stepgap("run", "cart/experiment.toml", "--out", "out"), "cart/policy.toml: action_scale: missing")
+    text = file.read_text().replace("# action_scale = []", "action_scale = [1.0]")
+    text = text.replace("stiffness = []", "stiffness = [2.0]").replace("damping = []", "damping = [0.8]")
+    file.write_text(text.replace("# observation = [", "observation = [", 1))
+    settings = read_policy_settings(file)
+    assert settings.observation == TERMS
+    assert settings.joints == WHEELS
+    assert "# Time between two actions [s], as in the training.\n# Check it: no file says it.\nperiod = 0.02\n" in text
+
+
+def test_texts_of_others_do_not_leave_their_place(stepgap: Command) -> None:
+    said = mjlab_metadata() | {"observation_names": 'base_ang_vel,evil\nperiod = 1\n"""', "run_path": "\x00"}
+    write_network(Path("walk.onnx"), driving(), said)
+    named = cart_xml().replace("front_left", "a&#10;b = 1&#34;]")
+    Path("cart.xml").write_text(named)
+    made = stepgap("new", "cart", "--policy", "walk.onnx", "--mjcf", "cart.xml")
+    assert made.code == 0, made.err
+    refused(stepgap("run", "cart/experiment.toml", "--out", "out"), "cart/policy.toml: observation: missing")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--policy", "walk.onnx"], ["--policy walk.onnx: also give the MuJoCo model of its robot, by --mjcf"]),
+        (["--policy", "walk.onnx", "--mjcf", "cart.xml", "--process"], ["--policy and --process: give only one"]),
+        (["--policy", "cart.xml", "--mjcf", "cart.xml"], ["--policy cart.xml: onnxruntime cannot load it"]),
+        (["--policy", "none.onnx", "--mjcf", "cart.xml"], ["--policy none.onnx: No such file"]),
+        (["--policy", "walk.onnx", "--mjcf", "walk.onnx"], ["--mjcf walk.onnx: ", "give a MuJoCo model (MJCF)"]),
+        (
+            ["--policy", "walk.onnx", "--mjcf", "fixed.xml"],
+            ["--policy walk.onnx, --mjcf fixed.xml: its first body has no free"],
+        ),
+        (["--policy", "walk.onnx", "--mjcf", "empty.xml"], ["--mjcf empty.xml: its first body has no free joint"]),
+        (["--policy", "plain.onnx", "--mjcf", "fixed.xml"], ["--mjcf fixed.xml: its first body has no free joint"]),
+        (["--policy", "walk.onnx", "--mjcf", "space.xml"], ["--mjcf space.xml: it has no gravity"]),
+        (
+            ["--policy", "small.onnx", "--mjcf", "cart.xml"],
+            [": policy.toml: observation: its terms have 24", "policy.onnx wants 23"],
+        ),
+    ],
+)
+def test_wrong_files_leave_no_folder(stepgap: Command, options: list[str], words: list[str]) -> None:
+    write_network(Path("walk.onnx"), driving(), mjlab_metadata())
+    write_network(Path("small.onnx"), driving()[:, 1:], mjlab_metadata())
+    Path("cart.xml").write_text(cart_xml())
+    write_network(Path("plain.onnx"), driving())
+    Path("fixed.xml").write_text(cart_xml().replace("<freejoint/>", ""))
+    Path("empty.xml").write_text("<mujoco/>")
+    Path("space.xml").write_text(cart_xml().replace("<option", '<option gravity="0 0 0"'))
+    refused(stepgap("new", "cart", *options), *words)
+    assert not Path("cart").exists()
