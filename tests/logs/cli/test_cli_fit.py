@@ -1,16 +1,14 @@
 """`stepgap fit`: its results for logs with known errors, its output files, and the input that it refuses."""
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from stepgap.cli.app import main
 from stepgap.learning.residual_fit import fit_residual, residual_from_dict
 from stepgap.learning.steps import LoggedStep
-from stepgap.records.model_files import MAP, Model, NominalSource, read_saved_model, write_model
+from stepgap.records.model_files import MAP, NominalSource, read_saved_model
 from stepgap.records.steps_csv import StepWriter
 from stepgap.robots.hopper import CommandBounds
 from stepgap.robots.hopper.model.apex_map import ApexMap
@@ -25,7 +23,7 @@ FOREIGN = ("--state", "v,y", "--next", "v2,y2", "--command", "fx,fy", "--nominal
 
 
 def compare_few_kinds(patch: pytest.MonkeyPatch, *kinds: str) -> None:
-    patch.setattr("stepgap.learning.residual_fit.names_without_lagged_inputs", lambda: kinds)
+    patch.setattr("stepgap.learning.entry_points.names_by_complexity", lambda: kinds)
 
 
 @pytest.fixture(autouse=True)
@@ -69,7 +67,7 @@ def test_an_offset_in_a_foreign_log(stepgap: Command) -> None:
     report = json.loads(Path("fit.json").read_text())
     assert report["best"]["kind"] == "constant"
     assert report["best"]["gain"] == report["residuals"][1]["better_than"]["none"]["all"]
-    assert report["best_with_suspicious"] == report["best"]
+    assert report["suspicious"] == {}
     assert [entry["kind"] for entry in report["residuals"]] == ["none", "constant", "gp"]
     constant = report["residuals"][1]
     assert constant["rmse"]["v"] == pytest.approx(0.1, rel=0.4)
@@ -82,120 +80,31 @@ def test_an_offset_in_a_foreign_log(stepgap: Command) -> None:
     np.testing.assert_allclose(residual.mean(np.zeros((1, 4))), [[0.5, 0]], atol=0.06)
 
 
-@pytest.fixture(scope="module")
-def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with log.csv, whose first coordinate changes by 0.5, and the model that `fit --save` writes for it."""
-    folder = tmp_path_factory.mktemp("fitted")
-    write_log(folder / "log.csv", 0.5)
-    with pytest.MonkeyPatch.context() as patch:
-        compare_few_kinds(patch, "none", "constant", "gp")
-        main(["fit", str(folder / "log.csv"), *FOREIGN, "--save", str(folder / "model.json")])
-    return folder
-
-
-@pytest.fixture
-def saved(stepgap: Command, fitted: Path) -> Path:
-    """The model of `fitted`, beside its log in the folder of the test."""
-    shutil.copytree(fitted, ".", dirs_exist_ok=True)
-    return Path("model.json")
-
-
-def test_a_saved_model_predicts_another_log(stepgap: Command, saved: Path) -> None:
-    write_log(Path("other.csv"), 0.5, seed=1)
-    files = ("--predictions", "predictions.csv", "--out", "scores.json")
-    result = stepgap("fit", "other.csv", *FOREIGN, "--load", saved, *files)
-    assert (result.code, result.err) == (0, "")
-    lines = result.out.splitlines()
-    assert "model       constant of model.json, fitted to 40 steps" in lines
-    assert "units       not compared for v, y, fx, fy: the steps have none" in lines
-    assert "known" not in result.out
-    assert lines[-3].startswith("gain: ")
-    assert lines[-3].endswith(" less error than without a correction")
-
-    table = np.genfromtxt("predictions.csv", delimiter=",", names=True)
-    log = np.genfromtxt("other.csv", delimiter=",", names=True)
-    for name in ("v", "y"):
-        np.testing.assert_array_equal(table[f"next_{name}"], log[f"{name}2"])
-        np.testing.assert_array_equal(table[f"nominal_{name}"], log[name])
-    residual = residual_from_dict(json.loads(saved.read_text()))
-    first = np.array([log[name][0] for name in ("v", "y", "fx", "fy")])
-    corrected = [table["corrected_v"][0], table["corrected_y"][0]]
-    np.testing.assert_allclose(corrected, first[:2] + residual.mean(first), atol=1e-12)
-    left = table["next_v"] - table["corrected_v"]
-    scores = json.loads(Path("scores.json").read_text())
-    none, constant = (each["rmse"]["v"] for each in scores["residuals"])
-    assert constant == pytest.approx(np.sqrt(np.mean(left**2)))
-    assert constant == pytest.approx(0.1, rel=0.3)
-    assert scores["gain"]["v"]["value"] == pytest.approx(1 - constant / none)
-    assert np.mean(np.abs(left) <= 1.96 * table["std_v"]) == scores["residuals"][1]["coverage"]["v"]
-
-
-def test_a_model_is_applied_to_the_steps_it_knows_and_to_few_and_far_ones(stepgap: Command, saved: Path) -> None:
-    assert (
-        "known       40 steps that the model was fitted to" in stepgap("fit", "log.csv", *FOREIGN, "--load", saved).out
-    )
-    lines = Path("log.csv").read_text().splitlines()
-    Path("few.csv").write_text("\n".join([lines[0], "9,9,0,0,9.5,9", "8,9,0,0,8.5,9.1"]) + "\n")
-    result = stepgap("fit", "few.csv", *FOREIGN, "--load", saved)
-    assert (result.code, result.err) == (0, "")
-    assert "outside     2 steps outside the range" in result.out
-
-
-def test_the_model_of_a_run_is_applied(stepgap: Command) -> None:
+def test_a_model_that_was_saved_from_a_run_is_read_for_its_nominal_map_only(stepgap: Command) -> None:
     write_run(Path("run"), 0.05)
     assert stepgap("fit", "run", "--save", "model.json").code == 0
-    folder, nominal = Path("run/models"), ApexMap()
-    folder.mkdir()
-    saved = read_saved_model(Path("model.json"), nominal.space, NominalSource(MAP, nominal))
-    write_model(Path("run"), 1, Model(saved, None), nominal)
-    found = [stepgap("fit", "run", "--load", path) for path in ("model.json", "run/models/iteration_1.json")]
-    assert found[0].code == 0, found[0].err
-    assert "known       30 steps" in found[0].out
-    assert found[0].out == found[1].out.replace("run/models/iteration_1.json", "model.json")
-    # Another nominal map, another source of nominal next states, and another robot.
-    refused(stepgap("fit", "run", "--load", "model.json", "--gains.stiffness", 2400), "was learned on another nominal")
-    names = {"state": "speed,height", "next": "next_speed,next_height", "command": "fx=requested_fx,fy=requested_fy"}
-    columns = [part for name, text in names.items() for part in (f"--{name}", text)]
-    foreign = ("fit", "run/steps.csv", *columns, "--load", "model.json", "--nominal")
-    assert stepgap(*foreign, "map").code == 0
-    refused(stepgap(*foreign, "state"), "model.json: learned with '--nominal map', but", "'--nominal state'; they")
+    nominal = ApexMap()
+    residual = read_saved_model(Path("model.json"), nominal.space, NominalSource(MAP, nominal))
+    assert residual.mean(np.array([[0.2, 0.58, 0.0, 0.0]]))[0, 1] == pytest.approx(0.05, abs=0.002)
+    with pytest.raises(ValueError, match=r"learned with '--nominal map', but .* '--nominal state'"):
+        read_saved_model(Path("model.json"), nominal.space, NominalSource("state"))
+
+
+def test_a_wrong_row_is_named_and_left_out(stepgap: Command) -> None:
     write_log(Path("log.csv"), 0.5)
+    lines = Path("log.csv").read_text().splitlines()
+    Path("wrong.csv").write_text("\n".join([*lines[:8], "-999" + lines[8][lines[8].index(",") :], *lines[9:]]) + "\n")
+    result = stepgap("fit", "wrong.csv", *FOREIGN, "--out", "fit.json")
+    assert "suspicious  1 row, left out below: wrong.csv, line 9 (v = -999, others" in result.out
+    report = json.loads(Path("fit.json").read_text())
+    assert (report["steps"], list(report["suspicious"])) == (39, ["wrong.csv, line 9"])
+
+
+@pytest.mark.parametrize("option", ["load", "predictions"])
+def test_an_option_of_earlier_versions_says_what_to_do(stepgap: Command, option: str) -> None:
     refused(
-        stepgap("fit", "log.csv", *FOREIGN, "--load", "model.json"),
-        "model.json: its state is speed, height, that of the steps is v, y; it",
+        stepgap("fit", "log.csv", f"--{option}", "x"), f"--{option}: no model is applied to a log now; type stepgap"
     )
-
-
-def test_units_of_a_model_are_compared(stepgap: Command, saved: Path) -> None:
-    model = json.loads(saved.read_text())
-    saved.write_text(json.dumps({**model, "state": [["v", "m/s"], ["y", "m"]]}))
-    columns = 'state = ["v", "y"]\nnext = ["v2", "y2"]\ncommand = ["fx", "fy"]\n[units]\nv = "%s"\n'
-    for unit in ("m/s", "mm/s"):
-        Path(f"{unit[:-2]}.toml").write_text(columns % unit)
-    options = ("fit", "log.csv", "--nominal", "state", "--load", saved, "--columns")
-    assert "not compared for y, fx, fy" in stepgap(*options, "m.toml").out
-    refused(stepgap(*options, "mm.toml"), "model.json: v has the unit 'm/s', in the steps 'mm/s'; convert")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "parts"),
-    [
-        ("--load none.json", ["none.json: No such file or directory; give a model file"]),
-        ("--load folder", ["folder: not a file"]),
-        ("--load log.csv", ["log.csv: not a residual"]),
-        ("--load model.json --test log.csv --folds 2", ["leave one of them out"]),
-        ("--load model.json --test log.csv", ["--load: nothing is fitted to LOG; leave out --test"]),
-        ("--load model.json --folds 2 --save new.json", ["leave out --folds, --save"]),
-        ("--load model.json --predictions log.csv", ["log.csv: exists already; choose another --predictions"]),
-        ("--predictions new.csv", ["--predictions: they are those of a saved model; give it by --load"]),
-    ],
-)
-@pytest.mark.usefixtures("saved")
-def test_a_model_that_cannot_be_applied_is_refused(stepgap: Command, arguments: str, parts: list[str]) -> None:
-    Path("folder").mkdir()
-    before = {path: path.read_bytes() for path in Path().iterdir() if path.is_file()}
-    refused(stepgap("fit", "log.csv", *FOREIGN, *arguments.split()), *parts)
-    assert {path: path.read_bytes() for path in Path().iterdir() if path.is_file()} == before
 
 
 def test_residuals_are_fitted_to_some_logs_and_scored_on_others(stepgap: Command) -> None:

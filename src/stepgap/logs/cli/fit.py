@@ -15,7 +15,8 @@ from stepgap.cli.options import NO_COLUMNS, ColumnNames, Integer, Overrides
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.logs.columns import Columns
-    from stepgap.logs.fits.fit import Comparison
+    from stepgap.logs.fits.fit import FitData
+    from stepgap.logs.fits.validation import Validation
 
     Source = tuple[Columns | None, str | None, Path | None, Sequence[tuple[str, str]]]
     """How logs are read: meaning of their columns, nominal next states, settings of the experiment."""
@@ -30,13 +31,11 @@ class Results:
         out: New JSON file for all numbers.
         plot: New file for a figure of predicted against actual errors.
         save: New model file for the residual that predicts best, fitted to all steps (docs/model_file.md).
-        predictions: New CSV file for the predictions by the model of --load, with a row for each step.
     """
 
     out: Path | None = None
     plot: Path | None = None
     save: Path | None = None
-    predictions: Path | None = None
 
     def check(self) -> None:
         """Raises InputError if one of the files cannot be written."""
@@ -49,6 +48,9 @@ class Results:
 
 NO_RESULTS = Results()
 
+Gone = Annotated[str | None, Parameter(show=False)]
+"""Option of earlier versions, which is answered by what to do instead."""
+
 
 def fit(
     *log: Path,
@@ -58,7 +60,8 @@ def fit(
     nominal: Literal["map", "predicted", "target", "state"] | None = None,
     experiment: Path | None = None,
     folds: Integer | None = None,
-    load: Path | None = None,
+    load: Gone = None,
+    predictions: Gone = None,
     results: Results = NO_RESULTS,
     overrides: Overrides = None,
 ) -> None:
@@ -73,7 +76,8 @@ def fit(
         experiment: TOML file of settings of the robot's map. [default: the settings of the runs]
         folds: Number of contiguous blocks that are held out in turn. [default: whole deployments, or 10 blocks of a
             single one]
-        load: Model file of a run or of --save, with which LOG is predicted; then nothing is fitted.
+        load: An option of earlier versions.
+        predictions: An option of earlier versions.
     """
     from stepgap.logs.columns import read_columns
     from stepgap.logs.tables.ros_bags import is_ros2_folder
@@ -88,46 +92,12 @@ def fit(
                 raise InputError(f"{folder}: a folder that is not a run, which has a steps.csv; give the log's file")
     if test and folds is not None:
         raise InputError("--folds: nothing is held out of LOG if --test is given; leave one of them out")
-    if results.predictions and not load:
-        raise InputError("--predictions: they are those of a saved model; give it by --load")
-    unused = {"test": test, "folds": folds, "plot": results.plot, "save": results.save}
-    if load and (of_fits := [name for name, value in unused.items() if value is not None]):
-        raise InputError(f"--load: nothing is fitted to LOG; leave out --{', --'.join(of_fits)}")
+    for option, value in (("load", load), ("predictions", predictions)):
+        if value is not None:
+            raise InputError(f"--{option}: no model is applied to a log now; type stepgap fit OLD_LOG --test {log[0]}")
     results.check()
     source = (read_columns(columns, names.given()), nominal, experiment, overrides or [])
-    if load:
-        _apply(load, log, source, results)
-    else:
-        _compare(log, test, source, folds, results)
-
-
-def _apply(model: Path, log: tuple[Path, ...], source: "Source", results: Results) -> None:
-    """Predicts the steps of logs by a saved model."""
-    from stepgap.logs.fits.application_results import (
-        application_report,
-        describe_application,
-        prediction_table,
-        show_application,
-    )
-    from stepgap.logs.fits.fit import check_count, read_nominal_errors
-    from stepgap.logs.fits.fit_results import describe_suspicious
-    from stepgap.logs.fits.model_application import LEAST_PREDICTED, MOST_PREDICTED, apply_model
-    from stepgap.logs.fits.suspicious import far_rows, improbable_rows
-
-    data = read_nominal_errors(log, *source)
-    check_count(log, data, LEAST_PREDICTED, MOST_PREDICTED)
-    applied = apply_model(model, data)
-    rows = far_rows(data.steps) | improbable_rows(data.observed, data.steps.follows, applied.validation)
-    scored = apply_model(model, data.without(rows)) if rows else applied
-    print(describe_application(applied))
-    if rows:
-        print(describe_suspicious(data.named(rows)))
-    show_application(scored, sys.stdout, applied if rows else None)
-    if results.out:
-        report = application_report(log, scored, applied, data.named(rows))
-        write_new(results.out, "--out", json.dumps(report, indent=1))
-    if results.predictions:
-        write_new(results.predictions, "--predictions", prediction_table(applied))
+    _compare(log, test, source, folds, results)
 
 
 def _compare(
@@ -136,36 +106,51 @@ def _compare(
     """Fits every residual and scores it on held-out steps."""
     from stepgap.base.blas import one_blas_thread
     from stepgap.cli.progress import progress_bar
-    from stepgap.learning.residual_fit import names_without_lagged_inputs
-    from stepgap.logs.fits.fit import choose_folds, compare, read_fit_data, read_test_data
-    from stepgap.logs.fits.fit_results import describe_fit_data, describe_suspicious, show_validation, verdict
+    from stepgap.learning.entry_points import names_by_complexity
+    from stepgap.logs.fits.fit import (
+        best_model,
+        choose_folds,
+        compare,
+        read_fit_data,
+        read_test_data,
+        without_suspicious,
+    )
+    from stepgap.logs.fits.fit_results import (
+        best_sentence,
+        describe_fit_data,
+        describe_suspicious,
+        fit_report,
+        show_validation,
+    )
 
-    kinds = names_without_lagged_inputs()
     data = read_fit_data(log, *source)
     tested = read_test_data(data, log, test, *source) if test else None
     print(describe_fit_data(data, choose_folds(data.steps, folds), tested), flush=True)
+    data, suspicious = without_suspicious(data)
+    if tested:
+        tested, of_tested = without_suspicious(tested)
+        tested = tested.in_space(data.observed.space)
+        suspicious |= of_tested
+    if suspicious:
+        print(describe_suspicious(suspicious), flush=True)
     with one_blas_thread(), progress_bar("fits") as progress:
-        found = compare(kinds, data, tested, folds, progress)
-    if found.suspicious:
-        print(describe_suspicious(found.suspicious))
-    show_validation(found.data.observed.space.state, found.validation, sys.stdout)
-    print(verdict(found))
-    _write(results, log, found)
+        validation = compare(names_by_complexity(), data, tested, folds, progress)
+    show_validation(data.observed.space.state, validation, sys.stdout)
+    print(best_sentence(validation.best))
+    if results.out:
+        write_new(results.out, "--out", json.dumps(fit_report(log, data, validation, suspicious), indent=1))
+    if results.save:
+        write_new(results.save, "--save", best_model(data, validation))
+    if results.plot:
+        _draw(results.plot, data, validation)
 
 
-def _write(results: Results, log: tuple[Path, ...], found: "Comparison") -> None:
-    """Writes the requested files."""
-    from stepgap.logs.fits.fit import best_model
-    from stepgap.logs.fits.fit_results import fit_report
+def _draw(file: Path, data: "FitData", validation: "Validation") -> None:
+    """Writes the figure."""
     from stepgap.report.own_style import own_style
 
-    if results.out:
-        write_new(results.out, "--out", json.dumps(fit_report(log, found), indent=1))
-    if results.save:
-        write_new(results.save, "--save", best_model(found.data, found.validation))
-    if results.plot:
-        with own_style():
-            from stepgap.logs.fits.fit_files import fit_picture
+    with own_style():
+        from stepgap.logs.fits.fit_files import fit_picture
 
-            picture = fit_picture(found.data.observed.space.state, found.validation, format_by_name(results.plot))
-        write_new(results.plot, "--plot", picture)
+        picture = fit_picture(data.observed.space.state, validation, format_by_name(file))
+    write_new(file, "--plot", picture)

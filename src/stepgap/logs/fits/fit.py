@@ -1,8 +1,9 @@
 """Input of `stepgap fit`: the error of the nominal map in any log, and what is held out."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,6 @@ from stepgap.learning.observations import Observations
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.steps import Steps, joined
 from stepgap.logs.columns import Columns
-from stepgap.logs.fits.suspicious import MOST_SUSPICIOUS, Reasons, far_rows, improbable_rows
 from stepgap.logs.fits.validation import (
     FOLDS,
     LEAST_STEPS,
@@ -41,8 +41,14 @@ NOMINALS = {
 }
 """Sources of the nominal next states, with descriptions."""
 
-_MOST_ROUNDS = 4
-"""Suspicious rows may hide others, so residuals are compared without them, at most this number of times."""
+FAR: Final = 1.0
+"""A number is suspicious if it is beyond the middle nine tenths of all by more than this multiple of their range,"""
+
+FAR_FROM_CONSTANT: Final = 50.0
+"""which counts as this multiple of their value if they are all equal."""
+
+MOST_SUSPICIOUS: Final = 0.1
+"""If a larger part of the rows seemed to be suspicious, the others are no measure of them, and none is."""
 
 Settings = Sequence[tuple[str, str]]
 """Dotted names and values."""
@@ -71,7 +77,7 @@ class FitData:
     source: NominalSource
     columns: Columns | None = None
 
-    def without(self, rows: Reasons) -> "FitData":
+    def without(self, rows: Iterable[int]) -> "FitData":
         """The data without some rows, with the ranges of the others."""
         kept = ~np.isin(np.arange(len(self.steps)), list(rows))
         found = replace(
@@ -86,35 +92,8 @@ class FitData:
         """The same data with other ranges."""
         return replace(self, steps=self.steps.in_space(space), observed=replace(self.observed, space=space))
 
-    def named(self, rows: Reasons) -> dict[str, str]:
-        """What is suspicious in some rows, by their origins."""
-        return {str(self.origin[row]): reason for row, reason in rows.items()}
-
 
 def read_fit_data(
-    logs: Sequence[Path], columns: Columns | None, nominal: str | None, experiment: Path | None, overrides: Settings
-) -> FitData:
-    """Reads steps to which residuals are fitted, as `read_nominal_errors`; there must be enough, and not too many.
-
-    Raises:
-        InputError: The arguments do not fit each other, or the steps are too few or too many.
-        RecordError: The content of a log is wrong.
-    """
-    data = read_nominal_errors(logs, columns, nominal, experiment, overrides)
-    check_count(logs, data, LEAST_STEPS, MOST_STEPS)
-    return data
-
-
-def check_count(logs: Sequence[Path], data: FitData, least: int, most: int) -> None:
-    """Raises InputError if there are too few or too many steps."""
-    count = len(data.steps)
-    if not least <= count <= most:
-        found = f"{count} usable step{'' if count == 1 else 's'}, but there must be {least} to {most}"
-        left_out = describe_left_out(data.left_out)
-        raise InputError(f"{', '.join(map(str, logs))}: {found}; rows left out: {left_out}")
-
-
-def read_nominal_errors(
     logs: Sequence[Path], columns: Columns | None, nominal: str | None, experiment: Path | None, overrides: Settings
 ) -> FitData:
     """Reads the steps of logs and computes their nominal next states.
@@ -127,7 +106,7 @@ def read_nominal_errors(
         overrides: Single settings that override these.
 
     Raises:
-        InputError: The arguments do not fit each other.
+        InputError: The arguments do not fit each other, or the steps are too few or too many.
         RecordError: The content of a log is wrong.
     """
     if nominal not in (None, MAP) and (experiment or overrides):
@@ -155,6 +134,11 @@ def read_nominal_errors(
         some = "none" if np.isnan(predicted).all() else "no step with one for every state coordinate"
         raise InputError(f"--nominal {source}: the log has {some}; name its columns by --{source}")
     data = _with_errors(found, predicted, description, NominalSource(source, step_map))
+    count = len(data.steps)
+    if not LEAST_STEPS <= count <= MOST_STEPS:
+        usable = f"{count} usable step{'' if count == 1 else 's'}, but there must be {LEAST_STEPS} to {MOST_STEPS}"
+        left_out = describe_left_out(data.left_out)
+        raise InputError(f"{', '.join(map(str, logs))}: {usable}; rows left out: {left_out}")
     return data if source == MAP else replace(data, columns=columns)
 
 
@@ -250,11 +234,7 @@ def read_test_data(
     Args:
         data: Steps to fit.
         logs: The logs from which they were read.
-        test: Logs of the same kind.
-        columns: As of `read_fit_data`.
-        nominal: As of `read_fit_data`.
-        experiment: As of `read_fit_data`.
-        overrides: As of `read_fit_data`.
+        test: Logs of the same kind, read with the arguments of `read_fit_data`.
 
     Raises:
         InputError: A log is used for both, or is not of the same robot and nominal map; or as of `read_fit_data`.
@@ -268,28 +248,37 @@ def read_test_data(
     return found.in_space(data.observed.space)
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Residuals scored on held-out steps.
+def without_suspicious(data: FitData) -> tuple[FitData, dict[str, str]]:
+    """Leaves out rows with a number that lies far outside of the same numbers of all other rows.
 
-    Attributes:
-        data: Steps to which they were fitted, without those that are suspicious.
-        tested: Steps of other logs on which they were scored, likewise; None if parts of `data` were held out.
-        validation: The predictions.
-        suspicious: What is suspicious in the rows that were left out, by their origins.
-        with_them: The predictions if these rows are not left out; the same as `validation` if there are none.
+    A few wrong numbers would decide which errors can be learned. The numbers are those of the state, the command, the
+    next state, its prediction, and the error of this. Nothing is left out where so many rows would be that the others
+    are no measure of them.
+
+    Returns:
+        The other rows, and what is suspicious in those that were left out, by their origins.
     """
+    rows: dict[int, str] = {}
+    for name, values in _numbers(data.steps):
+        low, middle, high = np.quantile(values, (0.05, 0.5, 0.95), method="nearest")
+        width = high - low or FAR_FROM_CONSTANT * abs(middle)
+        far = np.maximum(low - values, values - high) > FAR * width
+        if width > 0 and far.sum() <= MOST_SUSPICIOUS * len(values):
+            for row in np.flatnonzero(far):
+                rows.setdefault(int(row), f"{name} = {values[row]:.4g}, others {low:.3g} to {high:.3g}")
+    if not 0 < len(rows) <= min(MOST_SUSPICIOUS * len(data.steps), len(data.steps) - LEAST_STEPS):
+        return data, {}
+    return data.without(rows), {str(data.origin[row]): rows[row] for row in sorted(rows)}
 
-    data: FitData
-    tested: FitData | None
-    validation: Validation
-    suspicious: Mapping[str, str]
-    with_them: Validation
 
-    @property
-    def scored_last(self) -> list[FitData]:
-        """The steps that were fitted to, and those that were scored if they are others."""
-        return [self.data] if self.tested is None else [self.data, self.tested]
+def _numbers(steps: Steps) -> Iterator[tuple[str, Array]]:
+    """Yields the numbers by which a row may be suspicious, with their names."""
+    state = steps.space.state_names
+    yield from zip(state, steps.state.T, strict=True)
+    yield from zip(steps.space.command_names, steps.requested.T, strict=True)
+    yield from zip((f"next {name}" for name in state), steps.next_state.T, strict=True)
+    yield from zip((f"predicted {name}" for name in state), steps.predicted.T, strict=True)
+    yield from zip((f"error of {name}" for name in state), (steps.next_state - steps.predicted).T, strict=True)
 
 
 def compare(
@@ -298,8 +287,8 @@ def compare(
     tested: FitData | None,
     folds: int | None,
     on_fit: Callable[[int, int], None] = lambda done, total: None,
-) -> Comparison:
-    """Scores residuals on held-out steps; rows that are suspicious are left out, until no more are found.
+) -> Validation:
+    """Scores residuals on held-out steps.
 
     Args:
         kinds: Names of the residuals, from simple to complex.
@@ -308,27 +297,9 @@ def compare(
         folds: Number of these parts; as of `choose_folds`.
         on_fit: Called with the number of fits done and the number of all fits.
     """
-
-    def validated(data: FitData, tested: FitData | None) -> Validation:
-        if tested is None:
-            return validate(kinds, data.observed, choose_folds(data.steps, folds), on_fit)
-        return validate_on(kinds, data.observed, tested.observed, on_fit)
-
-    first = now = Comparison(data, tested, both := validated(data, tested), {}, both)
-    for _ in range(_MOST_ROUNDS):
-        rows = [far_rows(each.steps) for each in now.scored_last]
-        if not any(rows):
-            rows[-1] = improbable_rows(now.scored_last[-1].observed, now.scored_last[-1].steps.follows, now.validation)
-        if not any(rows):
-            break
-        named = dict(now.suspicious)
-        for each, of_each in zip(now.scored_last, rows, strict=True):
-            named |= each.named(of_each)
-        kept, *others = (each.without(of_each) for each, of_each in zip(now.scored_last, rows, strict=True))
-        left = others[0].in_space(kept.observed.space) if others else None
-        now = Comparison(kept, left, validated(kept, left), named, both)
-    count = sum(len(each.steps) for each in first.scored_last)
-    return now if len(now.suspicious) <= 2 * MOST_SUSPICIOUS * count else first
+    if tested is None:
+        return validate(kinds, data.observed, choose_folds(data.steps, folds), on_fit)
+    return validate_on(kinds, data.observed, tested.observed, on_fit)
 
 
 def best_model(data: FitData, validation: Validation) -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final, TextIO
+from typing import Any, TextIO
 
 import numpy as np
 from rich.box import SIMPLE
@@ -12,13 +12,13 @@ from rich.table import Table
 from rich.text import Text
 
 from stepgap.gauss.gaussian_process_fit import EXACT_SIZE
-from stepgap.logs.fits.fit import Comparison, FitData
-from stepgap.logs.fits.validation import Best, Folds, HeldOut, Reduction, Validation
+from stepgap.logs.fits.fit import FitData
+from stepgap.logs.fits.validation import Best, Folds, Reduction, Validation
 from stepgap.logs.foreign_log import describe_left_out
 from stepgap.records.text import with_unit
 from stepgap.step import Array, Quantity
 
-FIT_SCHEMA = 7
+FIT_SCHEMA = 8
 """Version of the JSON file."""
 
 _MOST_NAMED = 10
@@ -27,21 +27,12 @@ _MOST_NAMED = 10
 LARGEST_CHANGE = 10.0
 """An error that is larger than another one by more than this multiple is far worse, whatever the number."""
 
-WITH_SUSPICIOUS: Final = "with the suspicious rows:"
-"""What a sentence begins with that counts all rows."""
-
-
-def verdict(found: Comparison) -> str:
-    """Sentence on the residual that predicts best; where suspicious rows were left out, also with these rows."""
-    sentence = f"{'best:':16}{best_sentence(found.validation.best)}"
-    return f"{sentence}\n{WITH_SUSPICIOUS} {best_sentence(found.with_them.best)}" if found.suspicious else sentence
-
 
 def best_sentence(best: Best) -> str:
     """Sentence on which residual predicts best, by how much, and whether that is certain."""
     gain = "no residual predicts better" if best.kind == "none" else gain_sentence(best.gain)
     than = f"not certainly better than {', '.join(best.alike)}" if best.alike else "certainly better than all others"
-    return f"{best.kind}, {gain}; {than}"
+    return f"{'best:':16}{best.kind}, {gain}; {than}"
 
 
 def describe_suspicious(rows: Mapping[str, str]) -> str:
@@ -74,45 +65,29 @@ def _percent(value: float, half_width: float) -> str:
 
 def describe_fit_data(data: FitData, folds: Folds, test: FitData | None = None) -> str:
     """A few lines on the steps that were read, and on those that are held out: parts of them, or other steps."""
-    parts = "parts of whole deployments" if folds.whole_deployments else "contiguous blocks"
-    most = len(data.steps) - int(np.bincount(folds.fold).min() if test is None else 0)
-    held_out = f"{folds.count} {parts}, one at a time" if test is None else f"{len(test.steps)} steps of other logs"
-    return "\n".join(
-        [
-            describe_log(data),
-            f"held out    {held_out}",
-            *([f"processes   hyper-parameters from {EXACT_SIZE} of the steps, sparse"] if most > EXACT_SIZE else []),
-        ]
-    )
-
-
-def describe_log(data: FitData) -> str:
-    """A few lines on the steps that were read, and on their nominal next states."""
     steps, space = data.steps, data.observed.space
     deployments = len(steps.iterations)
-    return "\n".join(
-        [
-            f"steps       {len(steps)} of {deployments} deployment{'s' if deployments > 1 else ''}; "
-            f"rows left out: {describe_left_out(data.left_out)}",
-            f"state       {', '.join(map(with_unit, space.state))}",
-            f"command     {', '.join(map(with_unit, space.command))}",
-            f"nominal     {data.nominal}",
-        ]
-    )
+    lines = [
+        f"steps       {len(steps)} of {deployments} deployment{'s' if deployments > 1 else ''}; "
+        f"rows left out: {describe_left_out(data.left_out)}",
+        f"state       {', '.join(map(with_unit, space.state))}",
+        f"command     {', '.join(map(with_unit, space.command))}",
+        f"nominal     {data.nominal}",
+    ]
+    most_fitted = len(steps)
+    if test is None:
+        parts = "parts of whole deployments" if folds.whole_deployments else "contiguous blocks"
+        lines.append(f"held out    {folds.count} {parts}, one at a time")
+        most_fitted -= int(np.bincount(folds.fold).min())
+    else:
+        lines.append(f"held out    {len(test.steps)} steps of other logs")
+    if most_fitted > EXACT_SIZE:
+        lines.append(f"processes   hyper-parameters from {EXACT_SIZE} of the steps, sparse")
+    return "\n".join(lines)
 
 
 def show_validation(state: Sequence[Quantity], validation: Validation, stream: TextIO) -> None:
     """Prints a table for each state coordinate and one for all together: framed on a terminal, plain elsewhere."""
-    show_scores(state, validation, stream)
-    console = _console(stream)
-    table = _table(console.is_terminal, "all together", "fit [s]")
-    for kind, held in validation.held_out.items():
-        table.add_row(kind, _format(held.seconds, ".2g"), _compared(validation, kind, range(len(state))))
-    console.print(table)
-
-
-def show_scores(state: Sequence[Quantity], validation: Validation, stream: TextIO) -> None:
-    """Prints a table for each state coordinate."""
     console = _console(stream)
     for index, quantity in enumerate(state):
         table = _table(console.is_terminal, with_unit(quantity), "RMSE", "within 95 %")
@@ -120,6 +95,10 @@ def show_scores(state: Sequence[Quantity], validation: Validation, stream: TextI
             scores = (_format(held.rmse[index], ".4g"), _format(100 * held.coverage[index], ".0f"))
             table.add_row(kind, *scores, _compared(validation, kind, [index]))
         console.print(table)
+    table = _table(console.is_terminal, "all together", "fit [s]")
+    for kind, held in validation.held_out.items():
+        table.add_row(kind, _format(held.seconds, ".2g"), _compared(validation, kind, range(len(state))))
+    console.print(table)
 
 
 def _console(stream: TextIO) -> Console:
@@ -147,46 +126,43 @@ def _format(value: float, form: str) -> str:
     return f"{value:{form}}" if np.isfinite(value) else "–"
 
 
-def fit_report(logs: Sequence[Path], found: Comparison) -> dict[str, Any]:
+def fit_report(
+    logs: Sequence[Path], data: FitData, validation: Validation, suspicious: Mapping[str, str]
+) -> dict[str, Any]:
     """All results as JSON-ready data; NaN and infinities become null."""
-    data, validation = found.data, found.validation
-    state = data.observed.space.state
+    state, command = data.observed.space.state, data.observed.space.command
     parts = {quantity.name: [index] for index, quantity in enumerate(state)} | {"all": range(len(state))}
+    best = validation.best
     return {
         "schema": FIT_SCHEMA,
         "logs": [str(log) for log in logs],
         "nominal": data.nominal,
-        "units": {quantity.name: quantity.unit for quantity in (*state, *data.observed.space.command)},
+        "units": {quantity.name: quantity.unit for quantity in (*state, *command)},
         "steps": len(data.steps),
         "left_out": dict(data.left_out),
         "folds": {"count": validation.folds.count, "whole_deployments": validation.folds.whole_deployments},
         "residuals": [
             {
                 "kind": kind,
-                **scores_as_data(state, held),
+                "rmse": _named(state, held.rmse),
+                "coverage": _named(state, held.coverage),
                 "fit_seconds": held.seconds,
-                "better_than": {"none": gains_as_data(validation, kind, parts)},
+                "better_than": {
+                    "none": {
+                        name: _reduction_as_data(validation.reduction(kind, "none", part))
+                        for name, part in parts.items()
+                    }
+                },
             }
             for kind, held in validation.held_out.items()
         ],
-        "best": _best_as_data(validation.best),
-        "suspicious": dict(found.suspicious),
-        "best_with_suspicious": _best_as_data(found.with_them.best),
+        "best": {
+            "kind": best.kind,
+            "gain": _reduction_as_data(best.gain),
+            "not_certainly_better_than": list(best.alike),
+        },
+        "suspicious": dict(suspicious),
     }
-
-
-def gains_as_data(validation: Validation, kind: str, parts: Mapping[str, Sequence[int]]) -> dict[str, Any]:
-    """Reductions of the error without a correction as JSON-ready data, by the names of parts of the state."""
-    return {name: _reduction_as_data(validation.reduction(kind, "none", part)) for name, part in parts.items()}
-
-
-def _best_as_data(best: Best) -> dict[str, Any]:
-    return {"kind": best.kind, "gain": _reduction_as_data(best.gain), "not_certainly_better_than": list(best.alike)}
-
-
-def scores_as_data(state: Sequence[Quantity], held_out: HeldOut) -> dict[str, Any]:
-    """Scores of predictions as JSON-ready data, by state coordinate."""
-    return {"rmse": _named(state, held_out.rmse), "coverage": _named(state, held_out.coverage)}
 
 
 def _reduction_as_data(by: Reduction) -> dict[str, Any]:

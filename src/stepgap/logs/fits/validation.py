@@ -97,7 +97,7 @@ class HeldOut:
         error: Actual − nominal next state; shape (N, n).
         mean: Predicted error; shape (N, n).
         std: Standard deviation with noise, zero for a residual without one; shape (N, n).
-        seconds: Time of one fit [s]; NaN if it was fitted before.
+        seconds: Time of one fit [s].
     """
 
     kind: str
@@ -264,20 +264,6 @@ def validate_on(
             held_out[kind] = HeldOut(kind, test.error, *_predict(residual, test), seconds)
         on_fit(done, len(kinds))
     return Validation(_one_fold(len(test)), held_out)
-
-
-def validate_fitted(residual: Residual, test: Observations) -> Validation:
-    """Predicts steps with a residual that was fitted to others before, and without a correction (`none`).
-
-    Args:
-        residual: The residual; without history inputs.
-        test: At least two steps to predict, with the errors of the nominal map that the residual predicts.
-    """
-    zero = np.zeros_like(test.error)
-    fitted = HeldOut(residual.kind, test.error, *_predict(residual, test), np.nan)
-    return Validation(
-        _one_fold(len(test)), {"none": HeldOut("none", test.error, zero, zero, np.nan), residual.kind: fitted}
-    )
 
 
 @contextmanager
