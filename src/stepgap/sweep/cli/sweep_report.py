@@ -51,9 +51,8 @@ def _context(folder: Path) -> SweepContext:
         settings = read_experiment(path, recorded=True) if path.is_file() else Experiment()
     except InputError:
         return SweepContext(planned, experiment_table(Experiment()))
-    published = settings.robot.published()
     defaults = experiment_table(Experiment(load_robot(settings.robot.name)))
-    return SweepContext(planned, defaults, settings.space.state, published.source if published else "")
+    return SweepContext(planned, defaults, settings.space.state)
 
 
 SWEEP_REPORT = FolderReport(is_sweep, report_sweep)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,38 +10,16 @@ from numpy.typing import NDArray
 from stepgap.step import Array
 from stepgap.sweep.results_table import ResultsTable, as_numbers
 
-LevelCodes = NDArray[np.int64]
-"""Indices of levels."""
-
 MOST_LEVELS: Final = 16
 """Number of different numbers up to which each is a level; more of them are divided into ranges."""
 
-RANGES: Final = (2, 10)
-"""Smallest and largest number of ranges into which a numeric setting is divided."""
+RANGES: Final = 8
+"""Number of ranges with equally many cases into which a setting with many numbers is divided."""
 
-POINTS_PER_RANGE: Final = 3
-"""Number of points per range and divided setting, if there are few points."""
-
-NOMINAL: Final = ("twin",)
+NAMES: Final = ("twin",)
 """Settings whose numbers are names, because they have no order."""
 
 _LARGEST_CASE: Final = 10**8
-
-
-class SettingTexts(NamedTuple):
-    """A setting in N cases.
-
-    Attributes:
-        texts: The different values, as texts; shape (K,).
-        codes: Index of the text of each case; shape (N,).
-    """
-
-    texts: NDArray[Any]
-    codes: LevelCodes
-
-    def of_case(self, row: int) -> str:
-        """Text of the setting in the case of a row."""
-        return str(self.texts[self.codes[row]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,24 +28,27 @@ class SweepAxis:
 
     Attributes:
         name: Name of the setting.
-        levels: Texts of its L levels: in ascending order, or for names in the order of the cases.
+        levels: Texts of its L levels: numbers or ranges of numbers ascend, names are in the order of the cases.
         codes: Level of each case; shape (N,).
-        values: Value of each case; shape (N,). None for names.
-        points: If the levels are ranges of values: the point of each case, which is the combination of the values of
-            all settings that are divided into ranges; shape (N,). None if each value is a level.
     """
 
     name: str
     levels: tuple[str, ...]
-    codes: LevelCodes
-    values: Array | None = None
-    points: LevelCodes | None = None
+    codes: NDArray[np.int64]
 
-    def select(self, chosen: NDArray[np.bool_]) -> "SweepAxis":
-        """The axis in the chosen cases, with the same levels."""
-        values = None if self.values is None else self.values[chosen]
-        points = None if self.points is None else self.points[chosen]
-        return SweepAxis(self.name, self.levels, self.codes[chosen], values, points)
+    def quartiles(self, values: Array) -> Array:
+        """Quartiles of the values at each level, NaN where none is known; shape (3, L).
+
+        Args:
+            values: Values of the cases, infinite or NaN where unknown; shape (N,).
+        """
+        columns = []
+        for level in range(len(self.levels)):
+            of_level = values[self.codes == level]
+            known = of_level[~np.isnan(of_level)]
+            enough = len(known) > 0
+            columns.append(np.quantile(known, [0.25, 0.5, 0.75], method="inverted_cdf") if enough else [np.nan] * 3)
+        return np.array(columns).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +76,7 @@ class SweepCases:
         rows: Number of rows of the table.
         state_names: Names of the n state coordinates of which an error is known in some case; of all if there is none.
         numbers: Numbers of the cases; shape (N,).
-        settings: Settings on the axes, by name; the last one is `seed`.
+        settings: Texts of the settings on the axes, by name, each of shape (N,); the last one is `seed`.
         axes: Settings with at least two levels, without `seed`.
         first_errors: RMSE of deployment 0; shape (N, n).
         last_errors: RMSE of the last deployment; shape (N, n).
@@ -108,8 +89,8 @@ class SweepCases:
 
     rows: int
     state_names: tuple[str, ...]
-    numbers: LevelCodes
-    settings: Mapping[str, SettingTexts]
+    numbers: NDArray[np.int64]
+    settings: Mapping[str, NDArray[Any]]
     axes: tuple[SweepAxis, ...]
     first_errors: Array
     last_errors: Array
@@ -131,7 +112,7 @@ class SweepCases:
     def constants(self) -> dict[str, str]:
         """Value of each setting that has only one in the table."""
         varied = {axis.name for axis in self.axes} | {"seed"}
-        return {name: each.of_case(0) for name, each in self.settings.items() if name not in varied and len(self)}
+        return {name: str(texts[0]) for name, texts in self.settings.items() if name not in varied and len(self)}
 
 
 def sweep_cases(table: ResultsTable) -> SweepCases:
@@ -145,13 +126,17 @@ def sweep_cases(table: ResultsTable) -> SweepCases:
     if not np.all((numbers >= 0) & (numbers < _LARGEST_CASE) & (numbers == np.floor(numbers))):
         raise ValueError(f"column case must contain integers from 0 to {_LARGEST_CASE - 1}")
     failed = columns["failed"] != ""
-    rows = np.flatnonzero(np.logical_not(failed))
+
+    # the rows of the first and of the last deployment of each case
+    rows = np.flatnonzero(~failed)
     rows = rows[np.lexsort((columns["iteration"][rows], numbers[rows]))]
     starts = np.flatnonzero(np.diff(numbers[rows], prepend=-1))
-    first, last = rows[starts], rows[np.append(starts[1:], len(rows)) - 1] if len(rows) else rows
+    first = rows[starts]
+    last = rows[np.append(starts[1:], len(rows)) - 1] if len(rows) else rows
+
     failed_steps = columns["falls"]
     aborted = np.fmax.reduceat(failed_steps[rows], starts) > 0 if len(rows) else np.zeros(0, bool)
-    settings = {name: SettingTexts(*np.unique(columns[name][last], return_inverse=True)) for name in table.settings}
+    settings = {name: columns[name][last] for name in table.settings}
     names = tuple(name for name in table.state_names if np.isfinite(columns[f"rmse_{name}"]).any()) or table.state_names
     hops = columns["hops_to_band"][last]
     return SweepCases(
@@ -159,7 +144,7 @@ def sweep_cases(table: ResultsTable) -> SweepCases:
         names,
         numbers[last].astype(np.int64),
         settings,
-        _axes({name: each for name, each in settings.items() if name != "seed"}),
+        tuple(_axes(settings)),
         _errors(table, names, first, (columns["iteration"][first] == 0) & (failed_steps[first] == 0)),
         _errors(table, names, last, failed_steps[last] == 0),
         columns["iteration"][last] > 0,
@@ -170,64 +155,36 @@ def sweep_cases(table: ResultsTable) -> SweepCases:
     )
 
 
-def _errors(table: ResultsTable, names: Sequence[str], rows: LevelCodes, valid: NDArray[np.bool_]) -> Array:
+def _errors(table: ResultsTable, names: Sequence[str], rows: NDArray[np.int64], valid: NDArray[np.bool_]) -> Array:
     """Errors of the state coordinates in rows, NaN where they cannot be compared; shape (N, n)."""
     errors = np.stack([table.columns[f"rmse_{name}"][rows] for name in names], axis=1)
     return np.where(valid[:, np.newaxis] & np.isfinite(errors) & (errors > 0), errors, np.nan)
 
 
-def _failed_cases(table: ResultsTable, rows: LevelCodes) -> tuple[FailedCase, ...]:
+def _failed_cases(table: ResultsTable, rows: NDArray[np.int64]) -> tuple[FailedCase, ...]:
     texts = [table.columns[name][rows].tolist() for name in (*table.settings, "failed")]
     numbers = table.columns["case"][rows].astype(int).tolist()
     cases = (FailedCase(number, tuple(values), reason) for number, *values, reason in zip(numbers, *texts, strict=True))
     return tuple(sorted(cases, key=lambda case: case.number))
 
 
-def _axes(settings: Mapping[str, SettingTexts]) -> tuple[SweepAxis, ...]:
-    """Axes of the settings with at least two values; numbers with many values are divided into ranges."""
-    axes = [axis for name, each in settings.items() if len((axis := _levels(name, each)).levels) > 1]
-    numeric = [axis for axis in axes if axis.values is not None and len(axis.levels) > 2]
-    many = [axis for axis in numeric if len(axis.levels) > MOST_LEVELS or _moves_with_another(axis, numeric)]
-    if not many:
-        return tuple(axes)
-    points = np.zeros(len(axes[0].codes), np.int64)
-    for axis in many:
-        _, points = np.unique(points * len(axis.levels) + axis.codes, return_inverse=True)
-    ranges = (points.max() + 1) // (POINTS_PER_RANGE * len(many))
-    return tuple(_divided(axis, int(np.clip(ranges, *RANGES)), points) if axis in many else axis for axis in axes)
+def _axes(settings: Mapping[str, NDArray[Any]]) -> list[SweepAxis]:
+    axes = [_levels(name, texts) for name, texts in settings.items() if name != "seed"]
+    return [axis for axis in axes if len(axis.levels) > 1]
 
 
-def _moves_with_another(axis: SweepAxis, axes: Sequence[SweepAxis]) -> bool:
-    """Whether each value of a setting always comes with the same value of another, as in a Sobol' sequence."""
-    count = len(axis.levels)
-    others = [other.codes for other in axes if other is not axis and len(other.levels) == count]
-    return any(len(np.unique(axis.codes * count + codes)) == count for codes in others)
-
-
-def _levels(name: str, setting: SettingTexts) -> SweepAxis:
-    """All different values of a setting as levels."""
-    found, codes = setting
-    numbers = as_numbers(found)
-    if name not in NOMINAL and numbers.dtype.kind in "if" and not np.isnan(numbers).any():
-        values = numbers.astype(float)[codes]
-        found, codes = np.unique(values, return_inverse=True)
-        return SweepAxis(name, tuple(f"{value:.10g}" for value in found.tolist()), codes, values)
-    order = np.argsort(np.unique(codes, return_index=True)[1])  # that of the cases
-    levels = tuple(str(text) or "(empty)" for text in found[order])
-    return SweepAxis(name, levels, np.argsort(order)[codes])
-
-
-def _divided(axis: SweepAxis, ranges: int, points: LevelCodes) -> SweepAxis:
-    """The axis of a numeric setting whose levels are ranges with equally many cases."""
-    values = np.asarray(axis.values)
-    limits = np.quantile(values, np.arange(1, ranges) / ranges, method="higher")
+def _levels(name: str, texts: NDArray[Any]) -> SweepAxis:
+    """The levels of a setting: its different values, or ranges of many numbers."""
+    different, codes = np.unique(texts, return_inverse=True)
+    numbers = as_numbers(different)
+    if name in NAMES or numbers.dtype.kind not in "if" or np.isnan(numbers).any():
+        order = np.argsort(np.unique(codes, return_index=True)[1])  # that of the cases
+        return SweepAxis(name, tuple(str(text) or "(empty)" for text in different[order]), np.argsort(order)[codes])
+    values = numbers.astype(float)[codes]
+    numbers, codes = np.unique(values, return_inverse=True)
+    if len(numbers) <= MOST_LEVELS:
+        return SweepAxis(name, tuple(f"{value:.10g}" for value in numbers.tolist()), codes)
+    limits = np.quantile(values, np.arange(1, RANGES) / RANGES, method="higher")
     _, codes = np.unique(np.searchsorted(limits, values, side="right"), return_inverse=True)
-    lowest, highest = (_by_level(extreme, values, codes) for extreme in (np.minimum, np.maximum))
-    levels = tuple(f"{low:.3g} to {high:.3g}" for low, high in zip(lowest, highest, strict=True))
-    return SweepAxis(axis.name, levels, codes, values, points)
-
-
-def _by_level(extreme: np.ufunc, values: Array, codes: LevelCodes) -> Sequence[float]:
-    """Smallest or largest value of each level."""
-    order = np.argsort(codes, kind="stable")
-    return extreme.reduceat(values[order], np.flatnonzero(np.diff(codes[order], prepend=-1))).tolist()
+    parts = [values[codes == level] for level in range(codes.max() + 1)]
+    return SweepAxis(name, tuple(f"{part.min():.3g} to {part.max():.3g}" for part in parts), codes)

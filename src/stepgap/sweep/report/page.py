@@ -1,69 +1,45 @@
-"""The report of a sweep: figures and the page `report.html`."""
+"""The report of a sweep: the page `report.html` and its figure."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.base.files import write_whole
 from stepgap.experiment.displays import WrittenReport
 from stepgap.experiment.settings import SettingsFile, read_settings_file
 from stepgap.records.missing import Missing
-from stepgap.records.text import capitalised
+from stepgap.records.text import capitalised, decimal, unit_suffix, with_unit
 from stepgap.report.drawing import Drawing, draw_figure, has_figures, write_figures
-from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section
+from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section, table
 from stepgap.report.settings_table import changed_settings
-from stepgap.step import Quantity
-from stepgap.sweep.report.case_tables import failed_cases, worst_cases
+from stepgap.step import Array, Quantity
 from stepgap.sweep.report.cases import SweepAxis, SweepCases, sweep_cases
-from stepgap.sweep.report.level_tables import level_table
-from stepgap.sweep.report.sentences import share_notes, sweep_headline, sweep_sentences
-from stepgap.sweep.report.variance_shares import VarianceShares, variance_shares
 from stepgap.sweep.results_table import RESULTS, read_results
 
-SECTIONS: Final = {
-    "effects": "Effects of the settings",
-    "aborted": "Aborted deployments and steps to the band",
-    "sensitivity": "Which settings matter",
-    "levels": "Numbers by level",
-    "worst": "Worst cases",
-    "failed": "Failed cases",
-    "settings": "Settings",
-}
-"""Sections of the page, with their titles; those without content are left out."""
+MOST_AXES: Final = 8
+"""Number of axes whose levels are drawn."""
 
-MOST_AXES: Final = 12
-"""Number of axes, those with the largest shares of the variance, whose levels are drawn."""
+MOST_ROWS: Final = 20
+"""Number of rows of a table of levels or of failed cases."""
 
-INTERVALS: Final = (
-    "Intervals are 95 % intervals and treat the cases as independent, although cases share twins and seeds. The "
-    "geometric mean is the exponential of the mean logarithm: one case with a large error does not dominate it."
-)
-EFFECTS_CAPTION: Final = (
-    "RMSE of {name} by the value of each setting: geometric mean of the cases with this value, whatever their other "
-    "settings, of which that deployment was not aborted, with a 95 % interval. All panels have the same vertical axis, "
-    "so a steeper curve is a larger effect."
-)
-POINTS_CAPTION: Final = (
-    " A setting with many values is divided into ranges with equally many cases; grey points are single cases. Cases "
-    "in which all settings of this kind are equal count as one in the interval."
+MOST_WORST: Final = 10
+"""Number of cases in a table of the worst ones."""
+
+LONGEST_CELL: Final = 40
+"""Longest text of a setting in a table of cases [characters]."""
+
+CAPTION: Final = (
+    "RMSE by the value of each setting, whatever the other settings: median of the cases with this value of which that "
+    "deployment was not aborted, with a bar between the quartiles. A setting with many values is divided into ranges "
+    "with equally many cases."
 )
 LEVELS_NOTE: Final = (
-    "Errors are geometric means of the last deployments, with 95 % intervals. A pair is two cases of which all other "
-    "settings and the seed are equal, one at the first level and one at this level; the ratio is the geometric mean of "
-    "the ratios of all pairs. What both cases of a pair share cancels in it, so its interval is narrower."
-)
-ABORTED_CAPTION: Final = (
-    "Share of the cases in which any deployment was aborted by a failed step, with 95 % interval (Wilson)."
-)
-HOPS_CAPTION: Final = (
-    "Number of steps, over all deployments, until the error stays in {}'s band: median, with a bar between the "
-    "quartiles. A case that did not reach the band, or whose last deployment was aborted, counts as never."
-)
-SENSITIVITY_CAPTION: Final = (
-    "Share of the variance of the logarithm of the last RMSE that the effects of each setting explain."
+    "Medians over the cases with this value; further statistics: results.csv, for example with pandas. Steps to the "
+    "band count those of all deployments; a case that did not reach it counts as never."
 )
 
 
@@ -75,28 +51,15 @@ class SweepContext:
         planned: Number of cases of the whole sweep.
         defaults: Default value of every setting, in nested tables like those of `experiment.toml`.
         state: Names and units of the state coordinates; empty if the units are not known.
-        published: Source of the published result whose band is meant; empty if there is none.
     """
 
     planned: int | Missing = Missing("the number of planned cases is not known")
     defaults: Mapping[str, Any] | Missing = Missing("the default settings were not given")
     state: tuple[Quantity, ...] = ()
-    published: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class _Sweep:
-    """What the page shows: cases, axes by their effect, and sensitivity."""
-
-    folder: Path
-    cases: SweepCases
-    state: Sequence[Quantity]
-    axes: Sequence[SweepAxis]
-    shares: VarianceShares | Missing
 
 
 def write_sweep_report(folder: Path, context: SweepContext | None = None, figures: bool = False) -> WrittenReport:
-    """Writes `report.html` of a sweep, finished or not, and on demand `figures/*.png` and `figures/*.pdf`.
+    """Writes `report.html` of a sweep, finished or not, and on demand `figures/levels.png` and `figures/levels.pdf`.
 
     Args:
         folder: Folder of the sweep, with `results.csv`.
@@ -108,141 +71,217 @@ def write_sweep_report(folder: Path, context: SweepContext | None = None, figure
         OSError: A file cannot be read or written.
     """
     context = context or SweepContext()
-    sweep = _read(folder, context.state)
+    table_path = folder / RESULTS
+    try:
+        cases = sweep_cases(read_results(table_path))
+        known = {quantity.name: quantity for quantity in context.state}
+        state = [known.get(name) or Quantity(name, "", -1, 1) for name in cases.state_names]
+    except ValueError as error:
+        raise ValueError(str(error) if str(table_path) in str(error) else f"{table_path}: {error}") from None
     settings = read_settings_file(folder / "experiment.toml")
-    drawings = _drawings(sweep)
-    if figures or has_figures(folder):
-        write_figures(folder, {_figure_name(name, sweep): drawing for name, drawing in drawings.items()})
+    drawing = _level_drawing(cases, state)
+    if drawing and (figures or has_figures(folder)):
+        write_figures(folder, {"levels": drawing})
+    title = f"StepGap report of a sweep: {folder.resolve().name}"
+    top = (
+        f'<h1>{safe(title)}</h1>\n<p class="headline">{safe(sweep_headline(cases, state))}</p>\n'
+        f"{bullets(sweep_sentences(cases, state, context.planned))}"
+    )
+    sections = [
+        ("effects", "Errors by setting", _effects(cases, state, drawing)),
+        ("worst", "Worst cases", _worst_cases(cases, state, folder)),
+        ("failed", "Failed cases", _failed_cases(cases)),
+        ("settings", "Settings", _settings(cases, context.defaults, settings)),
+    ]
     path = folder / "report.html"
-    write_whole(path, _html(sweep, drawings, context, settings))
+    write_whole(path, page(title, [top, *(section(name, head, *parts) for name, head, parts in sections if parts)]))
     missing = (f"settings ({settings.reason})",) if isinstance(settings, Missing) else ()
     return WrittenReport(path, missing)
 
 
-def _read(folder: Path, state: Sequence[Quantity]) -> _Sweep:
-    path = folder / RESULTS
-    try:
-        cases = sweep_cases(read_results(path))
-        known = {quantity.name: quantity for quantity in state}
-        quantities = [known.get(name) or Quantity(name, "", -1, 1) for name in cases.state_names]
-    except ValueError as error:
-        raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
-    found = variance_shares(cases)
-    axes = cases.axes
-    if not isinstance(found, Missing):
-        order = {share.name: rank for rank, share in enumerate(found.axes)}
-        axes = tuple(sorted(axes, key=lambda axis: order.get(axis.name, len(order))))
-    return _Sweep(folder, cases, quantities, axes, found)
+# Sentences
 
 
-def _drawings(sweep: _Sweep) -> dict[str, Drawing | Missing]:
-    """All figures by name; those without content are left out."""
-    cases, axes = sweep.cases, sweep.axes[:MOST_AXES]
-    makers: dict[str, tuple[Callable[[Any], object], str]] = {}
-    if axes:
-        for index, quantity in enumerate(sweep.state):
-            if np.isfinite(cases.last_errors[:, index]).any():
-                makers[f"effects_{index}"] = (
-                    lambda figures, index=index, quantity=quantity: figures.main_effects_figure(
-                        cases, axes, index, quantity, np.random.default_rng(0)
-                    ),
-                    f"the effects on {quantity.name}",
-                )
-        if cases.aborted.any():
-            makers["aborted"] = (lambda figures: figures.aborted_figure(cases, axes), "the aborted deployments")
-        if np.isfinite(cases.hops).any():
-            makers["hops"] = (lambda figures: figures.hops_figure(cases, axes), "the steps to the band")
-    if not isinstance(found := sweep.shares, Missing):
-        makers["sensitivity"] = (lambda figures: figures.sensitivity_figure(found, sweep.state), "the sensitivity")
-    return {name: _drawn(make, subject) for name, (make, subject) in makers.items()}
+def sweep_headline(cases: SweepCases, state: Sequence[Quantity]) -> str:
+    """Sentence on the errors before and after learning."""
+    if not len(cases):
+        return f"None of the {len(cases.failed)} cases in the table has a result: all failed."
+    before, after = compared_errors(cases)
+    if (after < before).any():
+        change = f"from {_medians(before, state)} to {_medians(after, state)}"
+        return f"{_cases(len(cases))}: from deployment 0 to the last one, the median RMSE changed {change}."
+    last = _medians(cases.last_errors, state)
+    if not last:
+        return f"{_cases(len(cases))}, but no error of a last deployment is known."
+    return f"{_cases(len(cases))}: the median RMSE of the last deployment is {last}."
 
 
-def _drawn(make: Callable[[Any], object], subject: str) -> Drawing | Missing:
-    def figure() -> object:
-        from stepgap.sweep.report import figures
+def sweep_sentences(cases: SweepCases, state: Sequence[Quantity], planned: int | Missing) -> list[str]:
+    """Sentences on finished, failed and aborted cases, and on the cases that became worse by learning."""
+    done = len(cases) + len(cases.failed)
+    lines = []
+    if isinstance(planned, Missing):
+        lines.append(f"The table has {cases.rows} rows of {_cases(done)}; {planned.reason}.")
+    elif done < planned:
+        lines.append(
+            f"The sweep is not finished: the table has {cases.rows} rows of {done} of its {planned} cases "
+            f"({100 * done / planned:.3g} %). Not all combinations of settings are there yet, so medians may change."
+        )
+    else:
+        lines.append(f"All {planned} cases of the sweep are finished, in {cases.rows} rows of the table.")
+    if cases.failed:
+        lines.append(f"Without a result because they failed: {_cases(len(cases.failed))}, listed below with reasons.")
+    aborted = int(cases.aborted.sum())
+    if aborted:
+        lines.append(
+            f"In {_cases(aborted)} ({100 * aborted / len(cases):.1f} %) a deployment was aborted by a failed step, in "
+            f"{cases.aborted_last.sum()} of them the last one. The error of an aborted deployment is not compared."
+        )
+    elif len(cases):
+        lines.append("No deployment was aborted by a failed step.")
+    before, after = compared_errors(cases)
+    for index, quantity in enumerate(state if len(before) else ()):
+        worse = int(np.count_nonzero(after[:, index] > before[:, index]))
+        name = capitalised(quantity.name.replace("_", " "))
+        lines.append(
+            f"{name}: the RMSE of the last deployment is larger than that of deployment 0 in {worse} of "
+            f"{_cases(len(before))}."
+        )
+    return lines
 
-        return make(figures)
 
-    return draw_figure(figure, subject)
-
-
-def _figure_name(name: str, sweep: _Sweep) -> str:
-    """Name of the file of a figure."""
-    index = name.removeprefix("effects_")
-    return name if index == name else f"effects_{sweep.cases.state_names[int(index)]}"
+def compared_errors(cases: SweepCases) -> tuple[Array, Array]:
+    """Errors of deployment 0 and of the last one in the cases in which both can be compared; shapes (k, n)."""
+    both = cases.comparable & np.isfinite(cases.first_errors).all(axis=1) & cases.redeployed
+    return cases.first_errors[both], cases.last_errors[both]
 
 
-def _html(
-    sweep: _Sweep, drawings: Mapping[str, Drawing | Missing], context: SweepContext, settings: SettingsFile | Missing
-) -> str:
-    cases = sweep.cases
-    title = f"StepGap report of a sweep: {sweep.folder.resolve().name}"
-    parts = {
-        "effects": _effects(sweep, drawings) if len(cases) else [],
-        "aborted": _aborted(cases, drawings, context.published) if len(cases) else [],
-        "sensitivity": _sensitivity(sweep, drawings) if len(cases) else [],
-        "levels": _levels(sweep),
-        "worst": [worst_cases(cases, sweep.folder, sweep.state)] if len(cases) else [],
-        "failed": [failed_cases(cases)] if cases.failed else [],
-        "settings": _settings(cases, context.defaults, settings),
-    }
-    shown = {name: found for name, found in parts.items() if found}
-    links = "".join(f'<a href="#{name}">{SECTIONS[name]}</a>' for name in shown)
-    top = (
-        f'<h1>{safe(title)}</h1>\n<nav>{links}</nav>\n<p class="headline">{safe(sweep_headline(cases, sweep.state))}'
-        f"</p>\n{bullets(sweep_sentences(cases, sweep.state, context.planned, sweep.shares))}"
+def _medians(errors: Array, state: Sequence[Quantity]) -> str:
+    """Medians of the errors of the state coordinates, as far as they are known."""
+    known = [(quantity, column[np.isfinite(column)]) for quantity, column in zip(state, errors.T, strict=True)]
+    return " and ".join(
+        f"{decimal(float(np.quantile(column, 0.5, method='inverted_cdf')))}{unit_suffix(quantity)} in {quantity.name}"
+        for quantity, column in known
+        if len(column)
     )
-    return page(title, [top, *(section(name, SECTIONS[name], *found) for name, found in shown.items())])
 
 
-def _effects(sweep: _Sweep, drawings: Mapping[str, Drawing | Missing]) -> list[str]:
-    if not sweep.axes:
-        return [paragraph("No setting on an axis has two values in the table, so there is no effect to show.")]
-    divided = POINTS_CAPTION if any(axis.points is not None for axis in sweep.axes[:MOST_AXES]) else ""
-    pictures = [
-        picture(drawings[name], f"{name}-", EFFECTS_CAPTION.format(name=quantity.name) + divided)
-        for index, quantity in enumerate(sweep.state)
-        if (name := f"effects_{index}") in drawings
-    ]
-    hidden = [axis.name for axis in sweep.axes[MOST_AXES:]]
-    more = f"The figures show the {MOST_AXES} settings with the largest effects, not: {', '.join(hidden)}. "
-    return [*pictures, paragraph(more * bool(hidden) + INTERVALS)]
+def _cases(number: int) -> str:
+    return "1 case" if number == 1 else f"{number} cases"
 
 
-def _aborted(cases: SweepCases, drawings: Mapping[str, Drawing | Missing], published: str) -> list[str]:
-    if not cases.axes:
+# Sections
+
+
+def _level_drawing(cases: SweepCases, state: Sequence[Quantity]) -> Drawing | Missing | None:
+    """The figure; None if there is nothing to draw."""
+    if not cases.axes or not np.isfinite(cases.last_errors).any():
+        return None
+
+    def figure() -> object:
+        from stepgap.sweep.report.level_figure import level_figure
+
+        return level_figure(cases, cases.axes[:MOST_AXES], state)
+
+    return draw_figure(figure, "the errors by setting")
+
+
+def _effects(cases: SweepCases, state: Sequence[Quantity], drawing: Drawing | Missing | None) -> list[str]:
+    if not len(cases):
         return []
-    parts = [("aborted", ABORTED_CAPTION, "No deployment of any case was aborted.")]
-    if published or "hops" in drawings:
-        source = published or "the published result"
-        otherwise = f"No case is known to have reached {source}'s band."
-        parts.append(("hops", HOPS_CAPTION.format(source), otherwise))
-    return [
-        picture(drawings[name], f"{name}-", caption) if name in drawings else paragraph(otherwise)
-        for name, caption, otherwise in parts
-    ]
+    if not cases.axes:
+        return [paragraph("No setting on an axis has two values in the table, so there is no effect to show.")]
+    parts = [picture(drawing, "levels-", CAPTION)] if drawing else []
+    hidden = [axis.name for axis in cases.axes[MOST_AXES:]]
+    if hidden:
+        parts.append(paragraph(f"The figure shows the first {MOST_AXES} settings, not: {', '.join(hidden)}."))
+    return [*parts, paragraph(LEVELS_NOTE), *(level_table(cases, axis, state) for axis in cases.axes)]
 
 
-def _sensitivity(sweep: _Sweep, drawings: Mapping[str, Drawing | Missing]) -> list[str]:
-    if isinstance(sweep.shares, Missing):
-        return [absence("sensitivity", sweep.shares)]
-    notes = bullets(share_notes(sweep.cases, sweep.shares))
-    return [picture(drawings["sensitivity"], "sensitivity-", SENSITIVITY_CAPTION), notes]
+def level_table(cases: SweepCases, axis: SweepAxis, state: Sequence[Quantity]) -> str:
+    """HTML table of the levels of an axis: number of cases, medians, and cases with an aborted deployment."""
+    count = len(axis.levels)
+    columns = {"cases": np.bincount(axis.codes, minlength=count).astype(str).tolist()}
+    for index, quantity in enumerate(state):
+        columns[f"last RMSE of {with_unit(quantity)}"] = list(
+            map(decimal, axis.quartiles(cases.last_errors[:, index])[1])
+        )
+    columns["aborted"] = np.bincount(axis.codes[cases.aborted], minlength=count).astype(str).tolist()
+    if np.isfinite(cases.hops).any():
+        columns["steps to band"] = [
+            "never" if np.isinf(hops) else f"{hops:.0f}" for hops in axis.quartiles(cases.hops)[1]
+        ]
+    rows = list(zip(axis.levels, *columns.values(), strict=True))
+    more = f" (the first {MOST_ROWS} of {count} levels)" if count > MOST_ROWS else ""
+    return table(f"{axis.name}{more}", ["level", *columns], rows[:MOST_ROWS])
 
 
-def _levels(sweep: _Sweep) -> list[str]:
-    tables = [level_table(sweep.cases, axis, sweep.state) for axis in sweep.axes]
-    return [paragraph(LEVELS_NOTE), *tables] if tables else []
+def _worst_cases(cases: SweepCases, state: Sequence[Quantity], folder: Path) -> list[str]:
+    """Tables of the cases with the largest last errors, and of those whose last deployment was aborted."""
+    if not len(cases):
+        return []
+    sizes = np.log(cases.last_errors).mean(axis=1)
+    comparable = np.flatnonzero(cases.comparable)
+    largest = comparable[np.argsort(-sizes[comparable], kind="stable")][:MOST_WORST]
+    aborted = np.flatnonzero(cases.aborted_last)[:MOST_WORST]
+    parts = []
+    if len(largest):
+        coordinates = "" if len(state) == 1 else ", by the geometric mean over the coordinates"
+        caption = f"The {len(largest)} largest errors of the last deployment{coordinates}"
+        parts.append(_case_table(caption, cases, largest, state, folder))
+    if len(aborted):
+        count = int(cases.aborted_last.sum())
+        more = f" (the first {MOST_WORST} of {count})" if count > MOST_WORST else ""
+        parts.append(_case_table(f"Cases whose last deployment was aborted{more}", cases, aborted, state, folder))
+    kept = [run for row in (*largest, *aborted) if (folder / (run := f"runs/{cases.numbers[row]:08d}")).is_dir()]
+    if kept:
+        command = f"stepgap report {kept[0]}"
+        parts.append(paragraph(f"In the folder of the sweep, this command makes the report of a case: {command}"))
+    else:
+        parts.append(paragraph('The runs of these cases were not kept; keep = "runs" in the sweep\'s file keeps them.'))
+    return parts
+
+
+def _case_table(
+    caption: str, cases: SweepCases, chosen: NDArray[np.int64], state: Sequence[Quantity], folder: Path
+) -> str:
+    """Table of chosen cases: their settings and last errors, with links to what was kept of them."""
+    names = [name for name in cases.settings if name not in cases.constants]
+    rows = []
+    links = {}
+    for row in chosen:
+        number = str(cases.numbers[row])
+        settings = [_short(str(cases.settings[name][row])) for name in names]
+        rows.append([number, *settings, *map(decimal, cases.last_errors[row])])
+        run = f"runs/{cases.numbers[row]:08d}/"
+        if (folder / run).is_dir():
+            links[number] = f"{run}report.html" if (folder / run / "report.html").is_file() else run
+    return table(caption, ["case", *names, *(f"last RMSE of {with_unit(quantity)}" for quantity in state)], rows, links)
+
+
+def _failed_cases(cases: SweepCases) -> list[str]:
+    if not cases.failed:
+        return []
+    rows = [[str(case.number), case.reason, *map(_short, case.settings)] for case in cases.failed[:MOST_ROWS]]
+    more = len(cases.failed) - len(rows)
+    caption = f"The first {len(rows)} failed cases; {more} more failed" if more else "Failed cases"
+    return [table(caption, ["case", "reason", *cases.settings], rows)]
+
+
+def _short(text: str) -> str:
+    if not text:
+        return "(empty)"
+    return text if len(text) <= LONGEST_CELL else f"{text[: LONGEST_CELL - 1]}…"
 
 
 def _settings(cases: SweepCases, defaults: Mapping[str, Any] | Missing, settings: SettingsFile | Missing) -> list[str]:
-    constants = [f"{name}: {text} in all cases of the table" for name, text in cases.constants.items()]
+    constants = bullets([f"{name}: {text} in all cases of the table" for name, text in cases.constants.items()])
     if isinstance(settings, Missing):
-        return [bullets(constants), paragraph(f"{capitalised(settings.reason)}.")]
+        return [constants, paragraph(f"{capitalised(settings.reason)}.")]
     if isinstance(defaults, Missing):
         changed = absence("comparison with the default settings", defaults)
     else:
         changed = changed_settings(settings.table, defaults, "base of the sweep")
     note = paragraph("Settings that no axis changes are the same in all cases, as in the base experiment.")
     opened = "<details><summary>experiment.toml: all settings of the base experiment</summary>"
-    return [bullets(constants), note, changed, f"{opened}<pre>{safe(settings.text)}</pre></details>"]
+    return [constants, note, changed, f"{opened}<pre>{safe(settings.text)}</pre></details>"]
