@@ -17,15 +17,15 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
-from stepgap.records.steps_csv import RecordError, read_step_log
+from stepgap.records.steps_csv import read_step_log
 from stepgap.step import Array, StepRecord, StepSpace
 from tests.control.maps import LossyHopper
 
 NOMINAL, REALITY = LossyHopper(), LossyHopper(loss=0.45, keep=0.6, drift=0.09)
 SPACE, NOISE, RELEASED = NOMINAL.space, np.array([0.004, 0.001]), np.array([0.1, 0.55])
 REFERENCE = Reference(("speed", "height"), np.random.default_rng(5).uniform([0.05, 0.55], [0.3, 0.6], (12, 2)))
-ONLINE = LearningSettings("linear", iterations=1, online=True, lagged_inputs="none")
-LATER = LearningSettings("linear", iterations=1, lagged_inputs="none")
+ONLINE = LearningSettings("linear", iterations=1, online=True)
+LATER = LearningSettings("linear", iterations=1)
 
 
 class ReleasedPlant(Plant):
@@ -136,10 +136,8 @@ def test_a_run_of_a_version_without_it_continues_after_a_whole_deployment(tmp_pa
     assert [each["steps"] for each in json.loads((folder / "summary.json").read_text())["iterations"]] == [12, 12]
 
 
-def test_a_run_of_a_version_without_it_is_refused_within_a_deployment(tmp_path: Path) -> None:
-    folder = run_in(tmp_path / "run", lowered, LearningSettings("linear", iterations=0))
-    (folder / "summary.json").unlink()
-    before = (folder / "steps.csv").read_bytes()
-    with pytest.raises(RecordError, match=r"steps.csv: the record has no step 0 of deployment 0, with which .* begins"):
-        run_in(folder)
-    assert (folder / "steps.csv").read_bytes() == before
+def test_an_interrupted_deployment_of_a_version_without_it_begins_again_with_it(folder: Path, tmp_path: Path) -> None:
+    begun = run_in(tmp_path / "run", lowered, LearningSettings("linear", iterations=0))
+    (begun / "summary.json").unlink()
+    run_in(begun)
+    assert (begun / "steps.csv").read_bytes() == (folder / "steps.csv").read_bytes()

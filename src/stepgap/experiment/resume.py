@@ -1,4 +1,4 @@
-"""Resuming an interrupted run: the steps of a deployment come from its record, a replay, or the plant."""
+"""Resuming an interrupted run: the steps of a deployment come from its record, or the plant takes them."""
 
 from collections import deque
 from collections.abc import Callable
@@ -9,22 +9,23 @@ from typing import Self
 from stepgap.experiment.deployment import ExecutedSteps
 from stepgap.learning.alarm import Alarm
 from stepgap.learning.learner import Learner
-from stepgap.learning.steps import LoggedStep, Steps
+from stepgap.learning.steps import Steps
 from stepgap.records.model_files import Model, read_model, write_model
-from stepgap.records.steps_csv import RecordError, StepWriter, digest, row_of
+from stepgap.records.steps_csv import RecordError, StepWriter, digest
 from stepgap.records.summary import NoiseFloor, OtherSchema, Summary, WarmStart, read_summary, write_summary
 from stepgap.step import StepSpace
 
 _REMEDY = "resume with the record, settings, versions and machine that it was started with"
-"""Remedy when a replay does not give the recorded steps."""
+"""Remedy when the recorded steps are not those of this experiment."""
 
 
 class Recording:
     """The record of a run in `steps.csv`, to which every step of every deployment is added once.
 
-    Deployments that `summary.json` verifies by its digest are taken as they are recorded. Later recorded steps are
-    executed again, from the same seed, and must be the same; new steps are written. Use it as a context manager, and
-    call `steps` for one deployment after the other.
+    Deployments that `summary.json` verifies by its digest are taken as they are recorded. A plant that takes the same
+    steps again begins the next one from its seed: the rows of an interrupted deployment are removed and written again.
+    Any other plant, such as hardware, keeps them as a deployment that is not continued. Use it as a context manager,
+    and call `steps` for one deployment after the other.
 
     Attributes:
         space: As given, but with the context that the file has: an older file may have less, or more.
@@ -34,12 +35,11 @@ class Recording:
         space: Names of state and command.
         seed: Random seed of the run.
         past: Steps that were known before the run.
-        replays: Whether a plant takes the same steps again. If not, as on hardware, a deployment with recorded steps
-            is taken as it is and not continued.
+        replays: Whether a plant takes the same steps again.
 
     Raises:
         RecordError: The file is not a step log of this space, another process is writing it, the summary is that of
-            another version, or steps that it counts are lost and cannot be taken again.
+            another version or of other steps, or steps that it counts are lost and cannot be taken again.
         OSError: The file cannot be read or written.
     """
 
@@ -52,7 +52,7 @@ class Recording:
         try:
             if not replays:
                 check_no_step_is_lost(folder, self._writer.recorded)
-            self._summary = _verified_summary(folder / "summary.json", self._writer.recorded, seed, past)
+            self._summary = _verified_summary(folder / "summary.json", self._writer.recorded, seed, past, replays)
         except RecordError:
             self._writer.close()
             raise
@@ -69,25 +69,25 @@ class Recording:
         Args:
             iteration: Number of the deployment.
             execute: Executes the deployment from its beginning.
-
-        Raises:
-            RecordError: The repeated deployment does not give the recorded steps.
         """
-        kept = not self._replays and bool(self._recorded) and self._recorded[0].iteration == iteration
-        if kept or iteration < len(self._summary.deployments):
+        if self._is_kept(iteration):
             while self._recorded and self._recorded[0].iteration == iteration:
                 yield self._recorded.popleft()
             return
+        self._writer.cut(len(self._writer.recorded) - len(self._recorded))
+        self._recorded.clear()
         with closing(execute()) as executed:
             for logged in executed:
-                if self._recorded:
-                    self._check_same(self._recorded.popleft(), logged)
-                else:
-                    self._writer.append(logged)
+                self._writer.append(logged)
                 yield logged
 
+    def _is_kept(self, iteration: int) -> bool:
+        """Whether the steps of a deployment are taken as they are recorded."""
+        partial = not self._replays and bool(self._recorded) and self._recorded[0].iteration == iteration
+        return partial or iteration < len(self._summary.deployments)
+
     def write_model(self, learner: Learner) -> None:
-        """Writes the model with which a deployment begins; that of recorded steps is part of the record, and is kept.
+        """Writes the model with which a deployment begins; that of steps that are kept is part of the record.
 
         A model that is fitted again differs in its last bits with other versions or on another machine.
 
@@ -101,7 +101,8 @@ class Recording:
                 read_model(folder, iteration, nominal.space, nominal)
             except ValueError as error:
                 raise RecordError(f"{error}; {_REMEDY}, or start another run by --warm-start {folder}") from None
-            return
+            if self._is_kept(iteration):
+                return
         write_model(folder, iteration, Model(learner.learned, learner.beliefs), nominal)
 
     def write_summary(self, summary: Summary) -> None:
@@ -127,19 +128,6 @@ class Recording:
         """Noise floor that was measured after this number of deployments; None if it was not."""
         known = self._summary
         return known.noise_floor if known.noise_floor_measured and len(known.deployments) == deployments else None
-
-    def _check_same(self, known: LoggedStep, replayed: LoggedStep) -> None:
-        """Raises RecordError unless the replayed step equals the recorded one exactly."""
-        if known.step == replayed.step + 1:
-            raise RecordError(
-                f"{self._path}: the record has no step {replayed.step} of deployment {replayed.iteration}, with which "
-                "this version of StepGap begins; continue with the version that wrote it, or start another run"
-            )
-        if row_of(known, self.space) != row_of(replayed, self.space):
-            raise RecordError(
-                f"{self._path}: the replay of deployment {replayed.iteration} differs from the record at step "
-                f"{replayed.step}; {_REMEDY}"
-            )
 
 
 def warm_start_of(past: Steps) -> WarmStart | None:
@@ -172,14 +160,21 @@ def check_no_step_is_lost(folder: Path, recorded: Steps) -> None:
         )
 
 
-def _verified_summary(path: Path, recorded: Steps, seed: int, past: Steps) -> Summary:
-    """The summary if its digest matches the recorded steps of its deployments, otherwise an empty one."""
+def _verified_summary(path: Path, recorded: Steps, seed: int, past: Steps, replays: bool) -> Summary:
+    """The summary if it is of this experiment and its recorded steps; an empty one where it must be written again."""
     try:
         summary = read_summary(path, recorded.space.state_names)
     except OtherSchema as error:
         raise RecordError(f"{error}; continue with the version of StepGap that wrote it") from None
     except (OSError, ValueError):
-        return Summary()  # missing or of another run; it will be written again
-    done = digest(recorded.before(len(summary.deployments)))
-    found = (summary.seed, summary.steps_sha256, summary.warm_start)
-    return summary if found == (seed, done, warm_start_of(past)) else Summary()
+        return Summary()  # damaged, or that of something else
+    done = recorded.before(len(summary.deployments))
+    if (summary.seed, summary.steps_sha256, summary.warm_start) == (seed, digest(done), warm_start_of(past)):
+        return summary
+    counted = sum(deployment.steps for deployment in summary.deployments)
+    if replays and 0 < counted <= len(done.planned()):
+        raise RecordError(
+            f"{path.with_name('steps.csv')}: its steps are not those that {path.name} counts, or are of another seed "
+            f"or other known steps; {_REMEDY}"
+        )
+    return Summary()

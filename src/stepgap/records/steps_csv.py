@@ -345,7 +345,7 @@ class StepWriter:
     """Writes steps to a file, each on disk before the next one starts; only one writer at a time can open the file.
 
     Args:
-        path: The file; created if there is none. It is not changed before the first step is added.
+        path: The file; created if there is none. It is not changed before the first step is added or removed.
         space: Names of state, command and context.
 
     Attributes:
@@ -380,6 +380,19 @@ class StepWriter:
         except OSError as error:
             if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):  # a file system without locks
                 raise
+
+    def cut(self, rows: int) -> None:
+        """Removes all rows but the first ones of those that were recorded.
+
+        Raises:
+            OSError: The file cannot be changed.
+        """
+        if rows == len(self.recorded):
+            return
+        with naming(self._path):
+            self._file.seek(0)
+            self._whole = sum(len(self._file.readline()) for _ in range(1 + rows))
+            self._file.truncate(self._whole)
 
     def append(self, logged: LoggedStep) -> None:
         """Writes one row after the last complete one, and waits until it is on disk.
