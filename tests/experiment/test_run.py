@@ -212,7 +212,7 @@ def test_a_file_that_is_not_a_summary_is_refused(folder: Path, content: bytes, m
             "mae of tilt is '0.1', but it must be a number",
         ),
         (lambda content: content["iterations"][1]["mae"].update(tilt=10**400), "but it must be a number or null"),
-        (lambda content: content["iterations"].reverse(), "numbered [1, 0], but their numbers must increase"),
+        (lambda content: content["iterations"].reverse(), "the number of iterations is [1, 0], but it must increase"),
         (
             lambda content: content["iterations"][1].update(steps=6),
             "has 6 steps, 0 of them failed, in steps.csv 5 and 0",

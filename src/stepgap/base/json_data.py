@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,15 +41,37 @@ def describe_value(value: Any) -> str:
     return "missing" if value is None else format_value(value)
 
 
+def check_value(condition: object, name: str, value: Any, rule: str) -> None:
+    """Raises ValueError `name is VALUE, but it must RULE` unless the condition holds; for data in a file."""
+    if not condition:
+        raise ValueError(f"{name} is {describe_value(value)}, but it must {rule}")
+
+
 def as_object(value: Any, name: str) -> dict[str, Any]:
     """The value, which must be an object; `name` is that of the value in the message.
 
     Raises:
         ValueError: It is of another kind.
     """
-    if not isinstance(value, dict):
-        raise ValueError(f"{name} is {describe_value(value)}, but it must be an object, {{…}}")
+    check_value(isinstance(value, dict), name, value, "be an object, {…}")
     return value
+
+
+def objects(data: Mapping[str, Any], key: str, of: str, where: str = "") -> list[dict[str, Any]]:
+    """The list of objects under `key`.
+
+    Args:
+        data: The object.
+        key: Its key.
+        of: What the objects are, for the message.
+        where: As of `integer`.
+
+    Raises:
+        ValueError: The key is missing, or its value is of another kind.
+    """
+    values = data.get(key)
+    check_value(isinstance(values, list), f"{where}{key}", values, f"be a list of {of}")
+    return [as_object(each, f"{where}{key}[{row}]") for row, each in enumerate(values or ())]
 
 
 def numbers(data: Mapping[str, Any], key: str, dimensions: int) -> NDArray[np.float64]:
@@ -91,9 +113,9 @@ def integer(data: Mapping[str, Any], key: str, least: int = 1, where: str = "") 
         ValueError: The key is missing, or its value is of another kind, less than `least`, or not of 64 bits.
     """
     value = data.get(key)
-    if not isinstance(value, int) or isinstance(value, bool) or not least <= value < 2**63:
-        raise ValueError(f"{where}{key} is {describe_value(value)}, but it must be an integer from {least}")
-    return value
+    valid = isinstance(value, int) and not isinstance(value, bool) and least <= value < 2**63
+    check_value(valid, f"{where}{key}", value, f"be an integer from {least}")
+    return cast("int", value)
 
 
 def boolean(data: Mapping[str, Any], key: str) -> bool:
@@ -103,6 +125,5 @@ def boolean(data: Mapping[str, Any], key: str) -> bool:
         ValueError: The key is missing, or its value is of another kind.
     """
     value = data.get(key)
-    if not isinstance(value, bool):
-        raise ValueError(f"{key} is {describe_value(value)}, but it must be true or false")
-    return value
+    check_value(isinstance(value, bool), key, value, "be true or false")
+    return cast("bool", value)

@@ -10,7 +10,7 @@ import numpy as np
 
 from stepgap.base.errors import message_of
 from stepgap.base.files import read_bounded_text
-from stepgap.base.json_data import LARGEST_NUMBER, as_object, number, numbers, parse_json
+from stepgap.base.json_data import LARGEST_NUMBER, as_object, number, numbers, objects, parse_json
 from stepgap.gauss.features import Features
 from stepgap.gauss.monomials import monomials
 from stepgap.learning.prior import DEGREE, CoordinatePrior, Prior
@@ -90,8 +90,8 @@ def read_prior(path: Path, space: StepSpace) -> PriorFile:
 
 
 def _restored(data: Mapping[str, Any], space: StepSpace) -> PriorFile:
-    inputs = [as_object(each, "inputs") for each in _items(data, "inputs")]
-    saved = [as_object(each, "coordinates") for each in _items(data, "coordinates")]
+    inputs = objects(data, "inputs", "inputs")
+    saved = objects(data, "coordinates", "coordinates")
     names, of_state = _names_in(inputs), _names_in(saved)
     if names != space.names:
         raise ValueError(f"it is for {', '.join(names):.200}, but this robot has {', '.join(space.names)}")
@@ -151,13 +151,6 @@ def _check_size(values: Array, name: str, least: float = -LARGEST_NUMBER) -> Non
 def _names_in(items: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """Names of the entries of a list, as far as they can be printed."""
     return tuple("".join(filter(str.isprintable, str(each.get("name")))) for each in items)
-
-
-def _items(data: Mapping[str, Any], key: str) -> list[Any]:
-    found = data.get(key)
-    if not isinstance(found, list):
-        raise ValueError(f"{key} must be a list")
-    return found
 
 
 def _names_of_monomials(names: tuple[str, ...]) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from stepgap.base.errors import InputError, StepGapError
 from stepgap.base.files import read_bounded_text, write_whole
-from stepgap.base.json_data import as_object, describe_value, integer, is_measurement, parse_json
+from stepgap.base.json_data import as_object, check_value, describe_value, integer, is_measurement, objects, parse_json
 from stepgap.learning.alarm import ALARM_SOURCES, Alarm
 from stepgap.step import Array
 
@@ -182,7 +182,7 @@ def deployment_entry(deployment: Deployment, names: Sequence[str]) -> dict[str, 
     }
 
 
-def _is_target(value: Any) -> bool:
+def _is_number_or_null(value: Any) -> bool:
     return value is None or is_measurement(value)
 
 
@@ -215,15 +215,11 @@ def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json
         raise OtherSchema(
             f"{source}: schema is {describe_value(schema)}, but it must be {SUMMARY_SCHEMA}, which this version reads"
         )
-    entries = fields.get("iterations")
-    if not isinstance(entries, list) or not entries:
-        raise ValueError(f"{source}: iterations is {describe_value(entries)}, but it must be a list of deployments")
+    entries = objects(fields, "iterations", "deployments", f"{source}: ")
+    check_value(entries, f"{source}: iterations", entries, "be a list of deployments")
     deployments = [parse_deployment(entry, names, f"iterations[{row}]", source) for row, entry in enumerate(entries)]
     numbers = [deployment.iteration for deployment in deployments]
-    if numbers != sorted(set(numbers)):
-        raise ValueError(
-            f"{source}: iterations are numbered {describe_value(numbers)}, but their numbers must increase"
-        )
+    check_value(numbers == sorted(set(numbers)), f"{source}: the number of iterations", numbers, "increase")
     versions = as_object(fields.get("versions", {}), f"{source}: versions")
     return Summary(
         integer(fields, "seed", 0, f"{source}: "),
@@ -274,34 +270,27 @@ def parse_deployment(entry: Any, names: tuple[str, ...], key: str, source: str) 
     """
     source = f"{source}: {key}"
     fields = as_object(entry, source)
+    older = {"alarms": [], **fields}  # summaries of former versions have none
     residual = fields.get("residual")
-    if not isinstance(residual, str) or len(residual) > LONGEST_RESIDUAL_NAME:
-        raise ValueError(
-            f"{source}: residual is {describe_value(residual)}, but it must be a short string such as 'gp'"
-        )
+    short = isinstance(residual, str) and len(residual) <= LONGEST_RESIDUAL_NAME
+    check_value(short, f"{source}: residual", residual, "be a short string such as 'gp'")
     return Deployment(
         iteration=integer(fields, "iteration", 0, f"{source}: "),
-        residual=residual,
+        residual=str(residual),
         steps=integer(fields, "steps", 1, f"{source}: "),
         failed_steps=integer(fields, "falls", 0, f"{source}: "),
         **{measure: _errors(fields, measure, names, source) for measure in MEASURES},
         cut=integer(fields, "cut", 0, f"{source}: "),
         unreachable=_targets(fields, "unreachable", names, source),
         missed=_targets(fields, "missed", names, source),
-        alarms=_alarms(fields.get("alarms", []), source),
+        alarms=tuple(_alarm(each, f"{source}: alarms: ") for each in objects(older, "alarms", "alarms", f"{source}: ")),
     )
 
 
-def _alarms(entries: Any, source: str) -> tuple[Alarm, ...]:
-    """The alarms of a deployment; summaries of former versions have none."""
-    found = list[Alarm]()
-    for entry in entries if isinstance(entries, list) else [None]:
-        fields = as_object(entry, f"{source}: alarms")
-        if (trusted := fields.get("source")) not in ALARM_SOURCES:
-            wanted = ", ".join(ALARM_SOURCES)
-            raise ValueError(f"{source}: alarms: source is {describe_value(trusted)}, but it must be one of {wanted}")
-        found.append(Alarm(integer(fields, "step", -(2**31), f"{source}: alarms: "), trusted))
-    return tuple(found)
+def _alarm(fields: Mapping[str, Any], where: str) -> Alarm:
+    source = fields.get("source")
+    check_value(source in ALARM_SOURCES, f"{where}source", source, f"be one of {', '.join(ALARM_SOURCES)}")
+    return Alarm(integer(fields, "step", -(2**31), where), str(source))
 
 
 def _warm_start(entry: Any, source: str) -> WarmStart | None:
@@ -314,14 +303,9 @@ def _warm_start(entry: Any, source: str) -> WarmStart | None:
 def _errors(fields: Mapping[str, Any], key: str, names: tuple[str, ...], source: str) -> Array:
     """Errors of the state coordinates, each a number or null; shape (n,)."""
     values = as_object(fields.get(key), f"{source}: {key}")
-    if set(values) != set(names):
-        wanted = ", ".join(names)
-        raise ValueError(
-            f"{source}: {key} has {describe_value(list(values))}, but it must have {wanted}, as in steps.csv"
-        )
+    check_value(set(values) == set(names), f"{source}: {key}", values, f"have {', '.join(names)}, as in steps.csv")
     for name, value in values.items():
-        if value is not None and not is_measurement(value):
-            raise ValueError(f"{source}: {key} of {name} is {describe_value(value)}, but it must be a number or null")
+        check_value(_is_number_or_null(value), f"{source}: {key} of {name}", value, "be a number or null")
     return np.array([np.nan if values[name] is None else float(values[name]) for name in names])
 
 
@@ -342,8 +326,6 @@ def _targets(fields: Mapping[str, Any], key: str, names: tuple[str, ...], source
     """A list of targets, each a list with a number, or null for none, for each state coordinate; shape (k, n)."""
     values = fields.get(key)
     rows = values if isinstance(values, list) else [None]
-    if not all(isinstance(row, list) and len(row) == len(names) and all(map(_is_target, row)) for row in rows):
-        raise ValueError(
-            f"{source}: {key} is {describe_value(values)}, but it must be a list of targets [{', '.join(names)}]"
-        )
+    valid = all(isinstance(row, list) and len(row) == len(names) and all(map(_is_number_or_null, row)) for row in rows)
+    check_value(valid, f"{source}: {key}", values, f"be a list of targets [{', '.join(names)}]")
     return np.array(rows, float).reshape(-1, len(names))

@@ -12,7 +12,7 @@ import numpy as np
 
 from stepgap.base.errors import message_of
 from stepgap.base.files import write_whole
-from stepgap.base.json_data import as_object, integer, is_measurement, parse_json
+from stepgap.base.json_data import as_object, integer, is_measurement, objects, parse_json
 from stepgap.records.missing import Missing
 from stepgap.records.summary import read_text
 
@@ -52,10 +52,8 @@ def read_times(folder: Path) -> Times | Missing:
         text = read_text(path, LARGEST_TIMES)
         if text is None:
             return Missing("the folder contains no times.json")
-        entries = as_object(parse_json(text), f"{path}: it").get("deployments")
-        if not isinstance(entries, list):
-            raise ValueError(f"{path}: deployments must be a list")
-        return dict(_entry(as_object(entry, f"{path}: a deployment"), str(path)) for entry in entries)
+        entries = objects(as_object(parse_json(text), f"{path}: it"), "deployments", "deployments", f"{path}: ")
+        return dict(_entry(entry, str(path)) for entry in entries)
     except (OSError, ValueError) as error:
         reason = message_of(error)
         return Missing(reason if reason.startswith(str(path)) else f"{path}: {reason}")
