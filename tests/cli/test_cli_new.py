@@ -225,7 +225,7 @@ def test_columns_become_names_and_a_unit_that_is_none_is_refused(stepgap: Comman
     assert [(each.name, each.unit) for each in (*space.state, *space.command)] == [("h_m", ""), ("u", "N·m")]
     Path("columns.toml").write_text(f'{columns}"*/ int x; /*"\n')
     result = stepgap("new", "y", "--from", "log.csv", "--columns", "columns.toml")
-    refused(result, "columns.toml: units: u*/ = '*/ int x; /*', but it must be a unit of at most 40 letters")
+    refused(result, "columns.toml: units.u*/ = '*/ int x; /*', but it must be a unit of at most 40 letters")
 
 
 def test_the_name_of_a_part_is_no_code(stepgap: Command) -> None:

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stepgap.base.errors import InputError
 from stepgap.logs import foreign_log
 from stepgap.logs.columns import Columns, read_columns
 from stepgap.logs.foreign_log import FoundSteps, read_foreign_logs, step_log_of
@@ -171,10 +172,10 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
         ({"state": ("v",) * 101, "command": ("f",)}, "state: 101 columns; it must have at most 100"),
         ({"state": ("v",), "command": ("x=f", "v=g")}, "give each a different name"),
         ({"state": ("v",), "command": ("f",), "units": {"w": "m"}}, "units: no column 'w'; "),
-        ({"state": ("v",), "command": ("f",), "factors": {"f": 0.0}}, "factors: f = 0.0, but its magnitude must"),
+        ({"state": ("v",), "command": ("f",), "factors": {"f": 0.0}}, "factors.f = 0.0, but its magnitude must"),
         (
             {"state": ("v",), "command": ("f",), "factors": {"f": float("nan")}},
-            "factors: f = nan, but its magnitude must",
+            "factors.f = nan, but its magnitude must",
         ),
     ],
 )
@@ -188,7 +189,7 @@ def test_columns_from_a_file_and_options(tmp_path: Path) -> None:
     file.write_text('state = ["v"]\ncommand = ["f"]\nstep = "n"\n[units]\nv = "m/s"\n[factors]\nv = 2\n')
     assert read_columns(None, {}) is None
     expected = Columns(("v",), ("a",), ("f", "g"), step="n", units={"v": "m/s"}, factors={"v": 2})
-    assert read_columns(file, {"next": "a", "command": "f, g"}) == expected
+    assert read_columns(file, {"next": ("a",), "command": ("f", "g")}) == expected
 
 
 def test_a_byte_order_mark_in_a_file_of_columns_does_no_harm(tmp_path: Path) -> None:
@@ -201,11 +202,11 @@ def test_a_byte_order_mark_in_a_file_of_columns_does_no_harm(tmp_path: Path) -> 
     ("text", "message"),
     [
         (b"sate = ['v']", "sate: unknown key; did you mean state?"),
-        (b"state = 'v'", "state = 'v', but it must be a list of names of columns"),
-        (b"state = ['']", "state = [''], but it must be a list"),
-        (b"step = 3", "step = 3, but it must be the name of a column"),
-        (b"[units]\nv = 3", "units = {'v': 3}, but it must be a table of strings"),
-        (b"[factors]\nv = true", "factors = {'v': True}, but it must be a table of numbers"),
+        (b"state = 'v'", "state = 'v', but it must be a list of strings"),
+        (b"state = ['']\ncommand = ['f']", "state = '', but it must be names, and none may be"),
+        (b"step = 3", "step = 3, but it must be a string"),
+        (b"[units]\nv = 3", "units.v = 3, but it must be a string"),
+        (b"[factors]\nv = true", "factors.v = true, but it must be a number"),
         (b"state = ['v']", "command: no column"),
         (b"state = ", "not TOML"),
         (b"\xff", "this is not text; a file of columns is a TOML file in UTF-8"),
@@ -215,17 +216,17 @@ def test_a_byte_order_mark_in_a_file_of_columns_does_no_harm(tmp_path: Path) -> 
 def test_faults_of_a_file_of_columns_are_named(tmp_path: Path, text: bytes, message: str) -> None:
     file = tmp_path / "columns.toml"
     file.write_bytes(text)
-    with pytest.raises(RecordError, match=re.escape(message)) as caught:
+    with pytest.raises(InputError, match=re.escape(message)) as caught:
         read_columns(file, {})
     assert str(caught.value).startswith(f"{file}: ")
 
 
 def test_names_on_the_command_line_must_not_be_empty() -> None:
-    with pytest.raises(RecordError, match="--state 'v,': a name is empty"):
-        read_columns(None, {"state": "v,", "command": "f"})
-    with pytest.raises(RecordError, match="--command: no column"):
-        read_columns(None, {"state": "v"})
-    with pytest.raises(RecordError, match="No such file"):
+    with pytest.raises(InputError, match="--state = 'v,', but it must be names, and none may be empty"):
+        read_columns(None, {"state": ("v", ""), "command": ("f",)})
+    with pytest.raises(InputError, match="--command: no column"):
+        read_columns(None, {"state": ("v",)})
+    with pytest.raises(InputError, match="No such file"):
         read_columns(Path("none.toml"), {})
 
 

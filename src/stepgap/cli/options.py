@@ -43,6 +43,18 @@ Name = Annotated[str, Parameter(metavar="NAME")]
 Names = Annotated[str, Parameter(metavar="NAMES")]
 """Option with names as its value, as NAME,NAME or as NAME=COLUMN,NAME=COLUMN."""
 
+
+def _to_names(_: Any, tokens: Sequence[Token]) -> tuple[str, ...]:
+    return tuple(name.strip() for name in tokens[0].value.split(","))
+
+
+ListOfNames = Annotated[
+    tuple[str, ...], Parameter(converter=_to_names, n_tokens=1, metavar="NAMES", show_default=False)
+]
+"""Option as `Names`, already divided."""
+
+_ColumnName = Annotated[str, Parameter(metavar="NAME", show_default=False)]
+
 NamedValues = Annotated[str, Parameter(metavar="NAME=VALUE,…")]
 """Option with values of quantities; `values_by_name` reads them."""
 
@@ -87,18 +99,18 @@ class ColumnNames:
         yaw: Column of the robot's yaw [rad], measured with the state.
     """
 
-    state: Names | None = None
-    next: Names | None = None
-    command: Names | None = None
-    target: Names | None = None
-    predicted: Names | None = None
-    deployment: Name | None = None
-    step: Name | None = None
-    yaw: Name | None = None
+    state: ListOfNames = ()
+    next: ListOfNames = ()
+    command: ListOfNames = ()
+    target: ListOfNames = ()
+    predicted: ListOfNames = ()
+    deployment: _ColumnName = ""
+    step: _ColumnName = ""
+    yaw: _ColumnName = ""
 
-    def given(self) -> dict[str, str]:
+    def given(self) -> dict[str, str | tuple[str, ...]]:
         """The options that were given."""
-        return {name: text for name, text in asdict(self).items() if text is not None}
+        return {name: value for name, value in asdict(self).items() if value}
 
 
 NO_COLUMNS = ColumnNames()

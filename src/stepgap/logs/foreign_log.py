@@ -82,7 +82,7 @@ def describe_left_out(left_out: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count) or "none"
 
 
-def imported_steps(path: Path, columns: Path | None, names: Mapping[str, str]) -> Steps:
+def imported_steps(path: Path, columns: Path | None, names: Mapping[str, str | tuple[str, ...]]) -> Steps:
     """The steps of a log of any origin, for `stepgap new --from`.
 
     Args:

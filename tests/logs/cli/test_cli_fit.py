@@ -179,7 +179,7 @@ def test_columns_from_a_file(stepgap: Command) -> None:
         ("fit log.csv --state v,y", ["--command: no column"]),
         ("fit log.csv --state w,y --command fx", ["log.csv, line 1: state 'w': no column 'w'; there is v, y, fx"]),
         ("fit log.csv --state v,y --command fxx", ["command 'fxx': no column 'fxx'; did you mean 'fx'?"]),
-        ("fit log.csv --state v, --command fx", ["--state 'v,': a name is empty"]),
+        ("fit log.csv --state v, --command fx", ["--state = 'v,', but it must be names, and none may"]),
         ("fit log.csv --columns none.toml", ["none.toml: No such file or directory"]),
         ("fit log.csv --columns file", ["file: not TOML"]),
         ("fit log.csv --state v,y --command fx,fy", ["--nominal: the log contains no predicted next states; name"]),

@@ -70,7 +70,7 @@ def test_the_next_command_can_be_typed(name: str, typed: str, log: HoppingLog, s
 
 
 def test_fit_reads_the_steps(log: HoppingLog, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stepgap.learning.residual_fit.names_without_lagged_inputs", lambda: ("none", "constant"))
+    monkeypatch.setattr("stepgap.learning.entry_points.names_by_complexity", lambda: ("none", "constant"))
     monkeypatch.setattr(
         "stepgap.logs.sections.section_figures.sections_picture", lambda *_: b""
     )  # other tests look at it

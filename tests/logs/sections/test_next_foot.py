@@ -56,4 +56,4 @@ def test_a_foot_that_lands_twice_makes_no_step(tmp_path: Path) -> None:
 
 def test_two_feet_are_needed() -> None:
     with pytest.raises(InputError, match="at = 'next_foot', but it must be given with the contact or the force"):
-        read_section_settings(None, {"contact": "left", "at": NEXT_FOOT, "state": "x"})
+        read_section_settings(None, {"contact": ("left",), "at": NEXT_FOOT, "state": ("x",)})

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -37,7 +38,7 @@ def test_coordinates(entry: str, expected: tuple[str, str, bool, bool]) -> None:
 def test_options_override_the_file(tmp_path: Path) -> None:
     file = tmp_path / "columns.toml"
     file.write_text('height = "y"\nstate = ["y"]\nphase = "p"\nrise = 1\n[factors]\ny = 2\n[format]\ndecimal = ","\n')
-    found = read_section_settings(file, {"state": "v=rate(x), y", "force": "left,right", "rise": 0.5})
+    found = read_section_settings(file, {"state": ("v=rate(x)", "y"), "force": ("left", "right"), "rise": 0.5})
     assert (found.state, found.force, found.rise) == (("v=rate(x)", "y"), ("left", "right"), 0.5)
     assert (found.rule, found.phase) == ("force", "")  # another rule replaces that of the file
     assert (found.factors, found.format.decimal) == ({"y": 2}, ",")
@@ -48,19 +49,22 @@ def test_options_override_the_file(tmp_path: Path) -> None:
     [
         ({}, "--height = '', but it must be the column of the height, or a boom's pitch, for an apex"),
         ({"height": "y"}, "--state = '', but it must name the state, such as speed=rate(x),height=y"),
-        ({"phase": "p", "force": "f"}, "--force = 'f', but it must not be given beside phase"),
+        ({"phase": "p", "force": ("f",)}, "--force = 'f', but it must not be given beside phase"),
         ({"boom": 1.2}, "--boom = 1.2, but it must be given together with pitch and yaw"),
         ({"rise": -1.0}, "--rise = -1.0, but it must be a positive number, or 0"),
         ({"every": -0.5}, "--every = -0.5, but it must be a positive number, or 0"),
         ({"every": 0.5, "crossing": "x"}, "--every = '0.5', but it must not be given beside crossing"),
-        ({"every": 0.5, "state": "y", "delay": float("inf")}, "--delay = inf, but it must be a number of seconds"),
+        ({"every": 0.5, "state": ("y",), "delay": float("inf")}, "--delay = inf, but it must be a number of seconds"),
         ({"window": float("nan")}, "--window = nan, but it must be a positive number, or 0"),
-        ({"height": "y", "state": "y,y"}, "--state = 'y,y', but it must be at most 100 coordinates"),
-        ({"height": "y", "state": "x,y", "target": "z"}, "--target = 'z', but it must be 2 coordinates, as the state"),
-        ({"height": "y", "state": "y", "plan_match": "x"}, "--plan-match = 'x', but it must be PLAN_COLUMN=COLUMN"),
+        ({"height": "y", "state": ("y", "y")}, "--state = 'y,y', but it must be at most 100 coordinates"),
+        (
+            {"height": "y", "state": ("x", "y"), "target": ("z",)},
+            "--target = 'z', but it must be 2 coordinates, as the state",
+        ),
+        ({"height": "y", "state": ("y",), "plan_match": "x"}, "--plan-match = 'x', but it must be PLAN_COLUMN=COLUMN"),
     ],
 )
-def test_wrong_options(options: dict[str, str | float | bool], message: str) -> None:
+def test_wrong_options(options: dict[str, Any], message: str) -> None:
     with pytest.raises(StepGapError) as refusal:
         read_section_settings(None, options)
     assert str(refusal.value).startswith(message)
@@ -71,9 +75,12 @@ def test_wrong_options(options: dict[str, str | float | bool], message: str) -> 
     [
         ('heigt = "y"\n', "columns.toml: heigt: unknown key; did you mean height?"),
         ('height = "y"\nstate = "y"\n', "columns.toml: state = 'y', but it must be a list of strings"),
-        ('height = "y"\nstate = ["y"]\n[factors]\ny = "m"\n', "columns.toml: factors: it must be a table of numbers"),
-        ('height = "y"\nstate = ["y"]\n[factors]\ny = 0\n', "columns.toml: factors: y = 0; its magnitude must lie"),
-        ('height = "y"\nstate = ["y"]\n[units]\ny = 1\n', "columns.toml: units: it must be a table of strings"),
+        ('height = "y"\nstate = ["y"]\n[factors]\ny = "m"\n', "columns.toml: factors.y = 'm', but it must be a number"),
+        (
+            'height = "y"\nstate = ["y"]\n[factors]\ny = 0\n',
+            "columns.toml: factors.y = 0.0, but its magnitude must lie",
+        ),
+        ('height = "y"\nstate = ["y"]\n[units]\ny = 1\n', "columns.toml: units.y = 1, but it must be a string"),
         (
             'height = "y"\nstate = ["y"]\n[format]\ndecimal = "x"\n',
             "columns.toml: format.decimal = 'x', but it must be",

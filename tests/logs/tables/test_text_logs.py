@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stepgap.base.errors import StepGapWarning
+from stepgap.base.errors import InputError, StepGapWarning
 from stepgap.logs.columns import read_columns
 from stepgap.logs.tables.log_table import LogTable
 from stepgap.logs.tables.reading import read_log_table, read_log_tables
@@ -229,13 +229,13 @@ def test_the_format_of_a_file_of_columns(tmp_path: Path) -> None:
         ("delimiter = '|'", "format.delimiter = '|', but it must be one of comma, semicolon, tab, space"),
         ("decimal = ','\ndelimiter = 'comma'", "format.delimiter = ',', but it must differ from the decimal sign"),
         ("encoding = 'klingon'", "format.encoding = 'klingon', but it must be an encoding"),
-        ("decimals = ','", "but it must be a table of strings, decimal, delimiter, encoding, comment, header"),
+        ("decimals = ','", "format.decimals: unknown key; did you mean decimal?"),
     ],
 )
 def test_faults_of_a_format_are_named(entry: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "columns.toml"
     file.write_text(f"state = ['v']\ncommand = ['f']\n[format]\n{entry}\n")
-    with pytest.raises(RecordError, match=re.escape(message)):
+    with pytest.raises(InputError, match=re.escape(message)):
         read_columns(file, {})
 
 

@@ -41,7 +41,7 @@ NOMINALS = {
 }
 """Sources of the nominal next states, with descriptions."""
 
-FAR: Final = 1.0
+FAR: Final = 1.25
 """A number is suspicious if it is beyond the middle nine tenths of all by more than this multiple of their range,"""
 
 FAR_FROM_CONSTANT: Final = 50.0

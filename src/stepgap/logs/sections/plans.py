@@ -43,7 +43,7 @@ class StepValues:
     doubts: tuple[str, ...]
 
 
-def step_values(signal: Signal, sections: Array, of_several: str = "") -> StepValues:
+def step_values(signal: Signal, sections: Array, of_several: str | None = None) -> StepValues:
     """The value of a signal for each step between successive sections.
 
     If the signal is sampled, this is the value that it holds in the middle of the step. Otherwise, its samples are
@@ -52,7 +52,7 @@ def step_values(signal: Signal, sections: Array, of_several: str = "") -> StepVa
     Args:
         signal: The signal.
         sections: Times of the sections [s]; shape (K,).
-        of_several: Which of several values counts, one of `OF_SEVERAL`; if it is empty, they are doubtful.
+        of_several: Which of several values counts, first, last or largest; None if they are doubtful.
     """
     inside = signal.between(float(sections[0]), float(sections[-1]))
     if len(inside) >= SAMPLED * (len(sections) - 1):
@@ -60,13 +60,13 @@ def step_values(signal: Signal, sections: Array, of_several: str = "") -> StepVa
     return _planned_values(signal, sections, of_several)
 
 
-def _chosen(values: Array, of_several: str) -> float:
+def _chosen(values: Array, of_several: str | None) -> float:
     """One of several values in their order."""
     at = {"first": 0, "last": -1, "largest": int(np.abs(values).argmax())}[of_several or "first"]
     return float(values[at])
 
 
-def _held_values(signal: Signal, sections: Array, of_several: str) -> StepValues:
+def _held_values(signal: Signal, sections: Array, of_several: str | None) -> StepValues:
     values, doubts = np.full(len(sections) - 1, np.nan), [""] * (len(sections) - 1)
     for number, (begin, end) in enumerate(pairwise(sections.tolist())):
         middle = signal.between(*(begin + share * (end - begin) for share in HELD))
@@ -80,7 +80,7 @@ def _held_values(signal: Signal, sections: Array, of_several: str) -> StepValues
     return StepValues(values, tuple(doubts))
 
 
-def _planned_values(plans: Signal, sections: Array, of_several: str) -> StepValues:
+def _planned_values(plans: Signal, sections: Array, of_several: str | None) -> StepValues:
     durations = np.diff(sections)
     planned: list[list[float]] = [[] for _ in durations]
     unclear = np.zeros(len(durations), bool)

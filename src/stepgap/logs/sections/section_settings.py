@@ -2,16 +2,15 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Literal, final
 
-from stepgap.base.errors import InputError
-from stepgap.base.names import UNIT_RULE, as_name, is_unit
+from stepgap.base.names import as_name
 from stepgap.base.settings_file import merge, read_toml
-from stepgap.logs.columns import LARGEST_VALUE
+from stepgap.logs.columns import LARGEST_VALUE, check_units
 from stepgap.logs.tables.text_format import AS_FOUND, TextFormat
-from stepgap.records.steps_csv import MOST_COORDINATES, RecordError
+from stepgap.records.steps_csv import MOST_COORDINATES
 
 RULES = ("phase", "contact", "force", "crossing", "every")
 """Keys of which at most one is given: how sections are found. Without them they are the tops of `height`."""
@@ -19,14 +18,8 @@ RULES = ("phase", "contact", "force", "crossing", "every")
 COORDINATES = ("state", "command", "target", "predicted")
 """Keys that name coordinates; `SignalCoordinate.of` reads their entries."""
 
-LISTS = (*COORDINATES, "aerial", "contact", "force", "pose")
-"""Keys whose value is a list of names; on the command line they are separated by commas."""
-
 NEXT_FOOT = "next_foot"
 """Section of walking: another foot touches down than before."""
-
-OF_SEVERAL = ("first", "last", "largest")
-"""Which command of a step counts, if it has several: by time, or by magnitude."""
 
 BOOM_COLUMNS = ("height", "forward")
 """Columns that are computed from the angles of a boom."""
@@ -38,79 +31,78 @@ POSE_COLUMNS = ("forward", "left", "turn")
 @final
 @dataclass(frozen=True)
 class SectionSettings:
-    """The sections of a log of ticks, and the meaning of its columns.
+    """Sections of a log and the meaning of its columns.
 
     A coordinate is given by its column; as NAME=COLUMN to call it NAME; as NAME=rate(COLUMN) for the rate of a column;
     or as NAME=mean(COLUMN) or NAME=mean(rate(COLUMN)) for the mean over the step that ends at the section.
 
     Attributes:
-        time: Column of the time [s]; by default time, log_time, t or timestamp.
-        height: Column of the height, which is greatest at an apex. Without another rule, each of its tops is a section.
+        state: Coordinates of the state, as speed=rate(COLUMN),height=COLUMN, or vx=mean(COLUMN) for the mean over the
+            step before, also vx=mean(rate(COLUMN)).
+        command: Coordinates of the command, columns of the plan or of the log.
+        target: Coordinates of the target, likewise.
+        predicted: Coordinates of the state that the nominal map predicts, likewise.
+        time: Column of the time [s]. [default: time, log_time, t or timestamp]
+        height: Column of the height. Without the next four options, each of its tops is a section.
         phase: Column of the phase of gait, as text or numbers.
-        aerial: Phases in which the robot is in the air; by default those whose names contain flight, aerial or swing.
         contact: Columns that are 1 where a foot is in contact; flight is where all feet are in the air.
-        force: Columns of the force between ground and foot, positive in contact; flight as for contact.
-        threshold: Force above which a foot is in contact; it is in the air below a third of it. By default, 0, these
-            are 0.3 and 0.1 of the 95th percentile.
+        force: Columns of the force between foot and ground, positive in contact; flight as for contact.
         crossing: Column that passes a level at the section, such as the position of the hip over the foot.
-        level: This level.
-        falling: Whether it passes the level downwards.
-        every: Time from section to section [s], for commands that hold until the next one, such as of velocities: steps
-            begin where the command changes, and then at these intervals until it changes again.
-        hold: How long a command holds if no other one follows [s], for `every`; by default, 0, five times as long as is
-            usual between two of them.
-        at: Section of a flight: its apex; its begin, lift-off; or its end, touch-down. Of walking: `NEXT_FOOT`.
-        rise: Smallest prominence of a top of the height [its unit]; by default, 0, it is found.
-        window: Time before and after a section from which the state there is estimated [s]; by default, 0, it is found.
-        boom: Length of the boom [m], if the robot hops around one; the log then has the columns height =
-            boom · sin(pitch) and forward = boom · yaw [m]. By default, 0, there is none.
+        every: Time from section to section [s], for commands that hold, such as of velocities: a step begins where the
+            command changes, and then at these intervals for as long as it holds.
+        hold: How long a command holds if no other one follows [s]. [default: five usual times between two of them]
+        aerial: Phases in which the robot is in the air. [default: those with flight, aerial or swing in their names]
+        at: Section of a flight: apex, begin (lift-off) or end (touch-down); of walking, next_foot, which is the
+            touch-down of another foot than before. [default: apex]
+        threshold: Force above which a foot is in contact; it is in the air below a third of it. [default: 0.3 and 0.1
+            of the 95th percentile]
+        level: Level of the crossing. [default: 0]
+        falling: The crossing is downwards.
+        rise: Smallest prominence of a top of the height. [default: found]
+        window: Time before and after a section from which the state is estimated [s]. [default: found]
+        boom: Length [m] of the boom around which the robot hops: adds columns height = boom · sin(pitch) and forward =
+            boom · yaw [m] to the log.
         pitch: Column of the boom's angle above the horizon [rad].
         yaw: Column of the boom's angle about the vertical [rad].
-        pose: Columns of position and yaw, x, y [m] and yaw [rad]; or x, y and the quaternion as qx, qy, qz, qw; or the
-            name of such a message, such as pose.pose. The log then has the columns forward, left [m] and turn [rad]:
-            how far the robot has moved in these directions of its own.
-        state: Coordinates of the state at a section.
-        command: Coordinates of the command of a step, in the plan or in the log.
-        target: Coordinates of the target of a step, likewise.
-        predicted: Coordinates of the state that the nominal map predicts, likewise.
-        plan_time: Column of the time in the plan [s]; by default as `time`.
-        plan_match: For a plan without times, PLAN_COLUMN=COLUMN: the time of a row is that at which the log has the
-            same number.
-        of_several: Which command counts if a step has several, such as one at landing and one at take-off: one of
-            `OF_SEVERAL`, for each coordinate. By default, such a step is left out.
+        pose: Columns x,y,yaw or x,y,qx,qy,qz,qw, or a message with a pose, such as pose.pose: adds columns forward,
+            left [m] and turn [rad], the motion as the robot sees it.
+        plan_time: Column of the time in the plan. [default: as --time]
+        plan_match: PLAN_COLUMN=COLUMN, for a plan without times: its row is of the time at which both are equal.
+        of_several: The command that counts if a step has several, for each coordinate. [default: such a step is left
+            out]
         delay: Time that is added to those of commands, targets and predictions [s], where two clocks differ.
-        deployment: Column with the name or number of the deployment, such as an episode; each is a log of its own.
+        deployment: Column that separates deployments, such as an episode: each is a log of its own.
         units: Units of columns, after multiplication by their factors.
         factors: Factors by which columns are multiplied.
         format: How the numbers of text files are written.
     """
 
+    state: tuple[str, ...] = ()
+    command: tuple[str, ...] = ()
+    target: tuple[str, ...] = ()
+    predicted: tuple[str, ...] = ()
     time: str = ""
     height: str = ""
     phase: str = ""
-    aerial: tuple[str, ...] = ()
     contact: tuple[str, ...] = ()
     force: tuple[str, ...] = ()
-    threshold: float = 0.0
     crossing: str = ""
-    level: float = 0.0
-    falling: bool = False
     every: float = 0.0
     hold: float = 0.0
-    at: str = "apex"
+    aerial: tuple[str, ...] = ()
+    at: Literal["apex", "begin", "end", "next_foot"] = "apex"
+    threshold: float = 0.0
+    level: float = 0.0
+    falling: bool = False
     rise: float = 0.0
     window: float = 0.0
     boom: float = 0.0
     pitch: str = ""
     yaw: str = ""
     pose: tuple[str, ...] = ()
-    state: tuple[str, ...] = ()
-    command: tuple[str, ...] = ()
-    target: tuple[str, ...] = ()
-    predicted: tuple[str, ...] = ()
     plan_time: str = ""
     plan_match: str = ""
-    of_several: str = ""
+    of_several: Literal["first", "last", "largest"] | None = None
     delay: float = 0.0
     deployment: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
@@ -128,8 +120,8 @@ class SectionSettings:
             raise ValueError(
                 f"at = {NEXT_FOOT!r}, but it must be given with the contact or the force of at least two feet"
             )
-        if self.of_several not in ("", *OF_SEVERAL):
-            raise ValueError(f"of_several = {self.of_several!r:.40}, but it must be {', '.join(OF_SEVERAL)}")
+        if self.of_several not in (None, "first", "last", "largest"):
+            raise ValueError(f"of_several = {self.of_several!r:.40}, but it must be first, last or largest")
         for name in ("threshold", "rise", "window", "boom", "every", "hold"):
             if not 0 <= getattr(self, name) < LARGEST_VALUE:
                 raise ValueError(f"{name} = {getattr(self, name)!r}, but it must be a positive number, or 0")
@@ -153,6 +145,7 @@ class SectionSettings:
         if self.plan_match and "=" not in self.plan_match:
             raise ValueError(f"plan_match = {self.plan_match!r:.60}, but it must be PLAN_COLUMN=COLUMN")
         self._check_coordinates()
+        check_units(self.units, self.factors)
 
     def _check_coordinates(self) -> None:
         for role in COORDINATES:
@@ -214,50 +207,24 @@ class SignalCoordinate:
         return SignalCoordinate(as_name(name.strip() or column), column, rate is not None, mean is not None)
 
 
-def read_section_settings(file: Path | None, options: Mapping[str, str | float | bool]) -> SectionSettings:
+def read_section_settings(file: Path | None, options: Mapping[str, Any]) -> SectionSettings:
     """Reads the settings from a TOML file and from options, which override the file.
 
     Raises:
         InputError: An entry is wrong; the message names file and key, or option, and the rule.
     """
-    table: dict[str, Any] = {}
-    if file:
-        table |= read_toml(file, "a file of sections and columns")
-    given = {key: _listed(value) if key in LISTS else value for key, value in options.items()}
-    tables = {key: _numbers_or_texts(file, key, table.pop(key, {})) for key in ("units", "factors")}
-    rules = [key for key in given if key in RULES]
-    table = {key: value for key, value in table.items() if not (rules and key in RULES)} | given
+    table = read_toml(file, "a file of sections and columns") if file else {}
+    given = {key: list(value) if isinstance(value, tuple) else value for key, value in options.items()}
+    if any(key in RULES for key in given):
+        table = {key: value for key, value in table.items() if key not in RULES}
 
     def locate(key: str) -> str:
         return f"--{key.replace('_', '-')}" if key in options or not file else f"{file}: {key}"
 
     # Keys are checked together, since some depend on others; the start has what is required.
     start = SectionSettings(height="height", state=("height",))
-    complete = {"height": "", "state": []} | table
-    return replace(merge(start, complete, locate), **tables)
+    return merge(start, {"height": "", "state": []} | table | given, locate)
 
 
 def _joined(value: str | float | tuple[str, ...]) -> str:
     return ",".join(value) if isinstance(value, tuple) else str(value)
-
-
-def _listed(value: Any) -> list[str]:
-    return [part.strip() for part in str(value).split(",")]
-
-
-def _numbers_or_texts(file: Path | None, key: str, table: Any) -> Mapping[str, Any]:
-    """Checks a table of units or factors."""
-    wanted: Any = str if key == "units" else (int, float)
-    fits = isinstance(table, dict) and all(
-        isinstance(each, wanted) and not isinstance(each, bool) for each in table.values()
-    )
-    if not fits:
-        what = "strings" if key == "units" else "numbers"
-        raise InputError(f"{file}: {key}: it must be a table of {what}, by column")
-    for column, unit in table.items() if key == "units" else ():
-        if not is_unit(unit):
-            raise InputError(f"{file}: units: {column} = {unit!r:.60}, but it must {UNIT_RULE}")
-    for column, factor in table.items() if key == "factors" else ():
-        if not 1 / LARGEST_VALUE <= abs(factor) <= LARGEST_VALUE:
-            raise RecordError(f"{file}: factors: {column} = {factor}; its magnitude must lie between 1e-12 and 1e12")
-    return table
