@@ -23,8 +23,8 @@ import numpy as np
 
 from benchmarks.speed.timing import machine
 from stepgap.base.compiled import as_written
+from stepgap.experiment.recorders import TickRecorder
 from stepgap.experiment.settings import Experiment
-from stepgap.experiment.tick_recorder import TickRecorder
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick_control import Mode

@@ -154,7 +154,7 @@ def test_only_a_finished_run_is_extended(finished: Path, stepgap: Command) -> No
     copied(finished / "run", folder)
     rows = (folder / "steps.csv").read_text().splitlines(keepends=True)
     (folder / "steps.csv").write_text("".join(rows[:-1]))
-    message = "run: summary.json has 2 deployments with 6 steps, but steps.csv only 5 steps"
+    message = "run/summary.json: deployment 1 has 3 steps, 0 of them failed, in steps.csv 2 and 0; both must be of"
     refused(stepgap("run", "--out", folder, "--extend", "1"), message)
     before = (finished / "run" / "experiment.toml").read_bytes()
     assert (folder / "experiment.toml").read_bytes() == before

@@ -10,13 +10,10 @@ from rich.console import Console
 
 from stepgap.cli import progress as module
 from stepgap.cli.progress import RunProgress
-from stepgap.learning.learner import Learner
-from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep
 from stepgap.records.summary import Deployment
 from stepgap.step import StepRecord, StepStatus
 from tests.control.maps import LossyHopper
-from tests.learning.test_diagnosis import Error, plain, steps_of, with_memory
 
 SPACE = LossyHopper().space
 
@@ -77,17 +74,6 @@ def test_a_coordinate_that_stays_away_from_its_targets_is_named(capsys: pytest.C
             progress.observer.on_step(replace(step, record=replace(step.record, next_state=low)))
         progress.observer.on_deployment(Deployment(0, "none", 6, 0, ERR, ERR, ERR, ERR, ERR, ERR, 0, NONE, NONE))
     assert "In all 6 steps of deployment 0, height ended below all targets, 0.290 to 0.290 m" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(("error", "said"), [(with_memory, True), (plain, False)])
-def test_inputs_from_the_step_before_are_named(capsys: pytest.CaptureFixture[str], error: Error, said: bool) -> None:
-    log = steps_of(200, 1, error)
-    settings = LearningSettings("linear")
-    with RunProgress(SPACE, steps=200, iterations=1) as progress:
-        progress.observer.on_learned(Learner.start(LossyHopper(), log, settings, 1).residual)
-        progress.observer.on_deployment(Deployment(1, "linear", 0, 0, ERR, ERR, ERR, ERR, ERR, ERR, 0, NONE, NONE))
-    sentence = "the step before helps to predict the next one: previous error is an input, too (learning.lagged_inputs)"
-    assert (sentence in capsys.readouterr().err) == said
 
 
 def test_the_step_before_the_first_planned_one_does_not_count(terminal: io.StringIO) -> None:

@@ -642,8 +642,7 @@ def test_a_record_that_was_tampered_with_is_refused_or_made_again(
     before = contents(copy)
     try:
         run_in(copy)
-    except RecordError as error:
-        assert "steps.csv" in str(error)
+    except RecordError:
         assert contents(copy) == before
     else:
         assert contents(copy) == contents(unbroken)

@@ -8,8 +8,8 @@ import pytest
 
 from stepgap.base.compiled import generic
 from stepgap.base.start_method import process_context
-from stepgap.experiment import plant_compilation
-from stepgap.experiment.plant_compilation import plant_compiled_beside
+from stepgap.experiment import plants
+from stepgap.experiment.plants import plant_compiled_beside
 from stepgap.experiment.settings import Experiment
 from stepgap.robots.hopper.robot import Hopper
 
@@ -25,8 +25,8 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[BaseProcess]:
         made.append(process_context().Process(**arguments))
         return made[-1]
 
-    monkeypatch.setattr(plant_compilation, "usable_cores", lambda: 2)
-    monkeypatch.setattr(plant_compilation, "process_context", lambda: SimpleNamespace(Process=make))
+    monkeypatch.setattr(plants, "usable_cores", lambda: 2)
+    monkeypatch.setattr(plants, "process_context", lambda: SimpleNamespace(Process=make))
     return made
 
 
@@ -62,7 +62,7 @@ def test_it_does_not_exist_without_a_plant_a_core_or_a_cache(
         compile_something()
     for name, value in (("usable_cores", lambda: 1), ("cache_folder", lambda: None)):
         with monkeypatch.context() as patch:
-            patch.setattr(plant_compilation, name, value)
+            patch.setattr(plants, name, value)
             with plant_compiled_beside(SETTINGS):
                 compile_something()
     assert not started
@@ -72,6 +72,6 @@ def test_what_it_cannot_do_is_left_to_this_process(monkeypatch: pytest.MonkeyPat
     def fail() -> None:
         raise OSError("no more processes")
 
-    monkeypatch.setattr(plant_compilation, "process_context", fail)
+    monkeypatch.setattr(plants, "process_context", fail)
     with plant_compiled_beside(SETTINGS):
         compile_something()

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.experiment.loop import Observer, Plants, Setup, run_experiment
+from stepgap.experiment.recorders import TimeRecorder
 from stepgap.experiment.run import Run
-from stepgap.experiment.run_times import TimeRecorder
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.records.times_file import TIMES_FILE, read_times
-from stepgap.report.times_table import times_in_words, times_table
+from stepgap.report.tables import times_in_words, times_table
 from tests.control.maps import LossyHopper
 from tests.report.runs import REAL, TARGETS
 

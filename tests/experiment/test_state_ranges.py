@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stepgap.experiment.state_ranges import far_states
+from stepgap.experiment.outcome import far_states
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import Array, Quantity, StepRecord, StepSpace, StepStatus
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from stepgap.experiment.loop import Observer, deployment_generator
 from stepgap.experiment.plants import simulation_of
+from stepgap.experiment.recorders import TickRecorder
 from stepgap.experiment.settings import read_experiment
-from stepgap.experiment.tick_recorder import TickRecorder
 from stepgap.learning.steps import LoggedStep
 from stepgap.plants.compiled_rig import Rows
 from stepgap.records.summary import Deployment

@@ -9,8 +9,7 @@ import tomli_w
 from stepgap.experiment.inputs import load_reference
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.run import Run
-from stepgap.experiment.settings import Experiment, experiment_table, read_experiment
-from stepgap.experiment.weights import weighted_space
+from stepgap.experiment.settings import Experiment, experiment_table, read_experiment, weighted_space
 from stepgap.gym import robot_env
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.nominal_maps.affine_map import AffineMap

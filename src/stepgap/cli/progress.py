@@ -2,21 +2,28 @@
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 from stepgap.cli.terminal import warn
 from stepgap.experiment.exploration import worthwhile
 from stepgap.experiment.loop import Observer, fails_no_later
-from stepgap.experiment.state_ranges import COMPARED_STEPS, far_states, offset_sentences
+from stepgap.experiment.outcome import COMPARED_STEPS, far_states, offset_sentences
 from stepgap.learning.alarm import Alarm
-from stepgap.learning.residual import Residual
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.records.steps_csv import values_of
 from stepgap.records.summary import Deployment, deployment_entry
@@ -27,11 +34,15 @@ from stepgap.step import StepSpace, StepStatus, ending_of
 @contextmanager
 def progress_bar(description: str, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
     """Shows a bar on a terminal, elsewhere nothing; yields the progress callback (done, total)."""
-    console = Console(stderr=True, highlight=False)
-    columns = TextColumn("{task.description}"), BarColumn(bar_width=30), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bars:
+    with _bars(Console(stderr=True, highlight=False), quiet) as bars:
         task = bars.add_task(description, total=None)
         yield lambda done, total: bars.update(task, completed=done, total=total)
+
+
+def _bars(console: Console, quiet: bool, *more: ProgressColumn) -> Progress:
+    columns = TextColumn("{task.description}"), BarColumn(bar_width=30), MofNCompleteColumn(), TimeRemainingColumn()
+    disabled = quiet or not console.is_terminal
+    return Progress(*columns, *more, console=console, disable=disabled, transient=True)
 
 
 class RunProgress:
@@ -49,16 +60,7 @@ class RunProgress:
     def __init__(self, space: StepSpace, steps: int, iterations: int, quiet: bool = False):
         self._space, self._steps, self._iterations, self._quiet = space, steps, iterations, quiet
         self._console = Console(stderr=True, highlight=False)
-        self._bars = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=30),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[error]}"),
-            console=self._console,
-            disable=quiet or not self._console.is_terminal,
-            transient=True,
-        )
+        self._bars = _bars(self._console, quiet, TextColumn("{task.fields[error]}"))
         self._task: TaskID | None = None
         self._description = ""
         self._last = 0
@@ -70,7 +72,7 @@ class RunProgress:
     def observer(self) -> Observer:
         """Observer whose callbacks update the display."""
         return Observer(
-            self._on_step, self._on_deployment, self._on_fault, self._show, self._on_learned, self._on_alarm,
+            self._on_step, self._on_deployment, self._on_fault, self._show, self._on_alarm,
             on_warning=self._on_warning, on_exploration=self._on_exploration,
         )  # fmt: skip
 
@@ -80,11 +82,11 @@ class RunProgress:
 
     def __exit__(self, exc_type: object, *exc_info: object) -> None:
         self._bars.stop()
-        if exc_type is None and self._last < self._iterations and not self._quiet:
+        if exc_type is None and self._last < self._iterations:
             reason = "stopped: the error no longer decreases (learning.tolerance)"
             if fails_no_later(self._deployments):
                 reason = "stopped: three deployments failed, the last one no later than those before"
-            self._console.print(reason, soft_wrap=True)
+            self._say(reason)
 
     def _on_step(self, logged: LoggedStep) -> None:
         if not logged.planned:
@@ -100,62 +102,49 @@ class RunProgress:
         description = f"deployment {logged.iteration} of {self._iterations}"
         self._show(description, len(self._executed), self._steps, error)
         if len(self._executed) == COMPARED_STEPS:
-            self._warn_of_far_states()
+            self._warn(far_states(Steps(self._space, self._executed)))
 
-    def _warn_of_far_states(self) -> None:
+    def _say(self, sentence: str, style: str | None = None) -> None:
+        """Prints a line, which without a terminal is not wrapped."""
         if not self._quiet:
-            for sentence in far_states(Steps(self._space, self._executed)):
-                warn(sentence)
+            self._console.print(sentence, soft_wrap=True, style=style)
+
+    def _warn(self, sentences: Iterable[str]) -> None:
+        for sentence in () if self._quiet else sentences:
+            warn(sentence)
 
     def _on_deployment(self, deployment: Deployment) -> None:
         if len(self._executed) < COMPARED_STEPS:
-            self._warn_of_far_states()
-        if not self._quiet and self._executed:
-            for sentence in offset_sentences(Steps(self._space, self._executed)):
-                warn(sentence)
+            self._warn(far_states(Steps(self._space, self._executed)))
+        if self._executed:
+            self._warn(offset_sentences(Steps(self._space, self._executed)))
         status = self._executed[-1].record.status if self._executed else StepStatus.OK
         self._executed, (self._squares, self._counted) = [], np.zeros((2, len(self._squares)))
         self._last = deployment.iteration
         self._deployments.append(deployment)
-        if not self._quiet:
-            end = f", then it {ending_of(status)}" if deployment.failed_steps else ""
-            error = "" if np.isnan(deployment.rmse).all() else f", RMSE {self._describe(deployment.rmse)}"
-            self._console.print(
-                f"deployment {deployment.iteration} of {self._iterations} ({deployment.residual}): "
-                f"{deployment.steps} {'step' if deployment.steps == 1 else 'steps'}{end}{error}",
-                soft_wrap=True,  # without a terminal, do not wrap lines
-            )
-
-    def _on_learned(self, residual: Residual) -> None:
-        lagged = residual.history_inputs.lagged_inputs
-        if lagged != "none" and not self._quiet:
-            self._console.print(
-                f"the step before helps to predict the next one: {lagged.replace('_', ' ')} is an input, too "
-                "(learning.lagged_inputs)",
-                soft_wrap=True,
-            )
+        end = f", then it {ending_of(status)}" if deployment.failed_steps else ""
+        error = "" if np.isnan(deployment.rmse).all() else f", RMSE {self._describe(deployment.rmse)}"
+        self._say(
+            f"deployment {deployment.iteration} of {self._iterations} ({deployment.residual}): "
+            f"{deployment.steps} {'step' if deployment.steps == 1 else 'steps'}{end}{error}"
+        )
 
     def _on_alarm(self, alarm: Alarm) -> None:
-        if not self._quiet:
-            self._console.print(alarm.sentence, soft_wrap=True)
+        self._say(alarm.sentence)
 
     def _on_warning(self, sentence: str) -> None:
-        if not self._quiet:
-            warn(sentence)
+        self._warn([sentence])
 
     def _on_exploration(self, worths: Sequence[float]) -> None:
-        if self._quiet:
-            return
         worth = listed([f"{each:.2f}" for each in worths])
         made = worthwhile(worths)
         sentence = f"exploration: the next steps are worth {worth} squared errors of a step by noise"
         if made < len(worths):
             sentence += f", so {made or 'none'} {'is' if made < 2 else 'are'} made"
-        self._console.print(sentence, soft_wrap=True)
+        self._say(sentence)
 
     def _on_fault(self, message: str) -> None:
-        if not self._quiet:
-            self._console.print(f"deployment aborted: {message}", soft_wrap=True, style="bold")
+        self._say(f"deployment aborted: {message}", style="bold")
 
     def _show(self, description: str, done: int, total: int, error: str = "") -> None:
         """Shows one bar, of a deployment or of what is done between two."""

@@ -20,8 +20,8 @@ if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.displays import LivePage, WrittenReport
     from stepgap.experiment.loop import Setup
     from stepgap.experiment.nominal import Nominal
+    from stepgap.experiment.recorders import TickRecorder
     from stepgap.experiment.settings import Experiment
-    from stepgap.experiment.tick_recorder import TickRecorder
     from stepgap.plants.compiled_rig import Rows
     from stepgap.plants.ticks.stream import OnTicks
 
@@ -62,25 +62,9 @@ class Shorthand:
     prior: FileName | None = None
 
     def overrides(self) -> list[tuple[str, str]]:
-        """Given settings as dotted names and TOML values."""
-        texts = {
-            "method": self.method,
-            "reference": self.reference,
-            "plant": self.plant,
-            "rig": self.rig,
-            "warm_start": self.warm_start,
-            "prior": self.prior,
-        }
-        numbers = {
-            "seed": self.seed,
-            "learning.iterations": self.iterations,
-            "learning.exploration": self.explore,
-        }
-        return [
-            *((name, json_format.dumps(text, ensure_ascii=False)) for name, text in texts.items() if text is not None),
-            *((name, str(number)) for name, number in numbers.items() if number is not None),
-            *([("learning.online", "true")] if self.online else []),
-        ]
+        """Names and TOML values of the options that were given."""
+        given = {name: value for name, value in vars(self).items() if value is not None and value is not False}
+        return [(name, json_format.dumps(value, ensure_ascii=False)) for name, value in given.items()]
 
 
 @Parameter(name="*")
@@ -134,8 +118,7 @@ def run(
     from stepgap.cli.nominal import nominal_with_progress
     from stepgap.experiment.inputs import load_reference, write_experiment
     from stepgap.experiment.nominal import check_surrogate
-    from stepgap.experiment.plant_compilation import plant_compiled_beside
-    from stepgap.experiment.plants import PlantRequest
+    from stepgap.experiment.plants import PlantRequest, plant_compiled_beside
     from stepgap.experiment.run_start import folder_to_continue, load_setup, run_folder, start_folder
 
     if arm:
@@ -215,8 +198,8 @@ def _settings(
 def _watchers(settings: "Experiment", folder: Path, display: Display) -> "tuple[TickRecorder, LivePage | None]":
     """The recorder of the ticks that the report will show, and the live page, if it is wanted."""
     from stepgap.experiment.displays import load_display
+    from stepgap.experiment.recorders import TickRecorder
     from stepgap.experiment.replay import find_kinematics
-    from stepgap.experiment.tick_recorder import TickRecorder
     from stepgap.records.missing import Missing
     from stepgap.records.motion_file import INTERVAL
 
@@ -253,7 +236,7 @@ def _execute(
     from stepgap.base.garbage_collection import settled_heap
     from stepgap.cli.progress import RunProgress, printing_events
     from stepgap.experiment.loop import run_experiment
-    from stepgap.experiment.run_times import TimeRecorder
+    from stepgap.experiment.recorders import TimeRecorder
 
     space, iterations = setup.nominal.space, setup.learning.iterations
     with RunProgress(space, len(setup.reference), iterations, display.quiet) as progress, settled_heap():

@@ -27,7 +27,6 @@ from stepgap.experiment.resume import Recording, warm_start_of
 from stepgap.learning.alarm import Alarm
 from stepgap.learning.learner import Learner
 from stepgap.learning.prior import Prior
-from stepgap.learning.residual import Residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps, as_past
 from stepgap.plants.plant import Plant
@@ -58,7 +57,6 @@ class Observer:
         on_fault: Called with the plant's message about a deployment that was aborted.
         on_phase: Called with the name of what is done between deployments, and its progress (done, total); the total is
             0 where it is not known.
-        on_learned: Called before a deployment with the residual that was learned for it.
         on_alarm: Called when a step of a deployment that is executed shows that the robot is not what was learned.
         on_execution: Called before a deployment is executed, which is not done where its steps are taken from the
             record; then the record is locked, and agrees with the settings up to this deployment.
@@ -73,7 +71,6 @@ class Observer:
     on_deployment: Callable[[Deployment], None] = lambda deployment: None
     on_fault: Callable[[str], None] = lambda message: None
     on_phase: Callable[[str, int, int], None] = lambda name, done, total: None
-    on_learned: Callable[[Residual], None] = lambda residual: None
     on_alarm: Callable[[Alarm], None] = lambda alarm: None
     on_execution: Callable[[], None] = lambda: None
     on_time: OnTime = lambda iteration, part, seconds: None
@@ -128,8 +125,8 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
     """Runs the experiment, or resumes one that was interrupted, and keeps its record in `folder`.
 
     Writes `steps.csv` as steps happen, `models/iteration_K.json` before deployment K (before 0 only if it is not the
-    nominal map that plans it), and `summary.json` after every deployment. No recorded step is lost; `experiment.resume`
-    describes how a run is resumed.
+    nominal map that plans it), and `summary.json` after every deployment; `experiment.resume` describes how a run is
+    resumed.
 
     Args:
         setup: What is run.
@@ -155,7 +152,6 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
             begin = perf_counter()
             learner = prepare()
             seconds = perf_counter() - begin
-            observer.on_learned(learner.learned)
             if iteration > 0 or len(past) or learner.beliefs:
                 observer.on_time(iteration, "fit", seconds)
                 recording.write_model(learner)
@@ -249,7 +245,7 @@ def _observed(steps: ExecutedSteps, space: StepSpace, observer: Observer) -> Ste
 def _residual_name(learner: Learner) -> str:
     """Name of the residual of a deployment; one that learns while it goes on may start without a residual."""
     settings = learner.settings
-    return settings.residual if settings.learns_in(learner.iteration) else learner.learned.name
+    return settings.residual if settings.learns_in(learner.iteration) else learner.learned.kind
 
 
 def _summary(deployments: Sequence[Deployment], log: Steps, noise_floor: NoiseFloor, seed: int, past: Steps) -> Summary:

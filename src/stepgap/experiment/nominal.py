@@ -16,8 +16,7 @@ from stepgap.base.files import read_bounded_text
 from stepgap.base.random_streams import random_stream
 from stepgap.base.start_method import process_context
 from stepgap.experiment.inputs import load_reference
-from stepgap.experiment.settings import FROM_LOG, FROM_TEMPLATE, LARGEST_NOMINAL_FILE, Experiment
-from stepgap.experiment.weights import weighted_space
+from stepgap.experiment.settings import FROM_LOG, FROM_TEMPLATE, LARGEST_NOMINAL_FILE, Experiment, weighted_space
 from stepgap.records.steps_csv import RecordError, read_step_log
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.differenced_map import has_no_formula, with_suitable_step
@@ -125,21 +124,6 @@ def _differenced(kind: str, nominal: StepMap) -> Nominal:
     chosen, rough = with_suitable_step(nominal, random_stream(0, 0, 2))
     advice = "locate its events exactly, or use a SimulatorMap, to which a smooth surrogate is fitted"
     return Nominal(chosen, warnings=(f"nominal map '{kind}' {rough}; {advice}",) if rough else ())
-
-
-def sampled_map(settings: Experiment, tick: float | None) -> StepMap:
-    """The nominal map or, if a tick [s] is given, that of the robot with torques that are held for it.
-
-    Raises:
-        InputError: The robot has none.
-        ValueError: The tick is out of its range.
-    """
-    if tick is None:
-        return load_nominal(settings).map
-    found = settings.robot.sampled_map(tick)
-    if found is None:
-        raise InputError(f"robot '{settings.robot.name}' has no map with torques that are held for a tick")
-    return _weighted(found, settings)
 
 
 def _weighted(nominal: StepMap, settings: Experiment) -> StepMap:

@@ -50,9 +50,7 @@ class Recording:
         self._recorded = deque(self._writer.recorded)
         self._begun = frozenset(self._writer.recorded.iterations)
         try:
-            if not replays:
-                check_no_step_is_lost(folder, self._writer.recorded)
-            self._summary = _verified_summary(folder / "summary.json", self._writer.recorded, seed, past, replays)
+            self._summary = _verified_summary(folder, self._writer.recorded, seed, past, replays)
         except RecordError:
             self._writer.close()
             raise
@@ -143,38 +141,28 @@ def _has_intact_model(folder: Path, iteration: int, space: StepSpace) -> bool:
         return False
 
 
-def check_no_step_is_lost(folder: Path, recorded: Steps) -> None:
-    """Ensures that `steps.csv` has all steps of the deployments in `summary.json`, if that can be read.
-
-    Raises:
-        RecordError: It has fewer; the message states both numbers.
-    """
-    try:
-        deployments = read_summary(folder / "summary.json", recorded.space.state_names).deployments
-    except (OSError, ValueError):
-        return
-    if len(recorded.planned()) < (steps := sum(deployment.steps for deployment in deployments)):
-        raise RecordError(
-            f"{folder}: summary.json has {len(deployments)} deployments with {steps} steps, but steps.csv only "
-            f"{len(recorded.planned())} steps; restore steps.csv from a copy, or start another run"
-        )
-
-
-def _verified_summary(path: Path, recorded: Steps, seed: int, past: Steps, replays: bool) -> Summary:
+def _verified_summary(folder: Path, recorded: Steps, seed: int, past: Steps, replays: bool) -> Summary:
     """The summary if it is of this experiment and its recorded steps; an empty one where it must be written again."""
     try:
-        summary = read_summary(path, recorded.space.state_names)
+        summary = read_summary(folder / "summary.json", recorded.space.state_names)
     except OtherSchema as error:
         raise RecordError(f"{error}; continue with the version of StepGap that wrote it") from None
     except (OSError, ValueError):
         return Summary()  # damaged, or that of something else
-    done = recorded.before(len(summary.deployments))
+    deployments = summary.deployments
+    done = recorded.before(len(deployments))
     if (summary.seed, summary.steps_sha256, summary.warm_start) == (seed, digest(done), warm_start_of(past)):
         return summary
-    counted = sum(deployment.steps for deployment in summary.deployments)
-    if replays and 0 < counted <= len(done.planned()):
+    counted = sum(deployment.steps for deployment in deployments)
+    lost = len(done.planned()) < counted
+    if lost and not replays:
         raise RecordError(
-            f"{path.with_name('steps.csv')}: its steps are not those that {path.name} counts, or are of another seed "
-            f"or other known steps; {_REMEDY}"
+            f"{folder}: summary.json has {len(deployments)} deployments with {counted} steps, but steps.csv only "
+            f"{len(done.planned())} steps; restore steps.csv from a copy, or start another run"
+        )
+    if deployments and replays and not lost:
+        raise RecordError(
+            f"{folder / 'steps.csv'}: its steps are not those that summary.json counts, or are of another seed or "
+            f"other known steps; {_REMEDY}"
         )
     return Summary()

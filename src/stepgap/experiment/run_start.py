@@ -18,7 +18,6 @@ from stepgap.experiment.inputs import check_prior_is_used, load_known, load_prio
 from stepgap.experiment.loop import Setup, is_finished
 from stepgap.experiment.outcome import unheld_steps
 from stepgap.experiment.plants import PlantRequest, choose_plants
-from stepgap.experiment.resume import check_no_step_is_lost
 from stepgap.experiment.run import Run
 from stepgap.experiment.settings import Experiment
 from stepgap.robots.gap import Gap
@@ -153,7 +152,6 @@ def extended(run: Run, redeployments: int) -> Experiment:
     if redeployments < 1:
         raise InputError(f"--extend: {redeployments} redeployments; give an integer from 1 on")
     settings, remedy = run.needed(run.settings), f"finish it by: stepgap run --out {run.folder} --resume"
-    check_no_step_is_lost(run.folder, run.recorded)
     done = len(run.deployments)
     if len(run.steps.iterations) > done:
         raise InputError(f"{run.folder}: the run was interrupted in deployment {done}; {remedy}")

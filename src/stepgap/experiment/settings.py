@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import inf
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -23,7 +24,6 @@ from stepgap.base.settings_file import (
 )
 from stepgap.control.settings import ControlSettings
 from stepgap.experiment.methods import METHODS
-from stepgap.experiment.weights import weighted_space
 from stepgap.learning.settings import GONE, LearningSettings
 from stepgap.plants.process.process_plant import Timeouts
 from stepgap.records.missing import Missing
@@ -55,12 +55,12 @@ LARGEST_NOMINAL_FILE = 2**28
 """Largest file of a nominal map that is read [bytes]."""
 
 SHORT_OPTIONS = {
-    "learning.iterations": "iterations",
-    "learning.exploration": "explore",
-    "learning.online": "online",
-    "warm_start": "warm-start",
+    "iterations": "learning.iterations",
+    "explore": "learning.exploration",
+    "online": "learning.online",
+    "warm-start": "warm_start",
 }
-"""Names of the options that differ from the names of their settings."""
+"""Settings whose options have other names, by the option."""
 
 
 @dataclass(frozen=True)
@@ -161,6 +161,24 @@ class Experiment:
         return self.plant in simulations_of(self.robot)
 
 
+def weighted_space(space: StepSpace, weights: Mapping[str, float]) -> StepSpace:
+    """The space with other weights of the named state coordinates.
+
+    Raises:
+        ValueError: A name is not one of the state, a weight is negative or not finite, or all are 0.
+    """
+    if not weights:
+        return space
+    names = ", ".join(space.state_names)
+    for name, weight in weights.items():
+        require(name in space.state_names, f"weights.{name}", weight, f"have the name of a state coordinate: {names}")
+        require(0 <= weight < inf, f"weights.{name}", weight, "be a finite number from 0 on")
+    state = tuple(replace(each, weight=weights.get(each.name, each.weight)) for each in space.state)
+    tracked = any(each.weight for each in state)
+    require(tracked, "weights", dict(weights), f"leave a weight above 0 of at least one of {names}")
+    return replace(space, state=state)
+
+
 def read_experiment(
     path: Path | None, overrides: Iterable[tuple[str, str]] = (), *, recorded: bool = False
 ) -> Experiment:
@@ -168,13 +186,13 @@ def read_experiment(
 
     Args:
         path: TOML file; None for the defaults.
-        overrides: Dotted name and value as TOML, such as ("gains.stiffness", "2400").
+        overrides: Dotted name, or name of a short option, and value as TOML, such as ("gains.stiffness", "2400").
         recorded: Whether a run wrote the file: what a former version wrote there and is `GONE` is ignored.
 
     Raises:
         InputError: A setting is wrong; the message names file, key and rule.
     """
-    overrides = [(name.replace("-", "_"), _parse_value(value)) for name, value in overrides]
+    overrides = [(SHORT_OPTIONS.get(name, name).replace("-", "_"), _parse_value(value)) for name, value in overrides]
     chosen = dict(overrides).get(ROBOT)
     table = {} if path is None else read_toml(path, "an experiment")
     table = _without_gone(table) if recorded else table
@@ -189,7 +207,8 @@ def read_experiment(
     if path is not None:
         experiment = with_absolute_paths(changed_experiment(experiment, table, locate), path.parent)
     changes = nested((name, value) for name, value in overrides if name != ROBOT)
-    return changed_experiment(experiment, changes, lambda name: f"--{SHORT_OPTIONS.get(name, name)}")
+    options = {setting: option for option, setting in SHORT_OPTIONS.items()}
+    return changed_experiment(experiment, changes, lambda name: f"--{options.get(name, name)}")
 
 
 def read_settings_file(path: Path) -> SettingsFile | Missing:
@@ -302,6 +321,7 @@ def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: 
         nominal = replace(experiment.nominal, linear=linear)
         experiment = replace(experiment, learning=learning, control=control, nominal=nominal)
     robot = experiment.robot
+    rest = _without_former(robot, rest, locate)
     for name, presets in robot.presets.items():
         part = rest.get(name)
         if isinstance(part, Mapping) and "preset" in part:
@@ -333,6 +353,23 @@ def _without_gone(table: Mapping[str, Any]) -> dict[str, Any]:
     for name in _gone(table):
         key, _, gone = name.partition(".")
         kept[key] = {each: value for each, value in kept[key].items() if each != gone}
+    return kept
+
+
+def _without_former(robot: Robot, table: Mapping[str, Any], locate: Locate) -> dict[str, Any]:
+    """The table without the former settings of a robot; raises InputError where one has a value that had an effect."""
+    kept = dict(table)
+    for name, harmless in robot.former.items():
+        key, _, former = name.partition(".")
+        part = kept.get(key)
+        if not isinstance(part, Mapping) or former not in part:
+            continue
+        if harmless is not None and part[former] != harmless:
+            raise InputError(
+                f"{locate(name)} = {format_value(part[former])}, but this setting is gone, and is read only as "
+                f"{format_value(harmless)}; leave it out"
+            )
+        kept[key] = {each: value for each, value in part.items() if each != former}
     return kept
 
 

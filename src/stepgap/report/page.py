@@ -7,13 +7,12 @@ from urllib.parse import quote
 import numpy as np
 
 from stepgap.control.reference import SETTLING_STEPS
+from stepgap.experiment.outcome import offset_sentences
 from stepgap.experiment.run import Run
-from stepgap.experiment.state_ranges import offset_sentences
 from stepgap.records.missing import Missing
 from stepgap.records.text import capitalised
 from stepgap.report.analysis import Analysis
 from stepgap.report.diagnosis_sentences import diagnosis_sentences
-from stepgap.report.error_table import band_table, error_table
 from stepgap.report.figures import DrawnFigure
 from stepgap.report.gait_table import (
     gait_sentences,
@@ -27,9 +26,14 @@ from stepgap.report.learned_table import coverage_table, learned_sentences, lear
 from stepgap.report.reach_sentences import reach_sentences
 from stepgap.report.replay_view import REPLAY_SCRIPT, replay_view
 from stepgap.report.sentences import floor_sentences, headline, published_sentence, recorded, sentences
-from stepgap.report.settings_table import changed_settings
-from stepgap.report.summary_table import summary_table
-from stepgap.report.times_table import times_in_words, times_table
+from stepgap.report.tables import (
+    band_table,
+    changed_settings,
+    error_table,
+    summary_table,
+    times_in_words,
+    times_table,
+)
 from stepgap.report.trust_sentences import trust_sentences
 
 CONTENTS: Final = {

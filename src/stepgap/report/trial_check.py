@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from stepgap.experiment.run import Run
-from stepgap.experiment.trial_reference import TRIAL_STEPS
+from stepgap.experiment.trial import TRIAL_STEPS
 from stepgap.learning.steps import Steps
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.text import unit_suffix

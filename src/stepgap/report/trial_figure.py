@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from stepgap.experiment.run import Run
-from stepgap.experiment.trial_reference import TRIAL_STEPS
+from stepgap.experiment.trial import TRIAL_STEPS
 from stepgap.records.missing import Missing
 from stepgap.report.drawing import BLACK, BLUE, GREY, LIGHT, VERMILLION, axis_label, new_figure
 from stepgap.robots.scene import Kinematics, Motion, Scene

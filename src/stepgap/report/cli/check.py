@@ -90,10 +90,10 @@ def _of_motion(
     settings: "Experiment", nominal: "Nominal", out: Path | None, program: Sequence[str]
 ) -> "list[PartResult]":
     """The results on what the robot shall do, and on what it does in some steps, which are drawn."""
-    from stepgap.control.fixed_points import held_reference
+    from stepgap.control.limit_cycle import held_reference
     from stepgap.experiment.inputs import load_reference
     from stepgap.experiment.settings import PROCESS
-    from stepgap.experiment.trial_reference import trial_reference
+    from stepgap.experiment.trial import trial_reference
     from stepgap.report.part_results import PartResult, results_of
     from stepgap.report.robot_check import check_commands, check_targets
 

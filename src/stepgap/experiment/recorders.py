@@ -1,7 +1,9 @@
-"""Recording of ticks during a run: those that the report will show."""
+"""What is recorded while a run goes on, besides its steps: ticks for its report, and `times.json`."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -10,7 +12,9 @@ from stepgap.learning.steps import LoggedStep
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.ticks.stream import OnTicks, numbered, thinned
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.records.missing import Missing
 from stepgap.records.summary import Deployment
+from stepgap.records.times_file import read_times, statistics_of, write_times
 from stepgap.step import Array
 
 
@@ -68,3 +72,38 @@ class TickRecorder:
             self._kept = {number: ticks for number, ticks in self._kept.items() if number == 0}
             self._kept[iteration] = TickTable({**self._units, "step": ""}, rows)
         self._begin()
+
+
+@dataclass(frozen=True, eq=False)
+class TimeRecorder:
+    """Keeps the times of a run, and writes them after each deployment.
+
+    Attributes:
+        folder: The run folder; times of deployments that are not executed again are kept from its file.
+    """
+
+    folder: Path
+    _measured: dict[int, dict[str, list[float]]] = field(default_factory=dict)
+
+    def observing(self, observer: Observer) -> Observer:
+        """An observer that also records times."""
+
+        def on_time(iteration: int, part: str, seconds: float) -> None:
+            self._measured.setdefault(iteration, {}).setdefault(part, []).append(seconds)
+            observer.on_time(iteration, part, seconds)
+
+        def on_deployment(deployment: Deployment) -> None:
+            self._write(deployment.iteration)
+            observer.on_deployment(deployment)
+
+        return replace(observer, on_time=on_time, on_deployment=on_deployment)
+
+    def _write(self, iteration: int) -> None:
+        """Adds the times of a deployment that was executed now; one that was taken from the record keeps its own."""
+        if "planning" not in (measured := self._measured.get(iteration, {})):
+            return
+        known = read_times(self.folder)
+        times = {} if isinstance(known, Missing) else known
+        times[iteration] = {part: statistics_of(seconds) for part, seconds in measured.items()}
+        with suppress(OSError):  # a run does not end because its times cannot be kept
+            write_times(self.folder, times)
