@@ -4,7 +4,8 @@
 
 Half of the kills are applied to one run, which is resumed after each; each other kill is applied to a separate run. A
 kill comes up to 50 ms after a random step was written, which may be the last one of a deployment. Then every run is
-resumed to its end, and all files except figures, report and times are compared byte by byte. Exits with 1 if a file differs.
+resumed to its end, and all files except figures, report and times are compared byte by byte. Exits with 1 if one
+differs.
 """
 
 import argparse
