@@ -45,9 +45,8 @@ from fit_paper_gap import (
 
 from stepgap.base.random_streams import random_stream
 from stepgap.experiment.loop import Setup, run_experiment
-from stepgap.experiment.methods import METHODS
 from stepgap.experiment.plants import PlantRequest, choose_plants
-from stepgap.experiment.settings import Experiment
+from stepgap.experiment.settings import METHODS, Experiment
 from stepgap.learning.steps import Steps
 from stepgap.records.steps_csv import read_step_log
 from stepgap.robots.gap import differences

@@ -1,4 +1,4 @@
-"""Tunes the simple methods (`stepgap.experiment.methods`) on several robots, with seeds that are not reported.
+"""Tunes the simple methods (`stepgap.experiment.settings`) on several robots, with seeds that are not reported.
 
 For each robot, method and value it prints the geometric mean, over the seeds, of the error after one redeployment: the
 root mean square of each tracked coordinate in half ranges, as a norm. A robot that can draw random twins has another
@@ -39,11 +39,10 @@ from stepgap.base.random_streams import random_stream
 from stepgap.base.start_method import process_context, usable_cores
 from stepgap.experiment.inputs import load_reference
 from stepgap.experiment.loop import run_experiment
-from stepgap.experiment.methods import METHODS, forgetting_time
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.plants import PlantRequest
 from stepgap.experiment.run_start import load_setup
-from stepgap.experiment.settings import read_experiment
+from stepgap.experiment.settings import METHODS, forgetting_time, read_experiment
 
 GAINS = (0.2, 0.5, 0.9)
 FACTORS = (0.95, 0.99, 0.999)

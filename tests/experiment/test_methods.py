@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from stepgap.control.step_controller import StepController
-from stepgap.experiment.methods import INTEGRAL_GAIN, METHODS, RLS_FORGETTING
+from stepgap.experiment.settings import INTEGRAL_GAIN, METHODS, RLS_FORGETTING
 from stepgap.learning.learner import Learner
 from stepgap.learning.observations import observe
 from stepgap.learning.polynomial import PRIOR_STD

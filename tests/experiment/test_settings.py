@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from stepgap.base.errors import InputError
 from stepgap.experiment import settings
 from stepgap.experiment.inputs import load_reference, write_experiment
-from stepgap.experiment.methods import METHODS
-from stepgap.experiment.settings import Experiment, NominalSettings, read_experiment
+from stepgap.experiment.settings import METHODS, Experiment, NominalSettings, read_experiment
 from stepgap.experiment.settings_text import described_settings
 from stepgap.learning.settings import GONE, LearningSettings
 from stepgap.robots.entry_points import load_robot
@@ -282,6 +281,20 @@ def test_in_a_recorded_run_settings_that_are_gone_are_ignored(tmp_path: Path) ->
     assert found == Experiment(seed=3, learning=LearningSettings(iterations=2))
     with pytest.raises(InputError, match=r"^--learning\.feature_map: gone"):
         read_experiment(tmp_path / "e.toml", [("learning.feature-map", "linear")], recorded=True)
+
+
+def test_former_settings_of_a_robot_are_read_where_they_had_no_effect(tmp_path: Path) -> None:
+    """The step command of the hopper could once be another pair than the paper's."""
+    (tmp_path / "e.toml").write_text(
+        '[gains]\nthrust_stiffness = 0.0\n[command]\nfx_upper = 20.0\nstiffness = 800.0\npair = ["fx", "fy"]\n'
+    )
+    assert read_experiment(tmp_path / "e.toml") == read_experiment(None, [("command.fx_upper", "20.0")])
+    (tmp_path / "e.toml").write_text('[command]\npair = ["speed_setpoint", "fy"]\n')
+    for recorded in (False, True):
+        with pytest.raises(InputError, match=r"\[command\] pair = \['speed_setpoint', 'fy'\], but this setting is gone"):
+            read_experiment(tmp_path / "e.toml", recorded=recorded)
+    with pytest.raises(InputError, match=r"^--gains\.thrust_stiffness = 5, but this setting is gone"):
+        read_experiment(None, [("gains.thrust_stiffness", "5")])
 
 
 def test_no_setting_is_there_and_gone() -> None:

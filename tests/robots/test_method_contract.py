@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.experiment.methods import METHODS
 from stepgap.experiment.run import load_run
+from stepgap.experiment.settings import METHODS
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from tests.cli.command_line import Command

@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.learning.methods.redeployment import from_the_first_hop, redeployed
 from benchmarks.learning.trial import Trial
 from stepgap.control.reference import Reference
-from stepgap.experiment.methods import METHODS
+from stepgap.experiment.settings import METHODS
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.robots.nominal_maps.affine_map import AffineMap

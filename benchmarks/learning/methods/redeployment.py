@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 from benchmarks.learning.trial import Trial
-from stepgap.experiment.methods import METHODS
+from stepgap.experiment.settings import METHODS
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.step import StepMap

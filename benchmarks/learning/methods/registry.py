@@ -7,7 +7,7 @@ from benchmarks.learning.methods import affine, ensemble, inverse, physics
 from benchmarks.learning.methods.ablation import ABLATIONS, ablated
 from benchmarks.learning.methods.redeployment import EXPLORATION, corrected, from_the_first_hop, paper, residual
 from benchmarks.learning.trial import UNCORRECTED_LEARNING, Method
-from stepgap.experiment.methods import METHODS as RUN_METHODS
+from stepgap.experiment.settings import METHODS as RUN_METHODS
 from stepgap.learning.entry_points import residual_models, residual_names
 from stepgap.learning.settings import AUTO, LearningSettings
 
@@ -38,9 +38,6 @@ OTHER_LEARNING: dict[str, Method] = {
     "paper": paper,
     "delta_command": inverse.delta_command,
     "ensemble": ensemble.ensemble,
-    "quadratic_previous_error": partial(
-        corrected, settings=LearningSettings(residual="quadratic", lagged_inputs="previous_error")
-    ),
 }
 """Other ways to learn from deployment 0 than the installed residuals."""
 

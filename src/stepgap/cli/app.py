@@ -31,7 +31,8 @@ from stepgap.cli.verbs import command_line
 
 OVERRIDE = re.compile(r"--(robot|[a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTALL)
 
-_BAD_INPUT, _FAILED = 2, 1
+_BAD_INPUT = 2
+_FAILED = 1
 """Exit codes."""
 
 
@@ -100,7 +101,8 @@ def _run_verb(arguments: Sequence[str], program: list[str], verbs: Callable[[str
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
     """Shows each warning of StepGap once, as one line on stderr."""
-    show_other, shown = warnings.showwarning, set[str]()
+    show_other = warnings.showwarning
+    shown = set[str]()
 
     def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
         if not issubclass(category, StepGapWarning):
@@ -123,7 +125,9 @@ def _is_bad_input(error: Exception) -> bool:
 def _explained(error: Exception) -> tuple[str, int]:
     """Message of an error and exit code; an unexpected exception in a plug-in is bad input, named by file and line."""
     explained = isinstance(error, StepGapError | OSError | cyclopts.CycloptsError)
-    unexpected = error.__cause__ if isinstance(error, StepGapError) else None if explained else error
+    unexpected = None if explained else error
+    if isinstance(error, StepGapError):
+        unexpected = error.__cause__
     if unexpected:
         from stepgap.cli.plugin_errors import location_in_plugin
 
@@ -186,7 +190,9 @@ def split_overrides(arguments: Sequence[str]) -> tuple[list[str], list[tuple[str
     Raises:
         InputError: A setting has no value.
     """
-    others, overrides, remaining = [], [], list(arguments)
+    others = []
+    overrides = []
+    remaining = list(arguments)
     while remaining:
         argument = remaining.pop(0)
         match = OVERRIDE.fullmatch(argument)

@@ -64,7 +64,8 @@ def _graphics() -> Iterator[_Row]:
     shown = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
     yield "display", shown or f"none; {NEEDS_GL}"
     chosen = os.environ.get("MUJOCO_GL")
-    for backend in [chosen] if chosen else ["glfw", "egl", "osmesa"] if shown else ["egl", "osmesa"]:
+    backends = ["glfw", "egl", "osmesa"] if shown else ["egl", "osmesa"]
+    for backend in [chosen] if chosen else backends:
         if _try(RENDERING_TRIAL, MUJOCO_GL=backend) is not None:
             yield "OpenGL", f"works with MUJOCO_GL={backend}"
             return

@@ -58,7 +58,10 @@ class RunProgress:
     """
 
     def __init__(self, space: StepSpace, steps: int, iterations: int, quiet: bool = False):
-        self._space, self._steps, self._iterations, self._quiet = space, steps, iterations, quiet
+        self._space = space
+        self._steps = steps
+        self._iterations = iterations
+        self._quiet = quiet
         self._console = Console(stderr=True, highlight=False)
         self._bars = _bars(self._console, quiet, TextColumn("{task.fields[error]}"))
         self._task: TaskID | None = None
@@ -151,7 +154,8 @@ class RunProgress:
         if self._task is None or description != self._description:
             if self._task is not None:
                 self._bars.remove_task(self._task)
-            self._task, self._description = self._bars.add_task(description, total=None, error=""), description
+            self._task = self._bars.add_task(description, total=None, error="")
+            self._description = description
         self._bars.update(self._task, completed=done, total=total or None, error=error)
 
     def _describe(self, rmse: np.ndarray) -> str:

@@ -87,7 +87,8 @@ class Display:
     json: Flag = False
 
 
-NO_SHORTHAND, NORMAL = Shorthand(), Display()
+NO_SHORTHAND = Shorthand()
+NORMAL = Display()
 
 
 @announces_compilation
@@ -238,7 +239,8 @@ def _execute(
     from stepgap.experiment.loop import run_experiment
     from stepgap.experiment.recorders import TimeRecorder
 
-    space, iterations = setup.nominal.space, setup.learning.iterations
+    space = setup.nominal.space
+    iterations = setup.learning.iterations
     with RunProgress(space, len(setup.reference), iterations, display.quiet) as progress, settled_heap():
         observer = printing_events(progress.observer, space) if display.json else progress.observer
         observer = replace(recorder.observing(observer), on_execution=on_execution)

@@ -138,10 +138,13 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
         RecordError: The record in the folder belongs to another experiment, another process is writing it, or a step
             cannot be recorded.
     """
-    nominal, plants, seed = setup.nominal, setup.plants, setup.seed
+    nominal = setup.nominal
+    plants = setup.plants
+    seed = setup.seed
     reference = setup.reference.of(nominal.space)
     setup = replace(setup, reference=reference)
-    past, scale = as_past(setup.known or Steps(nominal.space)), nominal.space.error_scale
+    past = as_past(setup.known or Steps(nominal.space))
+    scale = nominal.space.error_scale
     deployments = list[Deployment]()
     with one_blas_thread(), Recording(folder, nominal.space, seed, past, plants.replays) as recording:
         log = Steps(recording.space)
@@ -159,7 +162,8 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
             execute = partial(_execute, learner, setup, observer, partial(_follow, latest, observer))
             steps = _observed(recording.steps(iteration, execute), recording.space, observer)
             log += steps
-            alarms, final = recording.alarms(iteration), _final(learner, latest[0], steps)
+            alarms = recording.alarms(iteration)
+            final = _final(learner, latest[0], steps)
             floor = estimate_noise_floor(steps, reference)
             deployments.append(
                 summarise(
@@ -202,7 +206,8 @@ def _execute(
         observer.on_exploration(worths)
         exploration = worthwhile(worths)
     plant = setup.plants.make(deployment_generator(setup.seed, iteration))
-    on_time, on_warning = partial(observer.on_time, iteration), observer.on_warning
+    on_time = partial(observer.on_time, iteration)
+    on_warning = observer.on_warning
     yield from deploy(
         learner, plant, setup.reference, iteration, exploration, setup.control, on_time, on_learner, on_warning
     )

@@ -44,7 +44,8 @@ def summarise(
     """
     tracked = steps.completed().tracking()
     numbers = tracked.number - 1
-    error, true_error = tracked.next_state - tracked.target, tracked.true_next_state - tracked.target
+    error = tracked.next_state - tracked.target
+    true_error = tracked.true_next_state - tracked.target
     unreachable = unreachable_targets(step_map, reference) if step_map else np.empty((0, error.shape[1]))
 
     floor = estimate_noise_floor(steps, reference).any_phase if floor is None else floor
@@ -111,7 +112,8 @@ def missed_targets(steps: Steps, reference: Reference, unreachable: Array, floor
     A target is missed if the RMSE of the steady steps with this target exceeds `TRACKED` noise floors (n,) in some
     coordinate, and `NEARLY_ZERO` half ranges.
     """
-    steady, missed = _steady(steps, reference), []
+    steady = _steady(steps, reference)
+    missed = []
     limit = np.maximum(TRACKED * floor, NEARLY_ZERO * steps.space.state_scale)
     for target in reference.targets[reference.distinct[0]]:
         here = same_target(steady.target, target)
@@ -175,8 +177,11 @@ def offset_sentences(deployment: Steps) -> list[str]:
         return []
     sentences = []
     for row, quantity in enumerate(steps.space.state):
-        error, ends, unit = steps.tracking_errors()[:, row], steps.next_state[:, row], unit_suffix(quantity)
-        low, high = error.min(), error.max()
+        error = steps.tracking_errors()[:, row]
+        ends = steps.next_state[:, row]
+        unit = unit_suffix(quantity)
+        low = error.min()
+        high = error.max()
         apart = ends.max() < steps.target[:, row].min() or ends.min() > steps.target[:, row].max()
         if low * high <= 0 or not apart or abs(error.mean()) < FAR_OFFSET * error.std():
             continue

@@ -68,7 +68,8 @@ def choose_plants(request: PlantRequest) -> Plants:
     Raises:
         InputError: No plant can be made with these settings.
     """
-    settings, name = request.settings, request.settings.plant
+    settings = request.settings
+    name = request.settings.plant
     if request.program and name != PROCESS:
         raise InputError(f"-- {request.program[0]}: plant '{name}' runs no program; add --plant {PROCESS}")
     if settings.simulated:
@@ -116,7 +117,8 @@ def process_plants(request: PlantRequest) -> Plants:
         InputError: No program is given, it does not exist, or options of a rig are given.
     """
     refuse_rig_options(request)
-    settings, program = request.settings, request.program
+    settings = request.settings
+    program = request.program
     if not program:
         example = f"stepgap run --plant {PROCESS} -- ./robot, or -- tcp:5555 if it listens on that port"
         raise InputError(f"--plant {PROCESS}: give the robot's program after two dashes: {example}")

@@ -27,7 +27,10 @@ class TickRecorder:
     """
 
     def __init__(self, units: Mapping[str, str], every: int):
-        self._units, self._every, self._executed, self._before = units, every, 0, 0
+        self._units = units
+        self._every = every
+        self._executed = 0
+        self._before = 0
         self._kept: dict[int, TickTable] = {}
         self._begin()
 

@@ -44,7 +44,8 @@ class Recording:
     """
 
     def __init__(self, folder: Path, space: StepSpace, seed: int, past: Steps, replays: bool):
-        self._path, self._replays = folder / "steps.csv", replays
+        self._path = folder / "steps.csv"
+        self._replays = replays
         self._writer = StepWriter(self._path, space)
         self.space = self._writer.space
         self._recorded = deque(self._writer.recorded)
@@ -93,7 +94,9 @@ class Recording:
             RecordError: The model of recorded steps corrects another nominal map.
             OSError: The file cannot be read or written.
         """
-        folder, iteration, nominal = self._path.parent, learner.iteration, learner.nominal
+        folder = self._path.parent
+        iteration = learner.iteration
+        nominal = learner.nominal
         if iteration in self._begun and _has_intact_model(folder, iteration, nominal.space):
             try:
                 read_model(folder, iteration, nominal.space, nominal)

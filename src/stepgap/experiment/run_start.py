@@ -151,7 +151,8 @@ def extended(run: Run, redeployments: int) -> Experiment:
     """
     if redeployments < 1:
         raise InputError(f"--extend: {redeployments} redeployments; give an integer from 1 on")
-    settings, remedy = run.needed(run.settings), f"finish it by: stepgap run --out {run.folder} --resume"
+    settings = run.needed(run.settings)
+    remedy = f"finish it by: stepgap run --out {run.folder} --resume"
     done = len(run.deployments)
     if len(run.steps.iterations) > done:
         raise InputError(f"{run.folder}: the run was interrupted in deployment {done}; {remedy}")
@@ -165,7 +166,8 @@ def check_reach(nominal: StepMap, reference: Reference, name: str, robot: Robot)
     """Raises InputError if the nominal map of `robot` cannot hold one of the targets."""
     unheld = unheld_steps(nominal, reference)
     if len(unheld):
-        step, state = int(unheld.min()), nominal.space.state
+        step = int(unheld.min())
+        state = nominal.space.state
         values = zip(state, reference.targets[step], strict=True)
         wanted = ", ".join(f"{each.name} {value:g} {each.unit}" for each, value in values if value == value)
         raise InputError(
@@ -176,9 +178,11 @@ def check_reach(nominal: StepMap, reference: Reference, name: str, robot: Robot)
 
 def _changes(robot: Robot) -> str:
     """The first settings of the model that are not its defaults, one of which may be wrong, for a message."""
-    default, changed = type(robot)(), []
+    default = type(robot)()
+    changed = []
     for table in fields(robot):  # pyright: ignore[reportArgumentType]  (a robot is a dataclass)
-        mine, usual = getattr(robot, table.name), getattr(default, table.name)
+        mine = getattr(robot, table.name)
+        usual = getattr(default, table.name)
         for name, value in () if isinstance(mine, Gap) else vars(mine).items():
             if isinstance(value, int | float) and value != getattr(usual, name):
                 changed.append(f"{table.name}.{name} = {format_value(value)}")

@@ -1,12 +1,12 @@
-"""Settings of an experiment: read with strict checks from TOML and the command line, written with all values."""
+"""Settings of an experiment, read with strict checks from TOML and options, and methods: named sets of settings."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import inf
+from math import inf, log
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 from stepgap.base.errors import InputError
 from stepgap.base.plugins import one_of
@@ -23,7 +23,6 @@ from stepgap.base.settings_file import (
     with_table,
 )
 from stepgap.control.settings import ControlSettings
-from stepgap.experiment.methods import METHODS
 from stepgap.learning.settings import GONE, LearningSettings
 from stepgap.plants.process.process_plant import Timeouts
 from stepgap.records.missing import Missing
@@ -61,6 +60,75 @@ SHORT_OPTIONS = {
     "warm-start": "warm_start",
 }
 """Settings whose options have other names, by the option."""
+
+INTEGRAL_GAIN = 0.5
+"""Part k of an error by which the method `integral` changes its correction."""
+
+RLS_FORGETTING = 0.99
+"""Factor of the weight of a step's error after every further step, in the method `rls`."""
+
+
+class Method(NamedTuple):
+    """A method.
+
+    Attributes:
+        learning: Settings of learning.
+        control: Settings of step control.
+        linear: Whether the nominal map is linearised (`nominal.linear`).
+    """
+
+    learning: LearningSettings
+    control: ControlSettings = ControlSettings()
+    linear: bool = False
+
+
+def forgetting_time(factor: float) -> float:
+    """Number of steps in which a weight falls to 1/e, if every step multiplies it by a factor between 0 and 1."""
+    return -1 / log(factor)
+
+
+METHODS: Mapping[str, Method] = {
+    "default": Method(LearningSettings()),
+    "paper": Method(
+        LearningSettings(
+            residual="fitrgp",
+            early_stop=False,
+            drift=False,
+        ),
+        ControlSettings(cautious=False, viability=False, avoid_failures=False, horizon=1),
+    ),
+    "integral": Method(
+        LearningSettings(
+            residual="constant",
+            online=True,
+            forgetting_time=forgetting_time(1 - INTEGRAL_GAIN),
+            drift=False,
+        )
+    ),
+    "rls": Method(
+        LearningSettings(
+            residual="linear",
+            online=True,
+            forgetting_time=forgetting_time(RLS_FORGETTING),
+            drift=False,
+        ),
+        linear=True,
+    ),
+    "affine": Method(LearningSettings(residual="linear", drift=False), linear=True),
+}
+"""Values of `method`, which sets the tables `[learning]` and `[control]` and `nominal.linear` before single keys.
+
+- `paper` is the method as published: MATLAB's `fitrgp`, Eq. 13 without further rules, four redeployments.
+- `integral` adds a constant b to the nominal map, b ← b + k (actual − nominal − b) after every step: an integrator for
+  each coordinate. b is the mean of the errors, in which an error counts less by the factor 1 − k after every step. So
+  it is the residual `constant` with a forgetting time, updated online.
+- `rls` is adaptive linear step-to-step dynamics next = A x + B u + c: A, B and c begin as those of the linearised
+  nominal map, and are updated after every step by recursive least squares with exponential forgetting, in the sense of
+  arXiv 2209.08458. It is the linearised map plus the residual `linear`, which is updated online. Its prior keeps its
+  weight, so the estimate does not wind up where the steps do not excite it.
+- `affine` is the same without forgetting and fitted between deployments: least squares with the linearised nominal map
+  as the prior, inverted within the bounds of the command.
+"""
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ from docstring_parser import DocstringStyle, parse, parse_from_object
 
 from stepgap.base.ranges import format_value
 from stepgap.base.settings_file import IS_KEY
-from stepgap.experiment.methods import METHODS
-from stepgap.experiment.settings import Experiment, experiment_table
+from stepgap.experiment.settings import METHODS, Experiment, experiment_table
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.gap import Gap, differences
 
@@ -47,9 +46,12 @@ def experiment_toml(experiment: Experiment) -> str:
     lines, table = [], ""
     for line in tomli_w.dumps(experiment_table(experiment)).splitlines():
         key, header = _KEY.match(line), _HEADER.match(line)
+        name = ""
         if header:
-            table = f"{header[1]}."
-        name = table[:-1] if header else table + key[1] if key else ""
+            name = header[1]
+            table = f"{name}."
+        elif key:
+            name = table + key[1]
         lines += [*_comment(known.get(name, "")), line]
     return "\n".join([*lines, ""])
 
@@ -100,7 +102,7 @@ def _tables(experiment: Experiment, wanted: set[str]) -> list[str]:
         if value is None and key != "preset" and name != "method":
             heads[name] = text
         else:
-            shown = "" if value is None else "`{}`" if value == {} else f"`{tomli_w.dumps({'x': value})[4:].strip()}`"
+            shown = f"`{_in_toml(value)}`" if value is not None else ""
             tables.setdefault(table, []).append(f"| `{key}` | {shown} | {text.replace('|', chr(92) + '|')} |")
     lines = []
     for table, rows in tables.items():
@@ -122,6 +124,10 @@ def _described(settings: Any, prefix: str) -> Iterator[tuple[str, str, Any]]:
         else:
             shown = float(value) if types[entry.name] is float else value
             yield name, texts.get(entry.name, ""), list(shown) if isinstance(shown, tuple) else shown
+
+
+def _in_toml(value: Any) -> str:
+    return tomli_w.dumps({"x": value})[4:].strip() if value != {} else "{}"
 
 
 def _comment(text: str) -> list[str]:

@@ -69,7 +69,8 @@ def trial_reference(settings: Experiment, held: Reference) -> Reference:
 
     There are at least `TRIAL_STEPS` of them, and as many as `command_response` needs.
     """
-    targets, rng = held.targets[held.distinct[0]], random_stream(settings.seed, 0, 3)
+    targets = held.targets[held.distinct[0]]
+    rng = random_stream(settings.seed, 0, 3)
     weights = 1 + len(settings.robot.space.state) + 2 * len(settings.robot.space.command)
     steps = max(TRIAL_STEPS, 1 + FEWEST_STEPS_PER_WEIGHT * weights)
     numbers = np.repeat(rng.integers(len(targets), size=steps), rng.integers(1, LONGEST_HELD + 1, size=steps))

@@ -211,7 +211,8 @@ def _check_sizes(path: Path, residual: Residual, space: StepSpace) -> None:
 def _check_names(path: Path, data: Mapping[str, Any], space: StepSpace, remedy: str) -> None:
     """Raises ValueError if the file names other coordinates than the steps; names that it lacks are not compared."""
     for key, names in (("state", space.state_names), ("command", space.command_names)):
-        pairs, wanted = data.get(key), ", ".join(names)
+        pairs = data.get(key)
+        wanted = ", ".join(names)
         if pairs is not None and _names_in(pairs) != list(names):
             found = ", ".join(_names_in(pairs)) or repr(pairs)
             raise ValueError(f"{path}: its {key} is {found:.80}, that of the steps is {wanted:.80}; {remedy}")
@@ -253,7 +254,8 @@ def _steps_of(nominal: StepMap) -> list[list[float | None]]:
 
 def _points(space: StepSpace) -> tuple[Array, Array]:
     """States and commands of the steps that identify a nominal map."""
-    n, m = len(space.state), len(space.command)
+    n = len(space.state)
+    m = len(space.command)
     offsets = 0.5 * np.vstack([np.zeros(n + m), np.eye(n + m), -np.eye(n + m)])
     return (
         space.state_centre + offsets[:, :n] * space.state_scale,
@@ -288,7 +290,8 @@ def _difference(recorded: Array, here: Array, space: StepSpace) -> str:
         excess = np.abs(recorded - here) / allowed
     row, column = np.unravel_index(np.argmax(np.where(same, -1.0, np.nan_to_num(excess, nan=np.inf))), same.shape)
     point = zip(space.names, np.hstack([part[row] for part in _points(space)]), strict=True)
-    quantity, number = space.state[column], f".{DIGITS}g"
+    quantity = space.state[column]
+    number = f".{DIGITS}g"
     texts = [
         f"{value:{number}} {quantity.unit}".rstrip() if isfinite(value) else "none (the step fails)"
         for value in (recorded[row, column], here[row, column])

@@ -92,7 +92,8 @@ def read_prior(path: Path, space: StepSpace) -> PriorFile:
 def _restored(data: Mapping[str, Any], space: StepSpace) -> PriorFile:
     inputs = objects(data, "inputs", "inputs")
     saved = objects(data, "coordinates", "coordinates")
-    names, of_state = _names_in(inputs), _names_in(saved)
+    names = _names_in(inputs)
+    of_state = _names_in(saved)
     if names != space.names:
         raise ValueError(f"it is for {', '.join(names):.200}, but this robot has {', '.join(space.names)}")
     if of_state != space.state_names:

@@ -43,7 +43,8 @@ RECOVERY = "; `stepgap recover` saves what comes before it"
 
 def column_names(space: StepSpace) -> list[str]:
     """Columns of `steps.csv`."""
-    state, command = space.state_names, space.command_names
+    state = space.state_names
+    command = space.command_names
     return [
         "iteration",
         "step",
@@ -96,16 +97,19 @@ def _values(logged: LoggedStep, names: Sequence[str]) -> list[int | float | str]
 
 def _step_of(row: str, space: StepSpace) -> LoggedStep:
     """The step in a line; ValueError if the line does not hold a step."""
-    names, cells = column_names(space), row.split(",")
+    names = column_names(space)
+    cells = row.split(",")
     if len(cells) != len(names):
         raise ValueError(f"{len(cells)} columns instead of {len(names)}")
     if cells[-1].upper() not in StepStatus.__members__:
         raise ValueError(f"unknown status {cells[-1]!r:.40}")
-    n, m = len(space.state), len(space.command)
+    n = len(space.state)
+    m = len(space.command)
     numbers = np.array([float(cell) for cell in cells[2:-1]])
     parts = np.split(numbers, np.cumsum([n, n, m, m, m, n, n, n, n]))
     state, target, command, requested, applied, next_state, true_next_state, predicted, std, context = parts
-    status, named = StepStatus[cells[-1].upper()], space.named_context(context.tolist())
+    status = StepStatus[cells[-1].upper()]
+    named = space.named_context(context.tolist())
     record = StepRecord(state, command, applied, next_state, status, named, requested, true_next_state)
     logged = LoggedStep(int(cells[0]), int(cells[1]), target, predicted, std, record)
     _check_numbers(logged, space)
@@ -117,7 +121,9 @@ def _check_numbers(logged: LoggedStep, space: StepSpace) -> None:
 
     Of a failed step, the next state and the applied command may be unknown.
     """
-    record, n, m = logged.record, len(space.state), len(space.command)
+    record = logged.record
+    n = len(space.state)
+    m = len(space.command)
     completed = record.status == StepStatus.OK
     numbers = (
         ("state of the plant", record.state, n, True),
@@ -260,7 +266,8 @@ def recover_steps(path: Path, space: StepSpace) -> tuple[Steps, str]:
     content = _read_content(path)
     readable = _readable(content)
     lines = _lines_in(content[:readable], path)
-    found, steps = _space_in(lines, path, space), list[LoggedStep]()
+    found = _space_in(lines, path, space)
+    steps = list[LoggedStep]()
     try:
         for logged in _steps_in(lines, path, found):
             steps.append(logged)
@@ -311,7 +318,8 @@ def _lines_in(content: bytes, path: Path) -> list[str]:
 
 def _space_in(lines: Sequence[str], path: Path, space: StepSpace) -> StepSpace:
     """A space with the context that the header of a file has; raises RecordError if the other columns are not right."""
-    columns, wanted = lines[0].split(","), column_names(space)
+    columns = lines[0].split(",")
+    wanted = column_names(space)
     if len(lines) == 1 and ",".join(wanted).startswith(lines[0]):
         return space  # cut off before the first line was complete
     check_not_older(columns, path)
@@ -360,7 +368,9 @@ class StepWriter:
 
     def __init__(self, path: Path, space: StepSpace):
         check_names(space)
-        self._declared, self._path, self._file = space.context_names, path, path.open("a+b")
+        self._declared = space.context_names
+        self._path = path
+        self._file = path.open("a+b")
         try:
             self._lock(path)
             self._file.seek(0)
@@ -369,7 +379,8 @@ class StepWriter:
         except BaseException:
             self._file.close()
             raise
-        self.space, self._whole = self.recorded.space, content.rfind(b"\n") + 1
+        self.space = self.recorded.space
+        self._whole = content.rfind(b"\n") + 1
 
     def _lock(self, path: Path) -> None:
         """Locks the file for this process; the kernel releases the lock when the process ends for any reason."""

@@ -13,7 +13,7 @@ from benchmarks.learning.tasks import Task
 from benchmarks.learning.trial import Trial
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ALL_RULES, ControlSettings
-from stepgap.experiment.methods import METHODS
+from stepgap.experiment.settings import METHODS
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
