@@ -220,7 +220,7 @@ def test_help(stepgap: Command) -> None:
 
 OUT_OF_SPACE = """
 from stepgap.learning.regression import ResidualModel
-def fit(data, start):
+def fit(data):
     raise OSError(28, "No space left")
 MODEL = ResidualModel("own", "a model that fails", fit, fit)
 """

@@ -213,7 +213,8 @@ BROKEN: dict[str, tuple[bytes | Callable[[Path], None], str]] = {
     "external link": (hdf5(external_link), "a link to another file, which is not followed"),
     "external values": (hdf5(external_values), "its values lie in another file"),
     "virtual values": (hdf5(virtual_values), "its values lie in another file"),
-    "cycle in HDF5": (hdf5(cycle), "nested groups"),
+    "cycle in HDF5": (hdf5(cycle), "no table of numbers in this file"),
+    "deep HDF5": (hdf5(lambda file: file.create_group("a/" * 300)), "nested groups"),
     "truncated Parquet": (half(table_file()), "not a readable Parquet file"),
     "damaged Parquet": (table_file()[:-8] + b"\xff\xff\xff\x7fPAR1", "not a readable Parquet file"),
     "unknown encoding": (mcap("flatbuffer"), "nothing in it can be read: /a (messages in 'flatbuffer', not read"),
@@ -241,7 +242,7 @@ BROKEN: dict[str, tuple[bytes | Callable[[Path], None], str]] = {
 @pytest.fixture(autouse=True)
 def _small_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """So that bombs need not be large."""
-    for limit in ("matlab._LARGEST_MAT", "numpy_files._LARGEST_ARRAY_FILE", "decompression.LARGEST_PART"):
+    for limit in ("matlab._LARGEST_MAT", "numpy_files._LARGEST_ARRAY_FILE", "files.LARGEST_PART"):
         monkeypatch.setattr(f"stepgap.logs.tables.{limit}", 2**22)
     monkeypatch.setattr("stepgap.logs.tables.log_table.MOST_NUMBERS", 10**6)
 

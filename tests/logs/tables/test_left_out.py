@@ -225,7 +225,18 @@ def hdf5(path: Path) -> None:
 def mat(path: Path) -> None:
     with path.open("wb") as file:
         log = {"t": T, "v": V, "note": np.array([[1.0, "x"]], object)}
-        savemat(file, {"robot": log, "sparse": eye_array(4).tocsc(), "cells": np.array([{"a": 1}, 2.0], object)})
+        savemat(file, {"robot": log, "sparse": eye_array(4).tocsc(), "cells": np.array(["a", 2.0], object)})
+
+
+def test_structs_in_an_array_of_matlab_are_columns_with_their_numbers(tmp_path: Path) -> None:
+    """As To Workspace of Simulink writes two signals."""
+    signals = np.zeros((1, 2), [("values", object), ("label", object)])
+    signals["values"][0, 0], signals["values"][0, 1] = T[:, None], V[:, None]
+    signals["label"] = "y"
+    savemat(tmp_path / "log.mat", {"simout": {"time": T, "signals": signals}})
+    table = read(tmp_path / "log.mat")["simout"]
+    assert list(table.columns) == ["time", "signals[0].values", "signals[1].values"]
+    np.testing.assert_array_equal(table.numbers("signals[1].values"), V)
 
 
 def npz(path: Path) -> None:

@@ -1,8 +1,14 @@
-"""The bytes of log files, with bounds on what is read and on what is decompressed."""
+"""The bytes of log files, with bounds on what is read and decompressed; errors of libraries become one line."""
 
+import bz2
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+from stepgap.base.errors import InputError
+from stepgap.base.versions import optional_package
 from stepgap.records.steps_csv import RecordError
 
 LARGEST_LOG = 64 * 2**20
@@ -10,6 +16,9 @@ LARGEST_LOG = 64 * 2**20
 
 LARGEST_FILE = 2**31
 """Largest log in a binary format [bytes]."""
+
+LARGEST_PART = 2**28
+"""Largest chunk of a log after decompression [bytes]."""
 
 
 def begin_of(path: Path) -> bytes:
@@ -65,3 +74,93 @@ def _gunzipped(content: bytes, largest: int, path: Path) -> bytes:
             raise RecordError(f"{path}: truncated gzip file")
         content = member.unused_data.lstrip(b"\0")
     return b"".join(parts)
+
+
+def decompress_part(data: bytes, compression: str) -> bytes:
+    """A decompressed chunk.
+
+    Args:
+        data: The compressed bytes.
+        compression: "zstd", "lz4" or "bz2"; "" or "none" for bytes that are not compressed.
+
+    Raises:
+        ValueError: The compression is unknown, or the chunk is larger than `LARGEST_PART`.
+    """
+    if compression in ("", "none"):
+        return data
+    if compression == "zstd":
+        return _zstandard(data)
+    decompressor: Any
+    if compression == "bz2":
+        decompressor = bz2.BZ2Decompressor()
+    elif compression == "lz4":
+        from lz4.frame import LZ4FrameDecompressor
+
+        decompressor = LZ4FrameDecompressor()
+    else:
+        raise ValueError(f"unknown compression {compression!r:.40}")
+    return _whole(decompressor.decompress(data, LARGEST_PART + 1), decompressor.eof)
+
+
+def _zstandard(data: bytes) -> bytes:
+    import zstandard
+
+    with zstandard.ZstdDecompressor(max_window_size=LARGEST_PART).stream_reader(data) as stream:
+        content = stream.read(LARGEST_PART + 1)
+    size = zstandard.get_frame_parameters(data).content_size
+    return _whole(content, size in (zstandard.CONTENTSIZE_UNKNOWN, len(content)))
+
+
+def _whole(content: bytes, is_whole: bool) -> bytes:
+    if len(content) > LARGEST_PART:
+        raise ValueError(f"a chunk larger than {LARGEST_PART} bytes when decompressed")
+    if not is_whole:
+        raise ValueError("a truncated chunk")
+    return content
+
+
+def library(name: str, path: Path, extra: str = "logs") -> Any:
+    """A module of an optional package.
+
+    Raises:
+        RecordError: It is not installed; the message says which extra of this package installs it.
+    """
+    try:
+        return optional_package(name, f"{path}: this format", extra)
+    except InputError as error:
+        raise RecordError(str(error)) from None
+
+
+@contextmanager
+def reading(path: Path, kind: str) -> Iterator[None]:
+    """Turns any error of a library that reads untrusted bytes into one line.
+
+    Raises:
+        RecordError: An exception was raised inside; those that are a `RecordError` stay as they are.
+    """
+    try:
+        yield
+    except RecordError:
+        raise
+    except Exception as error:
+        raise RecordError(f"{path}: not a readable {kind} file, damaged or incomplete ({cause_of(error)})") from None
+
+
+@contextmanager
+def leaving_out(part: str, unread: dict[str, str]) -> Iterator[None]:
+    """Adds a part of a file to `unread`, with the reason, if it cannot be read.
+
+    Raises:
+        RecordError: One was raised inside: it is about the file as a whole.
+    """
+    try:
+        yield
+    except RecordError:
+        raise
+    except Exception as error:
+        unread[part] = cause_of(error)
+
+
+def cause_of(error: Exception) -> str:
+    """One short line of an error."""
+    return " ".join(str(error).split())[:120] or type(error).__name__

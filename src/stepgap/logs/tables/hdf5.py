@@ -1,12 +1,11 @@
 """HDF5 files, among them MATLAB's MAT files of version 7.3; nothing outside the file is read."""
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from stepgap.logs.tables.arrays import only_for_matlab, part_name, tables_of_arrays
-from stepgap.logs.tables.files import check_file_size
-from stepgap.logs.tables.libraries import leaving_out, library, reading
+from stepgap.logs.tables.files import check_file_size, leaving_out, library, reading
 from stepgap.logs.tables.log_table import LogTable, check_size
 from stepgap.records.steps_csv import RecordError
 
@@ -14,9 +13,6 @@ HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 _MOST_OBJECTS = 10_000
 _DEEPEST = 20
-
-_Found = tuple[tuple[str, ...], Any]
-"""Names from the root to a dataset, and the dataset."""
 
 
 def read_hdf5(path: Path, matlab: bool, unread: dict[str, str]) -> dict[str, LogTable]:
@@ -30,10 +26,10 @@ def read_hdf5(path: Path, matlab: bool, unread: dict[str, str]) -> dict[str, Log
     h5py = library("h5py", path)
     check_file_size(path)
     with reading(path, "HDF5"), h5py.File(path, "r") as file:
-        found = list(_datasets(h5py, file, (), path, unread))
-        check_size(str(path), sum(float(dataset.size) for _, dataset in found))
+        datasets = _datasets(h5py, file, path, unread)
+        check_size(str(path), sum(float(dataset.size) for dataset in datasets.values()))
         arrays: list[tuple[str, str, Any]] = []
-        for names, dataset in found:
+        for names, dataset in datasets.items():
             with leaving_out(_part(names), unread):
                 if not matlab:
                     arrays.append(_array(h5py, names, dataset))
@@ -42,37 +38,38 @@ def read_hdf5(path: Path, matlab: bool, unread: dict[str, str]) -> dict[str, Log
         return tables_of_arrays(str(path), arrays, unread)
 
 
-def _part(names: tuple[str, ...]) -> str:
+def _part(names: Sequence[str]) -> str:
     return part_name("/".join(names[:-1]), names[-1])
 
 
-def _datasets(
-    h5py: Any, group: Any, parents: tuple[str, ...], path: Path, unread: dict[str, str], seen: list[str] | None = None
-) -> Iterator[_Found]:
-    """Yields the datasets of numbers and text below a group; links to elsewhere are left out, cycles end by depth."""
-    seen = [] if seen is None else seen
-    for name in group:
-        seen.append(name)
-        names = *parents, name
-        if len(seen) > _MOST_OBJECTS or len(parents) >= _DEEPEST:
-            where = f"{path}, {'/'.join(names)}"
-            raise RecordError(f"{where}: more than {_MOST_OBJECTS} objects or {_DEEPEST} nested groups")
-        entry = None
+def _datasets(h5py: Any, file: Any, path: Path, unread: dict[str, str]) -> dict[tuple[str, ...], Any]:
+    """The datasets of a file by their names from the root to them; links to elsewhere are left out."""
+    datasets: dict[tuple[str, ...], Any] = {}
+    places: list[str] = []
+
+    def visit(place: str, link: Any) -> str | None:
+        """Visits a link; a text ends the visit. Each group is visited once, also where groups form a cycle."""
+        names = tuple(place.split("/"))
+        if len(places) >= _MOST_OBJECTS or len(names) > _DEEPEST:
+            return f"{place:.200}: more than {_MOST_OBJECTS} objects or {_DEEPEST} nested groups"
+        if any(name.startswith("#") for name in names):  # what MATLAB refers to
+            return None
+        places.append(place)
         with leaving_out(_part(names), unread):
-            link = group.get(name, getlink=True)
             if isinstance(link, h5py.ExternalLink):
                 raise ValueError("a link to another file, which is not followed")
             if isinstance(link, h5py.SoftLink):
                 raise ValueError(f"a link to {link.path!s:.60}, which is not followed")
-            if name.startswith("#"):
-                continue
-            entry = group[name]
+            entry = file[place]
             if isinstance(entry, h5py.Dataset) and (entry.external or entry.is_virtual):
                 raise ValueError("its values lie in another file, which is not read")
-        if isinstance(entry, h5py.Group):
-            yield from _datasets(h5py, entry, names, path, unread, seen)
-        elif isinstance(entry, h5py.Dataset) and _part(names) not in unread and entry.shape is not None:
-            yield names, entry
+            if isinstance(entry, h5py.Dataset) and entry.shape is not None:
+                datasets[names] = entry
+        return None
+
+    if fault := file.visititems_links(visit):
+        raise RecordError(f"{path}, {fault}")
+    return datasets
 
 
 def _array(h5py: Any, names: tuple[str, ...], dataset: Any) -> tuple[str, str, Any]:

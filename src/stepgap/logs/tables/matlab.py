@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from stepgap.logs.tables.arrays import only_for_matlab, part_name, tables_of_arrays
-from stepgap.logs.tables.files import content_of
-from stepgap.logs.tables.libraries import leaving_out, reading
+from stepgap.logs.tables.files import content_of, leaving_out, reading
 from stepgap.logs.tables.log_table import MOST_NUMBERS, LogTable, check_size
 from stepgap.records.steps_csv import RecordError
 
@@ -87,17 +86,20 @@ def _arrays_of(content: bytes, path: Path, unread: dict[str, str]) -> Iterator[t
         check_size(f"{path}, {name}", size)
         if not name.startswith("__"):
             with leaving_out(name, unread):
-                value = loadmat(BytesIO(content), variable_names=[name], struct_as_record=True, squeeze_me=False)[name]
+                value = loadmat(BytesIO(content), variable_names=[name], simplify_cells=True)[name]
                 yield from _arrays("", name, value, unread)
 
 
 def _arrays(group: str, name: str, value: Any, unread: dict[str, str]) -> Iterator[tuple[str, str, Any]]:
-    """Yields the arrays of a variable; a struct of one element has a table, its inner structs have NAME.FIELD."""
-    if type(value) is not np.ndarray:
-        unread[part_name(group, name)] = f"a {type(value).__name__}, neither numbers nor text"
-    elif value.dtype.names and value.size == 1:
-        for field in value.dtype.names:
-            inner = value.reshape(-1)[0][field]
+    """Yields the arrays of a variable; a struct has a table, its inner structs have NAME.FIELD or NAME[0].FIELD."""
+    if isinstance(value, dict):
+        for field, inner in value.items():
             yield from _arrays(group or name, f"{name}.{field}" if group else field, inner, unread)
-    elif value.size:
-        yield group, name, value
+    elif isinstance(value, list):
+        for index, inner in enumerate(value):
+            yield from _arrays(group, f"{name}[{index}]", inner, unread)
+    elif type(value) is np.ndarray:
+        if value.size:
+            yield group, name, value
+    elif not np.isscalar(value):
+        unread[part_name(group, name)] = f"a {type(value).__name__}, neither numbers nor text"

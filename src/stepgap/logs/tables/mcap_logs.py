@@ -5,9 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from stepgap.logs.tables.decompression import LARGEST_PART, decompress_part
-from stepgap.logs.tables.files import LARGEST_FILE, check_file_size
-from stepgap.logs.tables.libraries import library, reading
+from stepgap.logs.tables.files import LARGEST_FILE, LARGEST_PART, check_file_size, decompress_part, library, reading
 from stepgap.logs.tables.log_table import LogTable
 from stepgap.logs.tables.messages import Decoder, TopicRows, unreadable
 from stepgap.logs.tables.ros_messages import defined_decoders, standard_decoders

@@ -1,11 +1,12 @@
-"""Tables from messages, each a tree of named values."""
+"""Tables from messages, each a tree of named values: those of topics, and lines of JSON."""
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, final
 
 import numpy as np
 
-from stepgap.logs.tables.libraries import cause_of
+from stepgap.logs.tables.files import cause_of
 from stepgap.logs.tables.log_table import MISSING, MOST_NUMBERS, LogColumn, LogTable, check_size
 from stepgap.records.steps_csv import RecordError
 
@@ -114,31 +115,37 @@ class TopicRows:
 
     def __init__(self, source: str) -> None:
         self._source = source
-        self._rows: dict[str, dict[int, MessageRows]] = {}
-        self._faults: dict[str, dict[int, str]] = {}
+        self._rows: dict[str, MessageRows] = {}
+        self._decoders: dict[str, Decoder] = {}
+        self._faults: dict[str, str] = {}
 
     def append(self, topic: str, time: int, data: bytes, decoders: Sequence[Decoder]) -> None:
-        """Adds a message logged at a time [ns], by each decoder that all messages of its topic have fitted so far."""
-        rows, faults = self._rows.setdefault(topic, {}), self._faults.setdefault(topic, {})
-        for number, decode in enumerate(decoders):
-            if number in faults:
-                continue
-            try:
-                tree = decode(data)
-            except RecordError:
-                raise
-            except Exception as error:
-                faults[number] = cause_of(error)
-                rows.pop(number, None)
-                continue
-            if number not in rows:
-                rows[number] = MessageRows(f"{self._source}, {topic}")
-            rows[number].append(row_of_message(time, tree))
+        """Adds a message logged at a time [ns]; the topic has the first of the decoders that its first message fits."""
+        if topic in self._faults:
+            return
+        if topic not in self._decoders:
+            self._decoders[topic] = next((one for one in decoders if _fits(data, one)), decoders[0])
+            self._rows[topic] = MessageRows(f"{self._source}, {topic}")
+        try:
+            tree = self._decoders[topic](data)
+        except Exception as error:
+            self._faults[topic] = cause_of(error)
+            del self._rows[topic]
+        else:
+            self._rows[topic].append(row_of_message(time, tree))
 
     def tables(self, unread: dict[str, str]) -> dict[str, LogTable]:
-        """The tables of the topics, by the first decoder that fits; topics without one are added to `unread`."""
-        unread.update({topic: self._faults[topic][0] for topic, rows in self._rows.items() if not rows})
-        return {topic: rows[min(rows)].table(has_lines=False) for topic, rows in self._rows.items() if rows}
+        """The tables of the topics; those that are left out are added to `unread`."""
+        unread.update(self._faults)
+        return {topic: rows.table(has_lines=False) for topic, rows in self._rows.items()}
+
+
+def _fits(data: bytes, decode: Decoder) -> bool:
+    try:
+        decode(data)
+    except Exception:
+        return False
+    return True
 
 
 def _values(cells: list[Cell | None]) -> LogColumn | None:
@@ -154,3 +161,34 @@ def _as_float(value: Any) -> float:
         return float(value)
     except OverflowError:
         return float("inf")
+
+
+def read_json_lines(text: str, source: str) -> LogTable:
+    """The numbers and labels of objects; nested values have names as in imu.acc[0].
+
+    Raises:
+        RecordError: A line is no JSON object, or has a key twice.
+    """
+    rows = MessageRows(source)
+    for number, line in enumerate(text.split("\n"), 1):
+        if not line.strip():
+            continue
+        try:
+            value = json.loads(line, parse_constant=lambda _: None, object_pairs_hook=_unrepeated)
+        except (ValueError, RecursionError) as error:
+            right = 'it must be one JSON object, such as {"v": 0.5}'
+            raise RecordError(f"{source}, line {number}: {error!s:.100}; {right}") from None
+        if not isinstance(value, dict):
+            raise RecordError(f'{source}, line {number}: not an object; it must be one, such as {{"v": 0.5}}')
+        try:
+            rows.append(flattened(value), number)
+        except RecursionError:
+            raise RecordError(f"{source}, line {number}: nested too deeply") from None
+    return rows.table(has_lines=True)
+
+
+def _unrepeated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        raise ValueError("a key occurs twice")
+    return table

@@ -8,8 +8,7 @@ from zipfile import ZipFile
 import numpy as np
 
 from stepgap.logs.tables.arrays import tables_of_arrays
-from stepgap.logs.tables.files import content_of
-from stepgap.logs.tables.libraries import leaving_out, reading
+from stepgap.logs.tables.files import content_of, leaving_out, reading
 from stepgap.logs.tables.log_table import MOST_NUMBERS, LogTable, check_size
 from stepgap.records.steps_csv import RecordError
 

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from stepgap.logs.tables.arrays import numbers_or_labels
-from stepgap.logs.tables.files import check_file_size
-from stepgap.logs.tables.libraries import leaving_out, library, reading
+from stepgap.logs.tables.files import check_file_size, leaving_out, library, reading
 from stepgap.logs.tables.log_table import MOST_NUMBERS, LogColumn, LogTable, check_size
 from stepgap.logs.tables.messages import MOST_ELEMENTS, too_long
 

@@ -10,9 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from stepgap.logs.tables.decompression import LARGEST_PART, decompress_part
-from stepgap.logs.tables.files import LARGEST_FILE, check_file_size
-from stepgap.logs.tables.libraries import library, reading
+from stepgap.logs.tables.files import LARGEST_FILE, LARGEST_PART, check_file_size, decompress_part, library, reading
 from stepgap.logs.tables.log_table import LogTable
 from stepgap.logs.tables.mcap_logs import read_mcap
 from stepgap.logs.tables.messages import Decoder, TopicRows, unreadable

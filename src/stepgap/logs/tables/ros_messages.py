@@ -1,7 +1,8 @@
 """Messages of ROS 1 and ROS 2, decoded by interpreting their definitions.
 
 rosbags parses the definitions. It would also compile Python code made from them; a log should not lead to code that
-runs.
+runs. The interpreter of mcap-ros2-support knows neither ROS 1 nor IDL, reads negative durations as large ones, and does
+not say whether a message fits its definition.
 """
 
 import re
@@ -10,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from stepgap.logs.tables.libraries import library
+from stepgap.logs.tables.files import library
 from stepgap.logs.tables.messages import MOST_ELEMENTS, Decoder, unreadable
 
 _NUMBERS = {
@@ -33,20 +34,6 @@ _IDL_HEADER = re.compile(r"^(=+|IDL: .*)$", re.MULTILINE)
 _DEEPEST = 50
 
 
-def ros_decoder(path: Path, name: str, types: Mapping[str, Any], cdr: bool = True) -> Decoder:
-    """The function that decodes messages of a type, in CDR as of ROS 2, or as of ROS 1.
-
-    Args:
-        path: The file, for messages.
-        name: Name of the type.
-        types: Definitions by name, as rosbags parses them.
-        cdr: Whether the messages are in CDR.
-    """
-    node = library("rosbags.interfaces", path).Nodetype
-    kind = node.NAME, library("rosbags.typesys.msg", path).normalize_msgtype(name)
-    return lambda data: _Message(data, types, node, cdr).whole(kind)
-
-
 def defined_decoders(path: Path, name: str, definition: str, form: str, release: str = "") -> list[Decoder]:
     """The functions that may decode messages of a type by its definition.
 
@@ -66,8 +53,10 @@ def defined_decoders(path: Path, name: str, definition: str, form: str, release:
             types = typesys.get_types_from_msg(_RULE.sub("=" * 80, text), name)
     except Exception:
         return [unreadable(f"the definition of {name:.80} cannot be read")]
-    defined = ros_decoder(path, name, types, cdr=form != "ros1msg")
-    return [defined, *(standard_decoders(path, name, release) if form != "ros1msg" and not text.strip() else [])]
+    decoders = [_decoder(path, name, types, cdr=form != "ros1msg")]
+    if form != "ros1msg" and not text.strip():
+        decoders += standard_decoders(path, name, release)
+    return decoders
 
 
 def standard_decoders(path: Path, name: str, release: str) -> list[Decoder]:
@@ -78,23 +67,20 @@ def standard_decoders(path: Path, name: str, release: str) -> list[Decoder]:
         name: Name of the type.
         release: Release of ROS 2 that recorded the log; if it is not known, every definition is possible.
     """
-    typesys, stores = library("rosbags.typesys", path), library("rosbags.typesys", path).Stores
-    name = library("rosbags.typesys.msg", path).normalize_msgtype(name)
-    releases = {one.value.removeprefix("ros2_"): one for one in reversed(stores) if one.value.startswith("ros2_")}
+    typesys = library("rosbags.typesys", path)
+    releases = {one.value.removeprefix("ros2_"): one for one in reversed(typesys.Stores) if one.name.startswith("ROS2")}
     chosen = [releases[release]] if release in releases else list(releases.values())
-    decoders: dict[str, Decoder] = {}
-    for store in chosen:
-        types = typesys.get_typestore(store).fielddefs
-        if name in types:
-            decoders.setdefault(_resolved(name, types), ros_decoder(path, name, types))
-    return list(decoders.values()) or [unreadable(f"no definition of {name:.80} in the log")]
+    definitions = [typesys.get_typestore(store).fielddefs for store in chosen]
+    normal = library("rosbags.typesys.msg", path).normalize_msgtype(name)
+    decoders = [_decoder(path, name, types) for types in definitions if normal in types]
+    return decoders or [unreadable(f"no definition of {normal:.80} in the log")]
 
 
-def _resolved(name: str, types: Mapping[str, Any]) -> str:
-    """A text that is equal for equal definitions, with the types in them."""
-    fields = types[name][1]
-    inner = [each for each in re.findall(r"'(\w+/msg/\w+)'", repr(fields)) if each != name and each in types]
-    return repr(fields) + "".join(_resolved(each, types) for each in inner)
+def _decoder(path: Path, name: str, types: Mapping[str, Any], cdr: bool = True) -> Decoder:
+    """The function that decodes messages of a type, by definitions that rosbags parsed, in CDR or as of ROS 1."""
+    node = library("rosbags.interfaces", path).Nodetype
+    kind = node.NAME, library("rosbags.typesys.msg", path).normalize_msgtype(name)
+    return lambda data: _Message(data, types, node, cdr).whole(kind)
 
 
 class _Message:
