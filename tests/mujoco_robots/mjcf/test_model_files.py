@@ -8,7 +8,7 @@ import pytest
 
 from stepgap.base.errors import InputError
 from stepgap.mujoco_robots.mjcf.model_files import MODEL_FILE, model_files
-from stepgap.mujoco_robots.mjcf.model_trial import parts_of_model
+from stepgap.mujoco_robots.trial import parts_of_model
 
 BODY = "<worldbody><body><geom size='0.1'/></body></worldbody>"
 MESH = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"

@@ -10,19 +10,24 @@ import pytest
 
 from stepgap.mujoco_robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfSimulator, MjcfStepper
-from stepgap.mujoco_robots.monopod.hopping import (
+from stepgap.mujoco_robots.monopod.robot import (
     IN_COMPRESSION,
     IN_FLIGHT,
+    IN_PLACE,
     IN_THRUST,
+    LEG,
     LONGEST_STRIDE,
+    LOWER_LEG_MASS,
+    MONOPOD_SPACE,
+    TORSO_MASS,
+    UPPER_LEG_MASS,
     HoppingGains,
+    Monopod,
     body_rotation,
     hip_angles,
     hopping,
     tilt,
 )
-from stepgap.mujoco_robots.monopod.model import LEG, LOWER_LEG_MASS, TORSO_MASS, UPPER_LEG_MASS
-from stepgap.mujoco_robots.monopod.robot import IN_PLACE, MONOPOD_SPACE, Monopod
 from stepgap.robots.entry_points import load_robot
 from stepgap.step import Array, StepStatus
 

@@ -12,11 +12,10 @@ from scipy.integrate import solve_ivp
 
 from stepgap.mujoco_robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfPlant
-from stepgap.mujoco_robots.quadruped.landing import landing_velocity
 from stepgap.mujoco_robots.quadruped.model import LEGS, TOE_RADIUS, TOTAL_MASS, quadruped_xml
 from stepgap.mujoco_robots.quadruped.pronk import COMPRESSION, FLIGHT, THRUST, PronkGains, foot_placement, pronk
 from stepgap.mujoco_robots.quadruped.robot import SPACE, Quadruped
-from stepgap.mujoco_robots.quadruped.spring_mass import GRAVITY, SpringMassMap
+from stepgap.mujoco_robots.quadruped.spring_mass import GRAVITY, SpringMassMap, landing_velocity
 from stepgap.robots.entry_points import load_robot
 from stepgap.step import Array, StepStatus
 

@@ -10,9 +10,8 @@ import pytest
 
 from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfPlant
 from stepgap.mujoco_robots.quadruped.model import LEGS, TOTAL_MASS
-from stepgap.mujoco_robots.velocity.robot import TrottingRobot
-from stepgap.mujoco_robots.velocity.trot import TrotGains, joint_angles
-from stepgap.mujoco_robots.velocity.walking_gap import WalkingGap
+from stepgap.mujoco_robots.velocity.robot import TrotGains, TrottingRobot, joint_angles
+from stepgap.mujoco_robots.velocity.walking_robot import WalkingGap
 from stepgap.step import Array, StepStatus
 
 ROBOT = TrottingRobot()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from stepgap.mujoco_robots.velocity.robot import TrottingRobot
-from stepgap.mujoco_robots.velocity.walking_gap import WalkingGap
+from stepgap.mujoco_robots.velocity.walking_robot import WalkingGap
 
 MODEL = TrottingRobot().mjcf_model()
 NONE = WalkingGap.none()

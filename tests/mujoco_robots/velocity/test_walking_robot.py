@@ -11,8 +11,7 @@ import pytest
 
 from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfPlant
 from stepgap.mujoco_robots.velocity.robot import TrottingRobot
-from stepgap.mujoco_robots.velocity.walking_gap import WalkingGap
-from stepgap.mujoco_robots.velocity.walking_robot import VelocityRange, Walk, walks
+from stepgap.mujoco_robots.velocity.walking_robot import VelocityRange, Walk, WalkingGap, walks
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.ticks.stream import OnTicks
 from stepgap.robots.entry_points import load_robot

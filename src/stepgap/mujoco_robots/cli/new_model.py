@@ -10,10 +10,9 @@ from stepgap.base.errors import InputError
 from stepgap.base.files import create
 from stepgap.cli.new_package import Starter, class_name, starter_text, write_robot
 from stepgap.mujoco_robots.mjcf.model_files import ASSETS, MODEL_FILE, model_files
-from stepgap.mujoco_robots.mjcf.model_trial import Parts, parts_of_model
+from stepgap.mujoco_robots.trial import Parts, parts_of_model
 
-TEXTS = "stepgap.mujoco_robots.cli"
-"""Package with the texts that the folders begin with."""
+TEXTS = "stepgap.mujoco_robots.cli"  # Package with the texts that the folders begin with
 
 MJCF = Starter("mjcf.py.txt", "simulator", "controller, state and section")
 _PLACES = {

@@ -16,8 +16,7 @@ if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.mujoco_robots.velocity.policy.proposal import Proposal
 
 POLICY_FILE, NETWORK_FILE = "policy.toml", "policy.onnx"
-_WIDTH = 100
-"""Longest line of a comment."""
+_WIDTH = 100  # Longest line of a comment
 
 
 def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> list[str]:
@@ -33,10 +32,10 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> list[str]
         InputError: Network or model cannot be copied or loaded, or they do not fit.
     """
     from stepgap.mujoco_robots.mjcf.model_files import MODEL_FILE
+    from stepgap.mujoco_robots.trial import parts_of_network
     from stepgap.mujoco_robots.velocity.policy.onnx_network import read_network
     from stepgap.mujoco_robots.velocity.policy.policy_model import standing_height
     from stepgap.mujoco_robots.velocity.policy.policy_robot import PolicyFile, PolicyRobot
-    from stepgap.mujoco_robots.velocity.policy.policy_trial import parts_of_network
     from stepgap.mujoco_robots.velocity.policy.proposal import completed_model, propose_policy
 
     try:

@@ -16,18 +16,12 @@ from stepgap.mujoco_robots.mjcf.mjcf_gap import soften
 from stepgap.robots.ground import Treads, UnevenGround
 from stepgap.step import ContextQuantity, StepSpace
 
-GROUND_LENGTH: Final = 12.0
-"""Length after which the ground of a robot from MJCF repeats [m]."""
+GROUND_LENGTH: Final = 12.0  # Length after which the ground of a robot from MJCF repeats [m]
 
 _BODY: Final = "uneven_ground"
-_OVERLAP: Final = 1.0
-"""Length by which the boxes go on beyond both ends [m], more than a robot is long."""
-
-_HALF_DEPTH, _HALF_WIDTH = 0.5, 2.0
-"""Half of the height and of the width of a box [m]."""
-
-_LEVEL: Final = 0.5
-"""Smallest upward part of the normal of a contact with the ground; that with a riser is less."""
+_OVERLAP: Final = 1.0  # Length by which the boxes go on beyond both ends [m], more than a robot is long
+_HALF_DEPTH, _HALF_WIDTH = 0.5, 2.0  # Half of the height and of the width of a box [m]
+_LEVEL: Final = 0.5  # Smallest upward part of the normal of a contact with the ground; that with a riser is less
 
 
 def above_ground(space: StepSpace, ground: UnevenGround) -> StepSpace:

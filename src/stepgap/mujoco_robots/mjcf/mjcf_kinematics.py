@@ -13,14 +13,12 @@ from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.robots.scene import Kinematics, Link, Motion, Scene, Shade
 from stepgap.step import Array, StepSpace
 
-TOUCHING_DISTANCE = 0.002
-"""Clearance of a foot below which it is drawn as touching the ground [m]."""
+TOUCHING_DISTANCE = 0.002  # Clearance of a foot below which it is drawn as touching the ground [m]
 
 _PLANE, _HFIELD, _SPHERE, _CAPSULE, _CYLINDER = (
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")) for kind in ("PLANE", "HFIELD", "SPHERE", "CAPSULE", "CYLINDER")
 )
-_DRAWN_GROUPS = 3
-"""Geoms of the first groups are drawn, as in MuJoCo's viewer."""
+_DRAWN_GROUPS = 3  # Geoms of the first groups are drawn, as in MuJoCo's viewer
 
 _JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 

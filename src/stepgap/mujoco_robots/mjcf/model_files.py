@@ -4,34 +4,83 @@ The files are read as XML, so that a model which would take all memory, or never
 """
 
 from collections.abc import Iterator
+from math import prod
 from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree as ET
 
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.files import read_bounded_text
-from stepgap.mujoco_robots.mjcf.model_size import DEEPEST_MODEL, check_model_size
 
-LARGEST_XML: Final = 2**24
-"""Largest XML file that is read [bytes]."""
+_MOST_ELEMENTS: Final = 50_000
+"""Largest number of elements; what is repeated, or in a composite, counts as often as it is made."""
 
-LARGEST_ASSETS: Final = 2**30
-"""Largest total size of the assets that are copied [bytes]."""
+DEEPEST_MODEL: Final = 200  # Largest depth of elements within each other, and of files that include each other
+_MOST_POINTS: Final = 2**26  # Largest number of points of height fields and of pixels of textures
 
-MOST_FILES: Final = 10_000
-"""Largest number of included files and assets."""
+_REPEATED: Final = ("replicate", "composite", "flexcomp")
+"""Elements that make as many others as their attribute `count` says."""
 
-MODEL_FILE, ASSETS = "model.xml", "assets"
-"""Name of the copied model, and of the folder of its assets."""
+_POINTS: Final = {"hfield": ("nrow", "ncol"), "texture": ("width", "height")}
+"""Attributes whose product is the number of points of an element."""
 
-_FOLDERS: Final = ("meshdir", "texturedir", "assetdir")
-"""Attributes of `compiler` that name folders of assets."""
+_REMEDY: Final = "more than this is not read; make it smaller"
+
+
+def check_model_size(root: ET.Element, path: Path) -> None:
+    """Ensures that a model has no more elements and points than a robot.
+
+    Args:
+        root: The model without includes.
+        path: Its file, for messages.
+
+    Raises:
+        InputError: It has more; the message names the element.
+    """
+    waiting, elements, points = [(root, 1, 0)], 0, 0
+    while waiting:
+        element, times, depth = waiting.pop()
+        if element.tag in _REPEATED:
+            times *= _product(element, ("count",))
+        elements += times
+        points += times * _product(element, _POINTS.get(str(element.tag), ()), none=0)
+        where = f"{path}: {_begin(element)}"
+        if depth > DEEPEST_MODEL:
+            raise InputError(f"{where}: nested more than {DEEPEST_MODEL} deep; {_REMEDY}")
+        if elements > _MOST_ELEMENTS:
+            raise InputError(
+                f"{where}: with it the model has {elements} elements, of at most {_MOST_ELEMENTS}; {_REMEDY}"
+            )
+        if points > _MOST_POINTS:
+            raise InputError(f"{where}: with it the model has {points} points, of at most {_MOST_POINTS}; {_REMEDY}")
+        waiting.extend((child, times, depth + 1) for child in element)
+
+
+def _product(element: ET.Element, keys: tuple[str, ...], none: int = 1) -> int:
+    """Product of all numbers of these attributes; `none` if there is none, or one that is no number."""
+    numbers = [word for key in keys for word in element.get(key, "").split()]
+    try:
+        return prod(max(1, int(float(word))) for word in numbers) if numbers else none
+    except (OverflowError, ValueError):
+        return none
+
+
+def _begin(element: ET.Element) -> str:
+    """The tag of an element as in the file, shortened."""
+    attributes = "".join(f' {key}="{value}"' for key, value in element.items())
+    return f"<{element.tag}{attributes:.80}>"
+
+
+LARGEST_XML: Final = 2**24  # Largest XML file that is read [bytes]
+LARGEST_ASSETS: Final = 2**30  # Largest total size of the assets that are copied [bytes]
+MOST_FILES: Final = 10_000  # Largest number of included files and assets
+MODEL_FILE, ASSETS = "model.xml", "assets"  # Name of the copied model, and of the folder of its assets
+_FOLDERS: Final = ("meshdir", "texturedir", "assetdir")  # Attributes of `compiler` that name folders of assets
 
 NAMED_BY_FILE: Final = ("mesh", "hfield", "texture")
 """Assets that have the name of their file, where they are given no other one."""
 
-_PACKAGE: Final = "package://"
-"""Begins the path of a file in a URDF that is given by the package which has it."""
+_PACKAGE: Final = "package://"  # Begins the path of a file in a URDF that is given by the package which has it
 
 _HINT: Final = "give a MuJoCo model (MJCF) or a URDF"
 

@@ -11,8 +11,7 @@ import mujoco
 
 from stepgap.base.ranges import require
 
-Guard = Callable[[Any, Any], float]
-"""Function of a MuJoCo model and its data; a step ends when it falls through zero."""
+Guard = Callable[[Any, Any], float]  # Function of a MuJoCo model and its data; a step ends when it falls through zero
 
 
 @final

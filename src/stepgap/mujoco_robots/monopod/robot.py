@@ -1,24 +1,210 @@
-"""The monopod as a `Robot`: eight states at the apex, of which three are tracked, by three commands."""
+"""The monopod as a `Robot`: eight states at the apex, of which three are tracked, by three commands.
+
+Its model is a body on one telescopic leg, free in space (M. H. Raibert, 3-D hopping machine, 1984). Raibert's machine
+weighs 17.3 kg and runs on compressed air. This one has half of that, a motor in place of the air spring, and moments of
+inertia of a flat box of its size; as his, its hip is at the centre of mass of the body, and its leg is light.
+
+Its control law has three parts (M. H. Raibert, Legged Robots That Balance, 1986, ch. 3). In flight the leg points to
+where the foot is to land: ahead of the hip by the neutral point of the velocity, by a share of the velocity, and by the
+command. In stance the leg is a spring, which from mid-stance on pushes with a thrust and with the command, and the hip
+turns the body upright. Forward and to the left are directions of the ground, whatever the heading of the body.
+"""
 
 # pyright: reportAttributeAccessIssue=false
 # (MuJoCo ships no types for its compiled part.)
 
+from collections import namedtuple
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from stepgap.base.compiled import compiled
+from stepgap.base.ranges import require
 from stepgap.control.reference import Reference
 from stepgap.mujoco_robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.mujoco_robots.mjcf.mjcf_robot import ControlLaw, MjcfRobot, MjcfSimulator
 from stepgap.mujoco_robots.mjcf.section import Section
-from stepgap.mujoco_robots.monopod.hopping import IN_FLIGHT, HoppingGains, body_rotation, hip_angles, hopping, tilt
-from stepgap.mujoco_robots.monopod.model import monopod_xml
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.simulator import SimulatorMap
 from stepgap.step import Array, Quantity, StepMap, StepSpace
+
+LEG, SOLE_RADIUS = 0.5, 0.03
+"""Length of the leg from the hip to the middle of the round foot at rest, and radius of that foot [m]."""
+
+TORSO_MASS, UPPER_LEG_MASS, LOWER_LEG_MASS = 9.0, 0.6, 0.25  # Masses [kg]
+
+
+def monopod_xml() -> str:
+    """The model; joints are `root` (free), `hip_roll`, `hip_pitch` [rad] and `leg`, by how much it is extended [m]."""
+    return f"""
+<mujoco model="monopod">
+  <option timestep="0.001" integrator="implicitfast" cone="elliptic"/>
+  <default>
+    <geom contype="0" conaffinity="0"/>
+    <default class="hip"><joint damping="0.05" armature="0.005"/></default>
+  </default>
+  <worldbody>
+    <light pos="0 0 4"/>
+    <geom name="floor" type="plane" size="0 0 1" contype="1" conaffinity="1" friction="1 0.02 0.0001" condim="4"/>
+    <body name="body" pos="0 0 {LEG}">
+      <freejoint name="root"/>
+      <inertial pos="0 0 0" mass="{TORSO_MASS}" diaginertia="0.25 0.30 0.35"/>
+      <geom name="frame_x" type="capsule" fromto="-0.25 0 0 0.25 0 0" size="0.03"/>
+      <geom name="frame_y" type="capsule" fromto="0 -0.2 0 0 0.2 0" size="0.03"/>
+      <body name="thigh">
+        <joint name="hip_roll" class="hip" axis="1 0 0"/>
+        <joint name="hip_pitch" class="hip" axis="0 1 0"/>
+        <inertial pos="0 0 -0.2" mass="{UPPER_LEG_MASS}" diaginertia="0.01 0.01 0.001"/>
+        <geom name="thigh" type="capsule" fromto="0 0 0 0 0 -0.3" size="0.03"/>
+        <body name="shin" pos="0 0 -{LEG}">
+          <joint name="leg" type="slide" axis="0 0 -1" damping="2"/>
+          <inertial pos="0 0 0.1" mass="{LOWER_LEG_MASS}" diaginertia="0.003 0.003 0.0002"/>
+          <geom name="shin" type="capsule" fromto="0 0 0.25 0 0 0" size="0.015"/>
+          <geom name="foot" type="sphere" size="{SOLE_RADIUS}" contype="1" conaffinity="1" friction="1 0.02 0.0001"
+            condim="4"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="hip_roll" joint="hip_roll" ctrllimited="true" ctrlrange="-80 80"/>
+    <motor name="hip_pitch" joint="hip_pitch" ctrllimited="true" ctrlrange="-80 80"/>
+    <motor name="leg" joint="leg" ctrllimited="true" ctrlrange="-1500 1500"/>
+  </actuator>
+</mujoco>
+"""
+
+
+IN_FLIGHT, IN_COMPRESSION, IN_THRUST = 0, 1, 2  # Phases of a step
+LONGEST_STRIDE = 0.6 * LEG  # Largest horizontal distance of the foot from the hip that is commanded [m]
+
+
+@dataclass(frozen=True)
+class HoppingGains:
+    """Gains of the control law.
+
+    Attributes:
+        stiffness: Stiffness of the leg [N/m].
+        damping: Damping of the leg in stance [N·s/m].
+        flight_damping: Damping of the leg in flight [N·s/m].
+        thrust: Force from mid-stance on that balances the losses of a step [N].
+        neutral_time: Distance by which the foot lands ahead of the hip for a velocity that stays, per velocity [s].
+        velocity_gain: Additional distance per velocity, which slows the robot down [s].
+        attitude_stiffness: Torque against the tilt of the body in stance [N·m/rad].
+        attitude_damping: Torque against its rate [N·m·s/rad].
+        swing_stiffness: Torque that swings the leg in flight [N·m/rad].
+        swing_damping: Damping of this motion [N·m·s/rad].
+    """
+
+    stiffness: float = 3500.0
+    damping: float = 10.0
+    flight_damping: float = 40.0
+    thrust: float = 60.0
+    neutral_time: float = 0.085
+    velocity_gain: float = 0.03
+    attitude_stiffness: float = 150.0
+    attitude_damping: float = 15.0
+    swing_stiffness: float = 100.0
+    swing_damping: float = 8.0
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness", "attitude_damping", "swing_stiffness", "swing_damping"):
+            require(getattr(self, name) > 0, name, getattr(self, name), "be positive")
+
+    @property
+    def law(self) -> "HoppingLaw":
+        """These gains for compiled code."""
+        return HoppingLaw(**vars(self))
+
+
+HoppingLaw = namedtuple("HoppingLaw", [gain.name for gain in fields(HoppingGains)])  # `HoppingGains` for compiled code
+
+
+@compiled
+def body_rotation(quaternion):
+    """Rotation matrix (3, 3) from the body to the world of a unit quaternion w, x, y, z."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+@compiled
+def tilt(turned):
+    """Roll and pitch of a rotation matrix [rad]; nose down is positive."""
+    return np.arctan2(turned[2, 1], turned[2, 2]), -np.arcsin(turned[2, 0])
+
+
+@compiled
+def hip_angles(law, turned, velocity_x, velocity_y, foot_x, foot_y):
+    """Roll and pitch of the hip [rad] with which the foot points to where it is to land.
+
+    Args:
+        law: `HoppingLaw`.
+        turned: Rotation matrix from the body to the world.
+        velocity_x: Forward velocity [m/s].
+        velocity_y: Velocity to the left [m/s].
+        foot_x: Additional distance of the command, forward [m].
+        foot_y: The same, to the left [m].
+    """
+    gain = law.neutral_time + law.velocity_gain
+    x, y = gain * velocity_x + foot_x, gain * velocity_y + foot_y
+    shrunk = min(1.0, LONGEST_STRIDE / max(np.sqrt(x * x + y * y), 1e-9))
+    x, y = x * shrunk, y * shrunk
+    z = -np.sqrt(LEG * LEG - x * x - y * y)
+    along_x, along_y, along_z = turned.T @ np.array([x, y, z])
+    return np.arctan2(along_y, -along_z), -np.arcsin(min(1.0, max(-1.0, along_x / LEG)))
+
+
+@compiled
+def hopping_phase(phase, extension, extension_rate, falls, contact):
+    """Phase of this tick, from that of the tick before and how far the leg is extended [m], with its rate [m/s]."""
+    if phase == IN_FLIGHT and contact and falls:
+        phase = IN_COMPRESSION
+    if phase == IN_COMPRESSION and extension_rate > 0.0:
+        phase = IN_THRUST
+    if phase == IN_THRUST and (extension >= 0.0 or not contact):
+        phase = IN_FLIGHT
+    return phase
+
+
+@compiled
+def hopping(law, phase, contact, position, velocity, command, efforts):
+    """Computes a tick of the control; returns its phase.
+
+    Args:
+        law: `HoppingLaw`.
+        phase: Phase of the tick before.
+        contact: Whether the foot touches the ground.
+        position: Generalised positions of the model: place, quaternion, roll and pitch of the hip, leg; shape (10,).
+        velocity: Generalised velocities, those of the body's rotation in its own frame; shape (9,).
+        command: Distances of the foot forward and to the left [m], and force of the leg [N]; shape (3,).
+        efforts: Is filled with the torques of the hip [N·m] and the force of the leg [N]; shape (3,).
+    """
+    turned = body_rotation(position[3:7])
+    extension, rate = position[9], velocity[8]
+    phase = hopping_phase(phase, extension, rate, velocity[2] < 0.0, contact)
+    if phase == IN_FLIGHT:
+        roll, pitch = hip_angles(law, turned, velocity[0], velocity[1], command[0], command[1])
+        efforts[0] = law.swing_stiffness * (roll - position[7]) - law.swing_damping * velocity[6]
+        efforts[1] = law.swing_stiffness * (pitch - position[8]) - law.swing_damping * velocity[7]
+        efforts[2] = -law.stiffness * extension - law.flight_damping * rate
+    else:
+        roll, pitch = tilt(turned)  # the hip turns the body against the leg, which stands
+        efforts[0] = law.attitude_stiffness * roll + law.attitude_damping * velocity[3]
+        efforts[1] = law.attitude_stiffness * pitch + law.attitude_damping * velocity[4]
+        efforts[2] = -law.stiffness * extension - law.damping * rate
+        if phase == IN_THRUST:
+            efforts[2] += law.thrust + command[2]
+    return phase
+
 
 MONOPOD_SPACE = StepSpace(
     state=(
@@ -43,8 +229,7 @@ left, and tilt of the body with its rates. Command: where the foot lands, and ho
 IN_PLACE = np.array([0.0, 0.7, *np.zeros(6)])
 """State of a hop in place, which the middle of the bounds repeats, roughly."""
 
-_DIFFERENCE = 0.1
-"""Step of the differences for the derivatives of the model, whose control has ticks [half ranges]."""
+_DIFFERENCE = 0.1  # Step of the differences for the derivatives of the model, whose control has ticks [half ranges]
 
 
 def lanes() -> Reference:

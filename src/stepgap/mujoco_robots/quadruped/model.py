@@ -25,17 +25,14 @@ class LegMount(NamedTuple):
 
 HIP_X, HIP_Y, THIGH_OFFSET = 0.1934, 0.0465, 0.0955
 """Distances of a hip from the middle of the trunk and from its middle plane, and of a thigh from the hip [m]."""
-THIGH_Y = HIP_Y + THIGH_OFFSET
-"""Distance of a thigh from the middle plane [m]."""
+THIGH_Y = HIP_Y + THIGH_OFFSET  # Distance of a thigh from the middle plane [m]
 LEGS = tuple(
     LegMount(end + side, HIP_X * (1 if end == "F" else -1), THIGH_Y * (1 if side == "L" else -1))
     for end in "FR"
     for side in "LR"
 )
-LINK, TOE_RADIUS = 0.213, 0.022
-"""Length of thigh and calf, and radius of the round foot [m]."""
-THIGH_TORQUE, CALF_TORQUE = 23.7, 45.43
-"""Largest torques of the motors of thigh and calf [N·m]."""
+LINK, TOE_RADIUS = 0.213, 0.022  # Length of thigh and calf, and radius of the round foot [m]
+THIGH_TORQUE, CALF_TORQUE = 23.7, 45.43  # Largest torques of the motors of thigh and calf [N·m]
 TRUNK_MASS, HIP_MASS, THIGH_MASS, CALF_MASS = 6.921, 0.678, 1.152, 0.241352
 """Masses [kg]; that of the calf contains the foot."""
 TOTAL_MASS = TRUNK_MASS + 4 * (HIP_MASS + THIGH_MASS + CALF_MASS)

@@ -9,7 +9,8 @@ Positions are relative to the hip or the middle
 of the trunk, x forward and z up; angles turn about y, so a positive pitch is nose down.
 """
 
-from dataclasses import dataclass
+from collections import namedtuple
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +19,7 @@ from stepgap.base.compiled import compiled
 from stepgap.base.ranges import require
 from stepgap.mujoco_robots.quadruped.model import HIP_X, LINK
 
-FLIGHT, COMPRESSION, THRUST = 0, 1, 2
-"""Phases of a step."""
+FLIGHT, COMPRESSION, THRUST = 0, 1, 2  # Phases of a step
 
 
 @dataclass(frozen=True)
@@ -65,21 +65,7 @@ class PronkGains:
         return PronkLaw(**vars(self))
 
 
-class PronkLaw(NamedTuple):
-    """`PronkGains` for compiled code."""
-
-    stiffness: float
-    damping: float
-    rest_length: float
-    thrust: float
-    neutral_time: float
-    speed_gain: float
-    speed_setpoint: float
-    pitch_stiffness: float
-    pitch_damping: float
-    retraction: float
-    foot_stiffness: float
-    foot_damping: float
+PronkLaw = namedtuple("PronkLaw", [gain.name for gain in fields(PronkGains)])  # `PronkGains` for compiled code
 
 
 class LegPose(NamedTuple):

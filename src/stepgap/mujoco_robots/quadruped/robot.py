@@ -16,10 +16,9 @@ from stepgap.mujoco_robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.mujoco_robots.mjcf.mjcf_ground import above_ground
 from stepgap.mujoco_robots.mjcf.mjcf_robot import ControlLaw, MjcfRobot
 from stepgap.mujoco_robots.mjcf.section import Section, apex
-from stepgap.mujoco_robots.quadruped.landing import landing_velocity
 from stepgap.mujoco_robots.quadruped.model import LEGS, LINK, TOE_RADIUS, quadruped_xml
 from stepgap.mujoco_robots.quadruped.pronk import FLIGHT, PronkGains, foot_placement, pronk
-from stepgap.mujoco_robots.quadruped.spring_mass import SpringMassMap
+from stepgap.mujoco_robots.quadruped.spring_mass import SpringMassMap, landing_velocity
 from stepgap.robots.ground import UnevenGround
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.step import Array, Quantity, StepMap, StepSpace

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from stepgap.mujoco_robots.velocity.policy.observation import Observation
+from stepgap.mujoco_robots.velocity.policy.policy_robot import Observation
 from stepgap.mujoco_robots.velocity.policy.policy_settings import TERMS, PolicySettings, Scales
 from stepgap.step import Array
 from tests.mujoco_robots.velocity.policy.networks import WHEELS, cart_xml

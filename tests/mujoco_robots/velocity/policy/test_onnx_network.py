@@ -9,9 +9,9 @@ import pytest
 from onnx import TensorProto, helper
 
 from stepgap.base.errors import InputError, StepGapError
+from stepgap.mujoco_robots.trial import parts_of_network
 from stepgap.mujoco_robots.velocity.policy import onnx_network
 from stepgap.mujoco_robots.velocity.policy.onnx_network import OnnxNetwork
-from stepgap.mujoco_robots.velocity.policy.policy_trial import parts_of_network
 from tests.mujoco_robots.velocity.policy.networks import write_network
 
 WEIGHTS = np.random.default_rng(0).normal(size=(2, 3))

@@ -15,9 +15,8 @@ import tomli_w
 from stepgap.base.errors import InputError
 from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfPlant
 from stepgap.mujoco_robots.velocity.policy.onnx_network import OnnxNetwork
-from stepgap.mujoco_robots.velocity.policy.policy_control import PolicyControl
 from stepgap.mujoco_robots.velocity.policy.policy_model import policy_spec
-from stepgap.mujoco_robots.velocity.policy.policy_robot import PolicyFile, PolicyRobot
+from stepgap.mujoco_robots.velocity.policy.policy_robot import PolicyControl, PolicyFile, PolicyRobot
 from stepgap.mujoco_robots.velocity.policy.policy_settings import PolicySettings, read_policy_settings
 from stepgap.mujoco_robots.velocity.walking_robot import Walk
 from stepgap.step import Array, StepStatus

@@ -9,9 +9,8 @@ from xml.etree import ElementTree as ET
 import mujoco
 import pytest
 
-from stepgap.mujoco_robots.mjcf.model_trial import Parts, parts_of_model
+from stepgap.mujoco_robots.trial import NetworkParts, Parts, parts_of_model
 from stepgap.mujoco_robots.velocity.policy.policy_model import standing_height
-from stepgap.mujoco_robots.velocity.policy.policy_trial import NetworkParts
 from stepgap.mujoco_robots.velocity.policy.proposal import completed_model, propose_policy
 from tests.mujoco_robots.velocity.policy.networks import TERMS, WHEELS, cart_xml, mjlab_metadata
 

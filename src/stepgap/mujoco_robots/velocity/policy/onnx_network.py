@@ -11,8 +11,7 @@ from stepgap.base.files import read_bounded
 from stepgap.base.versions import optional_package
 from stepgap.step import Array
 
-LARGEST_NETWORK: Final = 2**28
-"""Largest file of a network that is read [bytes]."""
+LARGEST_NETWORK: Final = 2**28  # Largest file of a network that is read [bytes]
 
 _EXTERNAL: Final = re.compile(rb"(?:\x0a|\x8a\x80{0,8}\x00)(?:\x08|\x88\x80{0,8}\x00)location")
 """Begins, in the encoding of ONNX, the entry of a tensor that says in which other file its numbers are; the two numbers

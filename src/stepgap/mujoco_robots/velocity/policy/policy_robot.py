@@ -1,17 +1,147 @@
 """The robot `policy`: a MuJoCo model that a trained policy moves at a commanded velocity."""
 
+# pyright: reportAttributeAccessIssue=false
+# (MuJoCo ships no types for its compiled part.)
+
+from collections import deque
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, NamedTuple
+
+import mujoco
+import numpy as np
 
 from stepgap.base.errors import InputError
 from stepgap.base.ranges import require
 from stepgap.mujoco_robots.velocity.policy.onnx_network import OnnxNetwork
-from stepgap.mujoco_robots.velocity.policy.policy_control import PolicyControl
-from stepgap.mujoco_robots.velocity.policy.policy_model import policy_spec, stand
+from stepgap.mujoco_robots.velocity.policy.policy_model import actuators_of_joints, policy_spec, stand
 from stepgap.mujoco_robots.velocity.policy.policy_settings import PolicySettings, read_policy_settings
-from stepgap.mujoco_robots.velocity.walking_robot import WalkingRobot
+from stepgap.mujoco_robots.velocity.walking_robot import WalkingControl, WalkingRobot
+from stepgap.step import Array
+
+
+class Moment(NamedTuple):
+    """What terms of an observation are made of.
+
+    Attributes:
+        velocity: Velocity and angular velocity of the frame of the IMU, in this frame; shape (2, 3) [m/s, rad/s].
+        gravity: Direction of gravity in the same frame; shape (3,).
+        joint_pos: Positions of the joints less their default positions; shape (J,) [rad].
+        joint_vel: Their velocities; shape (J,) [rad/s].
+        actions: The actions before; shape (J,).
+        command: Commanded velocities; shape (3,).
+        phase: Phases of the gait; shape (P,) [rad].
+    """
+
+    velocity: Array
+    gravity: Array
+    joint_pos: Array
+    joint_vel: Array
+    actions: Array
+    command: Array
+    phase: Array
+
+
+_VALUES: Final[Mapping[str, Callable[[Moment], Array]]] = {
+    "base_lin_vel": lambda now: now.velocity[0],
+    "base_ang_vel": lambda now: now.velocity[1],
+    "projected_gravity": lambda now: now.gravity,
+    "joint_pos": lambda now: now.joint_pos,
+    "joint_vel": lambda now: now.joint_vel,
+    "actions": lambda now: now.actions,
+    "command": lambda now: now.command,
+    "phase_sin": lambda now: np.sin(now.phase),
+    "phase_cos": lambda now: np.cos(now.phase),
+}
+
+
+class Observation:
+    """Observations with their history, from the start on.
+
+    Args:
+        settings: Terms, scales and history.
+        model: MuJoCo model.
+    """
+
+    def __init__(self, settings: PolicySettings, model: Any):
+        self._settings = settings
+        joints = [model.joint(name).id for name in settings.joints]
+        self._positions, self._rates = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+        self._default = np.array(settings.default_joint_pos)
+        self._scales = [np.array(getattr(settings.scale, term)) for term in settings.observation]
+        kind = mujoco.mjtObj.mjOBJ_SITE if settings.imu else mujoco.mjtObj.mjOBJ_XBODY
+        self._imu = int(kind), model.site(settings.imu).id if settings.imu else 1
+        self._past = deque[list[Array]](maxlen=max(settings.histories))
+
+    def next(self, model: Any, data: Any, actions: Array, command: Array, seconds: float) -> Array:
+        """The next observation; shape (sum of all sizes times their histories,).
+
+        Args:
+            model: MuJoCo model.
+            data: Its data.
+            actions: The actions before; shape (J,).
+            command: Commanded velocities; shape (3,).
+            seconds: Time since the start [s].
+        """
+        now = self._moment(model, data, actions, command, seconds)
+        terms = zip(self._settings.observation, self._scales, strict=True)
+        values = [scale * _VALUES[term](now) for term, scale in terms]
+        self._past.extend([values] * (1 if self._past else self._past.maxlen or 1))
+        if self._settings.history_by_term:
+            lengths = enumerate(self._settings.histories)
+            parts = [[past[number] for past in list(self._past)[-length:]] for number, length in lengths]
+        else:
+            parts = [[np.concatenate(past) for past in self._past]]
+        order = -1 if self._settings.newest_first else 1
+        return np.concatenate([each for part in parts for each in part[::order]])
+
+    def _moment(self, model: Any, data: Any, actions: Array, command: Array, seconds: float) -> Moment:
+        kind, number = self._imu
+        velocity = np.empty(6)  # angular first
+        mujoco.mj_objectVelocity(model, data, kind, number, velocity, 1)
+        rotation = (data.site_xmat if self._settings.imu else data.xmat)[number].reshape(3, 3)
+        gravity = model.opt.gravity / np.linalg.norm(model.opt.gravity)
+        turns = seconds / self._settings.gait_period + np.array(self._settings.gait_offsets)
+        return Moment(
+            velocity=velocity.reshape(2, 3)[::-1],
+            gravity=gravity @ rotation,
+            joint_pos=data.qpos[self._positions] - self._default,
+            joint_vel=data.qvel[self._rates],
+            actions=actions,
+            command=command,
+            phase=2 * np.pi * (turns % 1.0),
+        )
+
+
+class PolicyControl(WalkingControl):
+    """A policy with the memory that its observation has.
+
+    Args:
+        settings: The policy.
+        network: Its network.
+    """
+
+    def __init__(self, settings: PolicySettings, network: OnnxNetwork):
+        self._settings, self._network = settings, network
+        self.period = settings.period
+
+    def start(self, model: Any, data: Any) -> None:
+        """Forgets all observations and actions; actuators of other joints keep their control signals."""
+        self._observation = Observation(self._settings, model)
+        self._actions, self._calls, self._ctrl = np.zeros(len(self._settings.joints)), 0, data.ctrl.copy()
+        actuators = actuators_of_joints(model)
+        self._actuators = [actuators[joint] for joint in self._settings.joints]
+
+    def control(self, model: Any, data: Any, command: Array) -> Array:
+        """Observes, and computes the targets of the joints."""
+        seconds = self._calls * self.period
+        observation = self._observation.next(model, data, self._actions, command, seconds)
+        clip, scale = self._settings.action_clip, np.array(self._settings.action_scale)
+        self._actions, self._calls = np.clip(self._network(observation), -clip, clip), self._calls + 1
+        self._ctrl[self._actuators] = np.array(self._settings.default_joint_pos) + scale * self._actions
+        return self._ctrl
 
 
 @dataclass(frozen=True)

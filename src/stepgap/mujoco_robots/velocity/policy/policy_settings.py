@@ -36,8 +36,7 @@ class Scales:
     phase_cos: tuple[float, ...] = (1.0,)
 
 
-TERMS = tuple(entry.name for entry in fields(Scales))
-"""Names of the terms of which an observation can be made."""
+TERMS = tuple(entry.name for entry in fields(Scales))  # Names of the terms of which an observation can be made
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,8 @@ from typing import Any, Final, NamedTuple
 from xml.etree import ElementTree as ET
 
 from stepgap.base.settings_file import toml_line
-from stepgap.mujoco_robots.mjcf.model_trial import Parts
+from stepgap.mujoco_robots.trial import NetworkParts, Parts
 from stepgap.mujoco_robots.velocity.policy.policy_settings import TERMS
-from stepgap.mujoco_robots.velocity.policy.policy_trial import NetworkParts
 
 _ALIASES: Final = {
     "velocity_commands": "command",
@@ -31,8 +30,7 @@ _LAYOUTS: Final = {
 }
 """Usual observations."""
 
-_USUAL_PERIOD: Final = 0.02
-"""Time between two actions in most trainings [s]; the metadata of mjlab does not have it."""
+_USUAL_PERIOD: Final = 0.02  # Time between two actions in most trainings [s]; the metadata of mjlab does not have it
 
 
 class Proposal(NamedTuple):
