@@ -127,7 +127,8 @@ def read_columns(file: Path | None, options: Mapping[str, str | tuple[str, ...]]
 
 def _quantity(name: str, unit: str, values: Array) -> Quantity:
     """Coordinate with the range of its values, or with a range around them where they are equal but for rounding."""
-    lower, upper = float(values.min()), float(values.max())
+    lower = float(values.min())
+    upper = float(values.max())
     largest = max(abs(lower), abs(upper))
     margin = 0.0 if upper - lower > max(_ROUNDING * largest, 1 / LARGEST_VALUE) else max(largest, 1.0)
     return Quantity(name, unit, lower - margin, upper + margin)

@@ -43,7 +43,11 @@ def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> FoundSteps:
     Raises:
         RecordError: A file cannot be read, or does not fit; the message names file, line and column.
     """
-    parts, deployments, origins, left_out, found = [], [], list[str](), Counter[str](), 0
+    parts = []
+    deployments = []
+    origins = list[str]()
+    left_out = Counter[str]()
+    found = 0
     for path in paths:
         rows = _read(path, columns)
         part, deployment, missing = _steps_of(rows, columns)
@@ -56,7 +60,9 @@ def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> FoundSteps:
     command = table["command" if columns.command else "target"]
     if not len(command):
         raise RecordError(f"{paths[0]}: no row holds a complete step; rows left out: {describe_left_out(left_out)}")
-    state, next_state, deployment = table["state"], table["next"], np.concatenate(deployments)
+    state = table["state"]
+    next_state = table["next"]
+    deployment = np.concatenate(deployments)
     if columns.step:  # where heights are measured above a ground that changes, the states of two steps differ
         starts = np.diff(table["step"][:, 0]) == 1
     else:
@@ -108,7 +114,8 @@ def step_log_of(found: FoundSteps) -> Steps:
     not known. The yaw after a step is the one at which the next step of its deployment starts, so it is not known for
     the last one.
     """
-    steps, follows = found.steps, found.steps.follows
+    steps = found.steps
+    follows = found.steps.follows
     iteration = np.cumsum(~follows) - 1
     yaw_after = np.roll(np.where(follows, found.phase, np.nan), -1)
     return steps.with_columns(
@@ -130,7 +137,8 @@ def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Labels
         for role in ROLES
         if getattr(columns, role)
     }
-    deployment, ends = rows.deployment, 0
+    deployment = rows.deployment
+    ends = 0
     begin: dict[str, Any] = {"row": np.arange(len(deployment))[:, None]}
     named = {"yaw": columns.yaw, "step": columns.step}
     begin |= {role: rows.numbers[column][:, None] for role, column in named.items() if column}

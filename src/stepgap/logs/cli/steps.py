@@ -64,7 +64,8 @@ def steps(
         raise InputError(f"--plan: {len(plan)} files for {len(log)} logs; give one for each, in the same order")
     given = {name: value for name, value in vars(options).items() if value is not None}
     settings = read_section_settings(columns, given)
-    picture, meaning = plot or out.with_suffix(".png"), out.with_suffix(".toml")
+    picture = plot or out.with_suffix(".png")
+    meaning = out.with_suffix(".toml")
     _check_outputs(out, meaning, picture)
     found: list[ExtractedSteps] = []
     for number, text in enumerate(log):

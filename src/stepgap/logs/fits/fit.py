@@ -121,8 +121,10 @@ def read_fit_data(
     settings = read_experiment(experiment, overrides, recorded=recorded)
     space = settings.space
     found = _read_runs(logs, space) if columns is None else read_foreign_logs(logs, columns)
-    steps, source = found.steps, nominal or _nominal_of(found.steps, space)
-    description, step_map = NOMINALS[source], None
+    steps = found.steps
+    source = nominal or _nominal_of(found.steps, space)
+    description = NOMINALS[source]
+    step_map = None
     predicted = {"target": steps.target, "state": steps.state}.get(source, steps.predicted)
     if source == MAP:
         found = found._replace(steps=steps.in_space(_same_names(steps.space, space)))
@@ -144,7 +146,8 @@ def read_fit_data(
 
 def _with_errors(found: FoundSteps, predicted: Array, nominal: str, source: NominalSource) -> FitData:
     """The steps that have a nominal next state (N, n), and its errors; arguments as of `FitData`."""
-    known, left_out = np.flatnonzero(np.isfinite(predicted).all(axis=1)), dict(found.left_out)
+    known = np.flatnonzero(np.isfinite(predicted).all(axis=1))
+    left_out = dict(found.left_out)
     if failed := len(predicted) - len(known):
         reason = "for which the nominal map predicts a failure" if source.step_map else f"without a whole {source.name}"
         left_out[reason] = failed
@@ -180,7 +183,8 @@ def _read_runs(logs: Sequence[Path], space: StepSpace) -> FoundSteps:
         except RecordError as error:
             raise InputError(f"{error}; for any other CSV file name its columns, see --help") from None
     steps = joined(found)
-    done, left_out = steps.status == StepStatus.OK, {"that ended without a next state": steps.failed_steps}
+    done = steps.status == StepStatus.OK
+    left_out = {"that ended without a next state": steps.failed_steps}
     numbers = zip(steps.iteration.tolist(), steps.number.tolist(), strict=True)
     origin = np.array([f"deployment {iteration}, step {number}" for iteration, number in numbers], np.str_)
     return FoundSteps(
@@ -207,7 +211,8 @@ def _same_names(found: StepSpace, space: StepSpace) -> StepSpace:
     """The robot's space, after a check that the columns have its names."""
     if space.has_names_of(found):
         return space
-    names, wanted = ",".join(found.names), ",".join(space.names)
+    names = ",".join(found.names)
+    wanted = ",".join(space.names)
     raise InputError(f"--nominal map: state and command are {names}; it must be {wanted}; rename by NAME=COLUMN")
 
 

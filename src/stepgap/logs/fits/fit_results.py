@@ -65,7 +65,8 @@ def _percent(value: float, half_width: float) -> str:
 
 def describe_fit_data(data: FitData, folds: Folds, test: FitData | None = None) -> str:
     """A few lines on the steps that were read, and on those that are held out: parts of them, or other steps."""
-    steps, space = data.steps, data.observed.space
+    steps = data.steps
+    space = data.observed.space
     deployments = len(steps.iterations)
     lines = [
         f"steps       {len(steps)} of {deployments} deployment{'s' if deployments > 1 else ''}; "
@@ -130,7 +131,8 @@ def fit_report(
     logs: Sequence[Path], data: FitData, validation: Validation, suspicious: Mapping[str, str]
 ) -> dict[str, Any]:
     """All results as JSON-ready data; NaN and infinities become null."""
-    state, command = data.observed.space.state, data.observed.space.command
+    state = data.observed.space.state
+    command = data.observed.space.command
     parts = {quantity.name: [index] for index, quantity in enumerate(state)} | {"all": range(len(state))}
     best = validation.best
     return {

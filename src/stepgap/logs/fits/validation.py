@@ -79,7 +79,9 @@ def deployment_folds(deployment: Labels) -> Folds:
     if len(names) < 2:
         raise ValueError("only one deployment; there must be at least 2")
     number = min(len(names), FOLDS)
-    fold, block, blocks = position * number // len(names), np.zeros(len(position), np.intp), 0
+    fold = position * number // len(names)
+    block = np.zeros(len(position), np.intp)
+    blocks = 0
     for part in range(number):
         rows = np.flatnonzero(fold == part)
         parts = min(-(-FOLDS // number), len(rows))
@@ -160,7 +162,8 @@ def reduction(one: HeldOut, other: HeldOut, block: Labels, coordinates: Sequence
     For several coordinates it is the reduction of the root of the mean, over coordinates, of the ratios of the squared
     errors, so that units do not matter.
     """
-    columns, blocks = list(coordinates), int(block.max()) + 1
+    columns = list(coordinates)
+    blocks = int(block.max()) + 1
     sums = [np.zeros((blocks, len(columns))) for _ in range(2)]
     for total, held_out in zip(sums, (one, other), strict=True):
         np.add.at(total, block, held_out.remaining[:, columns] ** 2)
@@ -172,8 +175,9 @@ def reduction(one: HeldOut, other: HeldOut, block: Labels, coordinates: Sequence
 
 def _reduction(one: Array, other: Array) -> float:
     """Reduction from the sums of squares of each coordinate."""
-    ratio = [1.0 if a == b else a / b if b > 0 else np.inf for a, b in zip(one, other, strict=True)]
-    return 1 - sqrt(np.mean(ratio))
+    ratios = np.where(one == other, 1.0, np.inf)
+    np.divide(one, other, out=ratios, where=(one != other) & (other > 0))
+    return 1 - sqrt(np.mean(ratios))
 
 
 @dataclass(frozen=True)
@@ -232,7 +236,8 @@ def validate(
         folds: Which steps are held out together.
         on_fit: Called with the number of fits done and the number of all fits.
     """
-    held_out, done = {}, count(1)
+    held_out = {}
+    done = count(1)
     for kind in kinds:
         with _leaving_out_unusable():
             held_out[kind] = _hold_out(kind, steps, folds, lambda: on_fit(next(done), len(kinds) * folds.count))
@@ -282,7 +287,9 @@ def _one_fold(steps: int) -> Folds:
 
 def _hold_out(kind: str, steps: Observations, folds: Folds, on_fit: Callable[[], None]) -> HeldOut:
     """Fits a residual to the steps outside each fold and predicts those inside."""
-    mean, std, seconds = np.empty_like(steps.error), np.empty_like(steps.error), 0.0
+    mean = np.empty_like(steps.error)
+    std = np.empty_like(steps.error)
+    seconds = 0.0
     for number in range(folds.count):
         held = folds.fold == number
         begin = perf_counter()

@@ -57,7 +57,8 @@ def aerial_phases(time: Array, inside: NDArray[np.bool_]) -> list[AerialPhase]:
     while (shortest := _glitch(edges, kinds)) is not None:
         # Both its ends are removed, and the phases before and after it become one.
         del edges[shortest : shortest + 2], kinds[shortest : shortest + 2]
-    durations, typical = np.diff(edges), _typical(edges, kinds)
+    durations = np.diff(edges)
+    typical = _typical(edges, kinds)
     short = [bool(each < SHORT_PHASE * typical[kind]) for each, kind in zip(durations, kinds, strict=True)]
     resolution = float(np.median(np.diff(time)) or np.mean(np.diff(time)))
     found: list[AerialPhase] = []
@@ -81,7 +82,8 @@ def airborne(force: Signal, threshold: float | None) -> NDArray[np.bool_]:
         RecordError: The force does not distinguish contact from flight.
     """
     values = np.asarray(force.values, float)
-    firm, free = np.percentile(values, 95), np.percentile(values, 2)
+    firm = np.percentile(values, 95)
+    free = np.percentile(values, 2)
     if threshold is None and not firm > 5 * max(abs(free), 1e-12):
         raise RecordError(
             f"from {free:.3g} in flight to {firm:.3g} in firm contact, which are not clearly apart; subtract the "
@@ -105,11 +107,13 @@ def crossings(signal: Signal, level: float, falling: bool) -> list[float]:
     values = (np.asarray(signal.values, float) - level) * (-1 if falling else 1)
     low, high = np.percentile(values, [5, 95])
     below = max(0.1 * float(high - low), 8 * rounding_of(values))  # it may rest for nearly all the time
-    armed, found = False, []
+    armed = False
+    found = []
     for number in range(1, len(values)):
         armed |= bool(values[number - 1] < -below)
         if armed and values[number] >= 0:
-            before, after = values[number - 1], values[number]
+            before = values[number - 1]
+            after = values[number]
             share = float(-before / (after - before)) if before < 0 else 0.0
             found.append(float(signal.time[number - 1] + share * (signal.time[number] - signal.time[number - 1])))
             armed = False
@@ -118,7 +122,8 @@ def crossings(signal: Signal, level: float, falling: bool) -> list[float]:
 
 def _glitch(edges: Sequence[float], kinds: Sequence[bool]) -> int | None:
     """Number of the shortest phase that is a glitch, among those with a phase before and after."""
-    durations, typical = np.diff(edges), _typical(edges, kinds)
+    durations = np.diff(edges)
+    typical = _typical(edges, kinds)
     inner = range(1, len(kinds) - 1)
     shortest = min(inner, key=lambda number: durations[number] / typical[kinds[number]], default=None)
     if shortest is None or durations[shortest] >= GLITCH * typical[kinds[shortest]]:
@@ -128,7 +133,8 @@ def _glitch(edges: Sequence[float], kinds: Sequence[bool]) -> int | None:
 
 def _typical(edges: Sequence[float], kinds: Sequence[bool]) -> dict[bool, float]:
     """Typical duration of the phases of both kinds."""
-    durations, of_kind = np.diff(edges), np.array(kinds)
+    durations = np.diff(edges)
+    of_kind = np.array(kinds)
     found = {}
     for kind in (False, True):
         sorted_durations = np.sort(durations[of_kind == kind])

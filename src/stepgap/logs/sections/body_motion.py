@@ -55,7 +55,9 @@ def body_motion(x: Array, y: Array, yaw: Array) -> tuple[Array, Array, Array]:
         yaw: Angles of the forward axis from x to y [rad], which may jump by full turns.
     """
     turn = np.unwrap(yaw)
-    middle, dx, dy = (turn[1:] + turn[:-1]) / 2, np.diff(x), np.diff(y)
+    middle = (turn[1:] + turn[:-1]) / 2
+    dx = np.diff(x)
+    dy = np.diff(y)
     forward = np.cos(middle) * dx + np.sin(middle) * dy
     left = np.cos(middle) * dy - np.sin(middle) * dx
     return np.append(0.0, np.cumsum(forward)), np.append(0.0, np.cumsum(left)), turn

@@ -1,4 +1,7 @@
-"""Commands that hold until the next one, and the sections of steps of equal length while they hold."""
+"""Commands that hold until the next one, and the sections of steps of equal length while they hold.
+
+A log whose motion comes before its commands has clocks that differ: `command_lag`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +21,15 @@ LASTING: Final = 5.0
 
 SLACK: Final = 0.1
 """A step may be longer or shorter by this part, so that it ends where the command changes."""
+
+CELLS: Final = 10
+"""Number of parts of a step in which the motion is compared with the command."""
+
+MOST_CELLS: Final = 6000
+"""Number of these parts, from the begin of the log on, that are compared."""
+
+EXPLAINED: Final = 0.2
+"""Least part of the variance of a velocity that its commands must explain, for the lag to be known."""
 
 
 @final
@@ -90,17 +102,50 @@ def held_in_steps(commands: HeldCommands, sections: Sequence[FoundSection], ever
     before it: the mean over this time does not say then how the robot moved when the step began.
     """
     time, since = (np.array([getattr(each, name) for each in sections]) for name in ("time", "since"))
-    held, before = commands.at(time), commands.at(since + SLACK * every)
+    held = commands.at(time)
+    before = commands.at(since + SLACK * every)
     known = np.append(np.isfinite(commands.values).all(axis=1), False)  # the last is that of the index −1
     previous = commands.at(np.nextafter(time, -np.inf))
-    doubts = [
-        f"the command changes within {every:g} s"
-        if since[number + 1] != time[number]
-        else "no command is known before it"
-        if not known[previous[number]]
-        else f"another change of the command less than {every:g} s before it"
-        if before[number] != previous[number]
-        else ""
-        for number in range(len(time) - 1)
-    ]
+    doubts: list[str] = []
+    for number in range(len(time) - 1):
+        if since[number + 1] != time[number]:
+            doubts.append(f"the command changes within {every:g} s")
+        elif not known[previous[number]]:
+            doubts.append("no command is known before it")
+        elif before[number] != previous[number]:
+            doubts.append(f"another change of the command less than {every:g} s before it")
+        else:
+            doubts.append("")
     return StepValues(commands.values[held[:-1]], tuple(doubts))
+
+
+def command_lag(cells: Array, motion: Sequence[Array], commands: HeldCommands) -> float:
+    """The lag of the commands with which a linear function of them explains the motion best [s].
+
+    Args:
+        cells: Times that divide the log evenly [s]; shape (G + 1,).
+        motion: Mean of each velocity between these times, NaN where it is not known; each of shape (G,).
+        commands: The commands.
+
+    Returns:
+        One of the lags up to a step, positive where the motion comes later; NaN if the motion does not follow them.
+    """
+    lags = np.arange(-CELLS, CELLS + 1) * float(cells[1] - cells[0])
+    middle = (cells[1:] + cells[:-1]) / 2
+    at = commands.at(middle - lags[:, None])
+    inputs = np.where((at >= 0)[..., None], commands.values[at], np.nan)
+    velocities = np.stack(motion, axis=-1)
+    known = np.isfinite(inputs).all(axis=(0, 2)) & np.isfinite(velocities).all(axis=1)
+    spread = velocities[known].std(axis=0) if known.any() else np.zeros(len(motion))
+    if not (spread > 0).all() or known.sum() < 2 * CELLS:
+        return np.nan
+    wanted = (velocities[known] - velocities[known].mean(axis=0)) / spread
+    unexplained = [_unexplained(each[known], wanted) for each in inputs]
+    best = int(np.argmin(unexplained))
+    return float(lags[best]) if unexplained[best] < 1 - EXPLAINED else np.nan
+
+
+def _unexplained(inputs: Array, wanted: Array) -> float:
+    """Mean square of what an affine function of the inputs leaves of outputs with variance 1."""
+    basis = np.column_stack([inputs, np.ones(len(inputs))])
+    return float(np.mean((wanted - basis @ np.linalg.lstsq(basis, wanted, rcond=None)[0]) ** 2))

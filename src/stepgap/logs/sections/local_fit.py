@@ -97,19 +97,23 @@ def fit_parabola(signal: Signal, centre: float, begin: float, end: float) -> Loc
     if len(part) < FEWEST_SAMPLES or part.time[-1] - part.time[0] < 0.7 * width:
         return None
     s = (part.time - centre) / width
-    basis, values = np.stack([np.ones_like(s), s, s * s], axis=-1), np.asarray(part.values, float)
-    used, solver = np.ones(len(s), bool), _solver(basis)
+    basis = np.stack([np.ones_like(s), s, s * s], axis=-1)
+    values = np.asarray(part.values, float)
+    used = np.ones(len(s), bool)
+    solver = _solver(basis)
     for _ in range(2):
         if solver is None:
             return None
         near = _near(basis, values, solver @ values[used])
         if (near == used).all():
             break
-        used, solver = near, _solver(basis[near])
+        used = near
+        solver = _solver(basis[near])
     if solver is None or used.sum() < FEWEST_SAMPLES:
         return None
     coefficients = solver @ values[used]
-    residuals, extent = values[used] - basis[used] @ coefficients, float(np.ptp(values[used]))
+    residuals = values[used] - basis[used] @ coefficients
+    extent = float(np.ptp(values[used]))
     runs = 1 + int(np.count_nonzero(np.diff(values[used])))
     return LocalFit(centre, width, coefficients, solver @ solver.T, extent, residuals, runs, 1 - float(used.mean()))
 
@@ -145,8 +149,10 @@ def noise_std_of(fits: Sequence[LocalFit], resolution: float) -> Array:
     squares = np.array([fit.residuals @ fit.residuals for fit in fits])
     products = np.array([fit.residuals[1:] @ fit.residuals[:-1] for fit in fits])
     counts = np.array([len(fit.residuals) for fit in fits])
-    variances, correlations = squares / (counts - 3), products / np.where(squares > 0, squares, 1)
-    typical, correlation = np.median(variances), np.median(correlations)
+    variances = squares / (counts - 3)
+    correlations = products / np.where(squares > 0, squares, 1)
+    typical = np.median(variances)
+    correlation = np.median(correlations)
     unusual = variances > UNUSUAL * typical
     variances = np.where(unusual, variances, typical)
     correlations = np.clip(np.where(unusual, np.maximum(correlations, correlation), correlation), 0, 0.98)

@@ -67,7 +67,8 @@ def _chosen(values: Array, of_several: str | None) -> float:
 
 
 def _held_values(signal: Signal, sections: Array, of_several: str | None) -> StepValues:
-    values, doubts = np.full(len(sections) - 1, np.nan), [""] * (len(sections) - 1)
+    values = np.full(len(sections) - 1, np.nan)
+    doubts = [""] * (len(sections) - 1)
     for number, (begin, end) in enumerate(pairwise(sections.tolist())):
         middle = signal.between(*(begin + share * (end - begin) for share in HELD))
         held = np.asarray(middle.values, float)
@@ -93,20 +94,18 @@ def _planned_values(plans: Signal, sections: Array, of_several: str | None) -> S
             unclear[[one for one in (nearest, nearest + 1) if one < len(durations)]] = True
         if 0 <= number < len(durations) and abs(number - nearest) <= 1:
             planned[number].append(value)
-    doubts = [
-        "no plan"
-        if not made
-        else "several plans"
-        if len(made) > 1 and not of_several
-        else "a plan between two steps"
-        if doubt
-        else ""
-        for made, doubt in zip(planned, unclear.tolist(), strict=True)
-    ]
-    values = [
-        np.nan if doubt else _chosen(np.array(made), of_several) for made, doubt in zip(planned, doubts, strict=True)
-    ]
-    return StepValues(np.array(values), tuple(doubts))
+    values = np.full(len(durations), np.nan)
+    doubts = [""] * len(durations)
+    for number, made in enumerate(planned):
+        if not made:
+            doubts[number] = "no plan"
+        elif len(made) > 1 and not of_several:
+            doubts[number] = "several plans"
+        elif unclear[number]:
+            doubts[number] = "a plan between two steps"
+        else:
+            values[number] = _chosen(np.array(made), of_several)
+    return StepValues(values, tuple(doubts))
 
 
 @final
@@ -166,7 +165,8 @@ def read_plans(path: Path, log: SignalLog, settings: SectionSettings) -> Plans:
             raise RecordError(f"{path}: no plan of the deployment {log.deployment}")
         table = parts[log.deployment]
     if not settings.plan_match:
-        wanted = [settings.plan_time] if settings.plan_time else [settings.time] if settings.time else list(TIMES)
+        given = settings.plan_time or settings.time
+        wanted = [given] if given else list(TIMES)
         column = next((name for name in wanted if not table.fault_of(name)), None)
         if column is None:
             missing = unknown_column(wanted[0], list(table.columns))

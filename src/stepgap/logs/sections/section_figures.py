@@ -63,7 +63,8 @@ def _draw_overview(part: Any, log: ExtractedSteps, begin: int) -> Any:
 
 def _draw_about(part: Any, log: ExtractedSteps, number: int) -> Any:
     """The signals about a section; returns the first panel."""
-    time, around = float(log.sections.time[number]), 0.6 * _typical_step(log)
+    time = float(log.sections.time[number])
+    around = 0.6 * _typical_step(log)
     panels = part.subplots(1, PANELS, squeeze=False)[0]
     for panel, (name, signal) in zip(panels, islice(log.signals.items(), PANELS), strict=False):
         _draw(panel, log, signal, time - around, time + around)

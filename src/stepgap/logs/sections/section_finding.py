@@ -57,7 +57,8 @@ def find_sections(log: SignalLog, settings: SectionSettings) -> list[FoundSectio
         found = _tops(log, settings)
     elif settings.rule == "crossing":
         signal = log.signal(settings.crossing)
-        times, std = crossings(signal, settings.level, settings.falling), signal.interval / np.sqrt(12)
+        times = crossings(signal, settings.level, settings.falling)
+        std = signal.interval / np.sqrt(12)
         found = [FoundSection(time, time_std=std) for time in times]
     elif settings.at == NEXT_FOOT:
         found = _next_feet(log, settings)
@@ -86,7 +87,8 @@ def with_boom(log: SignalLog, settings: SectionSettings) -> SignalLog:
     """
     if not settings.boom:
         return log
-    pitch, yaw = log.signal(settings.pitch), log.signal(settings.yaw)
+    pitch = log.signal(settings.pitch)
+    yaw = log.signal(settings.yaw)
     columns = (np.sin(np.asarray(pitch.values, float)), np.asarray(yaw.values, float))
     tables = [
         TimedTable(LogTable(f"{log.source}, boom", {name: settings.boom * values}), angle.time)
@@ -167,7 +169,9 @@ def _in_flights(found: Sequence[AerialPhase], log: SignalLog, settings: SectionS
         return whole
     if settings.at == "end":
         return [replace(each, time=each.end) for each in whole]
-    height, sections, rises = log.signal(settings.height_column), list[FoundSection](), list[float]()
+    height = log.signal(settings.height_column)
+    sections = list[FoundSection]()
+    rises = list[float]()
     for each in whole:
         part = height.between(each.begin, each.end)
         if not len(part):

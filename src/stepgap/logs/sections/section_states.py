@@ -148,7 +148,8 @@ class _Estimator:
             noise = _noise_of(tops, self.height)
             for number, fit in enumerate(tops):
                 if fit and np.isfinite(fit.top) and abs(fit.top - fit.centre) <= window:
-                    times[number], time_std[number] = fit.top, fit.top_std(noise[number])
+                    times[number] = fit.top
+                    time_std[number] = fit.top_std(noise[number])
                 else:
                     doubts[number].append("no maximum of the height within the window")
         state, std = np.full((2, len(times), len(self.coordinates)), np.nan)
@@ -186,7 +187,8 @@ class _Estimator:
     def _top(self, section: FoundSection, window: float) -> LocalFit | None:
         """The parabola about the top, whose centre is moved to the top twice."""
         assert self.height is not None
-        centre, fit = section.time, None
+        centre = section.time
+        fit = None
         for _ in range(3):
             fit = self._fit(self.height, section, centre, window)
             if fit is None or not abs(fit.top - centre) <= window:
@@ -197,7 +199,8 @@ class _Estimator:
     def _fit(self, signal: Signal, section: FoundSection, time: float, window: float) -> LocalFit | None:
         margin = 0.0 if self.one_sided else min(0.05 * (section.end - section.begin), window)
         margin = margin if np.isfinite(margin) else 0.0
-        begin, end = max(time - window, section.begin + margin), min(time + window, section.end - margin)
+        begin = max(time - window, section.begin + margin)
+        end = min(time + window, section.end - margin)
         return fit_parabola(signal, time, begin, end) if begin < end else None
 
 

@@ -245,7 +245,8 @@ def _checked_times(table: LogTable, column: str, factor: float) -> Array:
     known = np.flatnonzero(np.isfinite(time))
     back = np.flatnonzero(np.diff(time[known]) < 0)
     if len(back):
-        before, after = known[back[0]], known[back[0] + 1]
+        before = known[back[0]]
+        after = known[back[0] + 1]
         change = f"goes back from {time[before]:.6f} to {time[after]:.6f} s"
         raise RecordError(f"{table.row(int(after))}, column {column!r}: the time {change}; split the log there")
     return time

@@ -13,9 +13,16 @@ import numpy as np
 from stepgap.base.errors import StepGapWarning
 from stepgap.logs.columns import unknown_column
 from stepgap.logs.sections.body_motion import with_pose
-from stepgap.logs.sections.command_lag import CELLS, MOST_CELLS, command_lag
-from stepgap.logs.sections.held_commands import HeldCommands, held_commands, held_in_steps, regular_sections
-from stepgap.logs.sections.plans import Plans, joined_doubts, read_plans, step_values
+from stepgap.logs.sections.held_commands import (
+    CELLS,
+    MOST_CELLS,
+    HeldCommands,
+    command_lag,
+    held_commands,
+    held_in_steps,
+    regular_sections,
+)
+from stepgap.logs.sections.plans import Plans, StepValues, joined_doubts, read_plans, step_values
 from stepgap.logs.sections.section_finding import FoundSection, SectionFunction, find_sections, with_boom
 from stepgap.logs.sections.section_settings import COORDINATES, SectionSettings, SignalCoordinate
 from stepgap.logs.sections.section_states import SectionStates, section_states
@@ -141,26 +148,32 @@ def _extract(
     log = with_pose(with_boom(log, settings), settings)
     plans = read_plans(plan, log, settings) if plan else None
     _check_factors(settings, log, plans)
-    held = _held(log, plans, settings) if settings.every and not find else None
-    found = find(log) if find else _regular(held, log, settings) if held else find_sections(log, settings)
+    # Sections: where a step ends and the next one begins.
+    held = None
+    if find:
+        found = find(log)
+    elif settings.every:
+        held = _held(log, plans, settings)
+        found = _regular(held, log, settings)
+    else:
+        found = find_sections(log, settings)
     found = sorted(found, key=lambda section: section.time)
     if len(found) < 2:
         raise RecordError(f"{log.source}: {len(found)} sections; at least two are needed")
     sections = section_states(log, found, settings)
-    parts = {
-        role: [held_in_steps(held, found, settings.every)]
-        if held and role == "command"
-        else [
-            step_values(_source(entry, log, plans, settings), sections.time, settings.of_several)
-            for entry in getattr(settings, role)
-        ]
-        for role in COORDINATES[1:]
-        if getattr(settings, role)
-    }
+    # Commands, targets and predictions of the steps between them.
+    parts: dict[str, list[StepValues]] = {}
+    for role in COORDINATES[1:]:
+        sources = [_source(entry, log, plans, settings) for entry in getattr(settings, role)]
+        if held and role == "command" and sources:
+            parts[role] = [held_in_steps(held, found, settings.every)]
+        elif sources:
+            parts[role] = [step_values(source, sections.time, settings.of_several) for source in sources]
     values = {
-        role: np.concatenate([each.values.reshape(len(found) - 1, -1) for each in found_values], -1)
-        for role, found_values in parts.items()
+        role: np.concatenate([part.values.reshape(len(found) - 1, -1) for part in of_role], -1)
+        for role, of_role in parts.items()
     }
+    # Reasons for which steps are left out.
     signals = {column: log.signal(column) for column in _columns(settings)}
     hops = log.signal(settings.height_column) if settings.at_apex else None
     longest = LONGEST_GAP_IN_MEAN * settings.every or LONGEST_GAP * float(np.median(np.diff(sections.time)))
@@ -183,7 +196,8 @@ def _lag(held: HeldCommands, log: SignalLog, settings: SectionSettings) -> float
     means = [(log.signal(each.column), each.rate) for each in settings.coordinates("state") if each.mean]
     if not means:
         return np.nan
-    first, last = max(signal.time[0] for signal, _ in means), min(signal.time[-1] for signal, _ in means)
+    first = max(signal.time[0] for signal, _ in means)
+    last = min(signal.time[-1] for signal, _ in means)
     cells = np.arange(first, last, settings.every / CELLS)[:MOST_CELLS]
     return command_lag(cells, [step_means(signal, cells[:-1], cells[1:], rate=rate)[0] for signal, rate in means], held)
 
@@ -199,7 +213,8 @@ def _held(log: SignalLog, plans: Plans | None, settings: SectionSettings) -> Hel
 def _regular(held: HeldCommands, log: SignalLog, settings: SectionSettings) -> list[FoundSection]:
     """Sections at equal intervals, while all signals of the state have samples."""
     signals = [log.signal(each.column) for each in settings.coordinates("state")]
-    first, last = max(signal.time[0] for signal in signals), min(signal.time[-1] for signal in signals)
+    first = max(signal.time[0] for signal in signals)
+    last = min(signal.time[-1] for signal in signals)
     known = np.isfinite(held.values[:-1]).all(axis=1)
     if np.diff(held.begin)[known].sum() > MOST_REGULAR * settings.every:
         raise RecordError(f"{log.source}: every = {settings.every:g} s makes more than {MOST_REGULAR:,} steps of it")

@@ -31,9 +31,13 @@ def step_means(signal: Signal, begin: Array, end: Array, *, rate: bool) -> tuple
     Returns:
         Means and their standard errors, shapes (K,), NaN where there is none; and why it is doubtful, or an empty text.
     """
-    time, values = signal.time, np.asarray(signal.values, float)
-    spikes, noise = _far_off(time, values, rate=rate), _noise_std(values)
-    means, std, doubts = np.full(len(end), np.nan), np.full(len(end), np.nan), [""] * len(end)
+    time = signal.time
+    values = np.asarray(signal.values, float)
+    spikes = _far_off(time, values, rate=rate)
+    noise = _noise_std(values)
+    means = np.full(len(end), np.nan)
+    std = np.full(len(end), np.nan)
+    doubts = [""] * len(end)
     for number, (first, last) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
         inside = slice(*np.searchsorted(time, [first, last]).tolist())
         gap = np.diff([first, *time[inside].tolist(), last]).max() if np.isfinite(first) else 0.0

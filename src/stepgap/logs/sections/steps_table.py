@@ -58,7 +58,8 @@ _ROLES = ("state", "next", "command", "target", "predicted")
 
 def _columns(log: ExtractedSteps) -> list[tuple[str, list[str]]]:
     """Names of the columns by their meaning, in their order."""
-    state, command = log.names["state"], log.names["command"]
+    state = log.names["state"]
+    command = log.names["command"]
     taken = {"log", "step", "time", "yaw", *state, *(f"{name}_std" for name in state)}
     return [
         ("head", ["log", "step", "time"]),
@@ -95,7 +96,8 @@ def label_of(log: ExtractedSteps) -> str:
 def _labels(logs: Sequence[ExtractedSteps]) -> list[str]:
     """The name of each log, with a number if several have the same."""
     names = [label_of(log) for log in logs]
-    counts, seen = Counter(names), Counter[str]()
+    counts = Counter(names)
+    seen = Counter[str]()
     labels: list[str] = []
     for name in names:
         seen[name] += 1
@@ -118,13 +120,16 @@ def _units(columns: dict[str, list[str]], settings: SectionSettings) -> Iterator
 def _unit_of_message(column: str) -> str:
     """Unit of a field of the ROS message geometry_msgs/Twist, which REP 103 fixes; empty for other columns."""
     vector, _, axis = column.rpartition(".")
-    known = axis in ("x", "y", "z")
-    return "m/s" if known and vector.endswith("linear") else "rad/s" if known and vector.endswith("angular") else ""
+    if axis not in ("x", "y", "z"):
+        return ""
+    units = {"linear": "m/s", "angular": "rad/s"}
+    return next((unit for name, unit in units.items() if vector.endswith(name)), "")
 
 
 def describe_steps(log: ExtractedSteps) -> str:
     """Lines for the user: what was found in a log, what is left out and why."""
-    sections, kept = log.sections, log.kept
+    sections = log.sections
+    kept = log.kept
     errors = ", ".join(
         f"{name} {np.nanmedian(std):.2g}" for name, std in zip(log.names["state"], sections.std.T, strict=True)
     )

@@ -53,7 +53,8 @@ def tops(signal: Signal, rise: float = 0.0) -> list[float]:
             spacing = float(np.median(np.diff(found))) if len(found) > 1 else np.inf
             if width <= 0.15 * spacing:
                 return time[found].tolist()
-        former, width = found, 2 * width
+        former = found
+        width = 2 * width
     advice = "lower" if rise else "give"
     raise RecordError(
         f"no clear difference between the tops of hops and other maxima; {advice} --rise, the smallest rise of a hop, "
@@ -82,14 +83,15 @@ def hop_faults(height: Signal, apexes: Array) -> list[str]:
     if not np.isfinite(descents).any():
         return ["no height"] * len(parts)
     typical = float(np.nanmedian(descents))
-    return [
-        "the height hardly descends between its sections"
-        if not descent >= SHALLOW * typical
-        else "another top between its sections"
-        if len(find_peaks(part, prominence=TALL * typical)[0])
-        else ""
-        for descent, part in zip(descents, parts, strict=True)
-    ]
+    faults: list[str] = []
+    for descent, part in zip(descents, parts, strict=True):
+        if not descent >= SHALLOW * typical:
+            faults.append("the height hardly descends between its sections")
+        elif len(find_peaks(part, prominence=TALL * typical)[0]):
+            faults.append("another top between its sections")
+        else:
+            faults.append("")
+    return faults
 
 
 def _uniform(signal: Signal) -> tuple[Array, Array]:

@@ -88,7 +88,9 @@ def numbers_or_labels(values: Any) -> LogColumn | None:
     if kind in "mM":
         unit, count = np.datetime_data(values.dtype)
         if unit not in _PER_SECOND:
-            values, unit, count = values.astype(f"{kind}8[s]"), "s", 1
+            values = values.astype(f"{kind}8[s]")
+            unit = "s"
+            count = 1
         return np.where(np.isnat(values), np.nan, values.astype(np.int64) / (_PER_SECOND[unit] / count))
     if kind in "biuf":
         numbers = np.asarray(values, np.float64)

@@ -62,7 +62,8 @@ def check_file_size(path: Path) -> None:
 
 def _gunzipped(content: bytes, largest: int, path: Path) -> bytes:
     """What a gzip file of one or several members holds, at most one byte more than `largest`."""
-    parts, size = [], 0
+    parts = []
+    size = 0
     while content and size <= largest:
         member = zlib.decompressobj(wbits=31)
         try:

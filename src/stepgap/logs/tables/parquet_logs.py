@@ -20,7 +20,8 @@ def read_parquet(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
 
     Columns that cannot be read are added to `unread`, with the reasons.
     """
-    arrow, parquet = library("pyarrow", path, "parquet"), library("pyarrow.parquet", path, "parquet")
+    arrow = library("pyarrow", path, "parquet")
+    parquet = library("pyarrow.parquet", path, "parquet")
     library("pyarrow.compute", path, "parquet")
     check_file_size(path)
     found: dict[str, LogColumn] = {}

@@ -52,7 +52,8 @@ def read_log_tables(
     Raises:
         RecordError: Nothing in the file can be read; the message is one line that names it.
     """
-    path, unread = Path(path), dict[str, str]()
+    path = Path(path)
+    unread = dict[str, str]()
     if is_ros2_folder(path):
         tables = read_ros2_folder(path, unread)
     else:
@@ -125,7 +126,8 @@ def chosen_table(
         example = f"{found[0]}:{wanted[0]}" if wanted else found[0]
         raise RecordError(f"{path}: {', '.join(found):.200} have these columns; say which, as in {example!r}")
     closest = min(named, key=lambda topic: len(missing[topic]))
-    table, name = named[closest], missing[closest][0]
+    table = named[closest]
+    name = missing[closest][0]
     fault = named[closest].known_fault_of(name) or tables[closest].fault_of(name)
     role = f"{roles[name]} {name!r}: " if name in roles else ""
     others = [topic for topic in tables if topic != closest]

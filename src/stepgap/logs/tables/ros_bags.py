@@ -57,7 +57,9 @@ def read_ros1_bag(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
     """The topics of a ROS 1 bag; `unread` as of `read_ros2_folder`."""
     rosbag1 = library("rosbags.rosbag1", path)
     check_file_size(path)
-    topics, decoders, size = TopicRows(str(path)), dict[int, list[Decoder]](), 0
+    topics = TopicRows(str(path))
+    decoders = dict[int, list[Decoder]]()
+    size = 0
     with reading(path, "ROS 1 bag"), rosbag1.Reader(path) as bag:
         bag.chunks = {at: chunk._replace(decompressor=_bounded(chunk)) for at, chunk in bag.chunks.items()}
         for connection, time, data in bag.messages():
@@ -75,8 +77,8 @@ def _bounded(chunk: Any) -> Any:
     """The decompression of a chunk of a ROS 1 bag with a bound, instead of the one that has none."""
     if chunk.datasize > LARGEST_PART:
         raise ValueError(f"a chunk larger than {LARGEST_PART} bytes")
-    module = getattr(chunk.decompressor, "__module__", "")
-    compression = "bz2" if module == "bz2" else "lz4" if module.startswith("lz4") else "none"
+    module = getattr(chunk.decompressor, "__module__", "").partition(".")[0]
+    compression = module if module in ("bz2", "lz4") else "none"
     return lambda data: decompress_part(data, compression)
 
 

@@ -87,11 +87,17 @@ class _Message:
     """Reads the bytes of a message from its begin to its end."""
 
     def __init__(self, data: bytes, types: Mapping[str, Any], node: Any, cdr: bool) -> None:
-        self._data, self._types, self._node, self._cdr, self._offset, self._order = data, types, node, cdr, 0, "<"
+        self._data = data
+        self._types = types
+        self._node = node
+        self._cdr = cdr
+        self._offset = 0
+        self._order = "<"
         if cdr:
             if len(data) < 4 or data[0] or data[1] > 1:
                 raise ValueError(f"not in the plain CDR of ROS 2, but with the header {data[:4].hex() or 'missing'}")
-            self._data, self._order = data[4:], "<" if data[1] else ">"
+            self._data = data[4:]
+            self._order = "<" if data[1] else ">"
 
     def whole(self, kind: Any) -> Any:
         """The value of the type; all bytes must belong to it, but CDR may be padded to four bytes."""
@@ -149,7 +155,8 @@ class _Message:
 
     def _text(self) -> str:
         (length,) = self._numbers("I", 1)
-        start, self._offset = self._offset, self._offset + length
+        start = self._offset
+        self._offset = self._offset + length
         if self._offset > len(self._data):
             raise ValueError("a message that is shorter than its definition")
         return self._data[start : self._offset].decode("utf-8", "replace").removesuffix("\0")

@@ -67,19 +67,22 @@ def _names_and_rows(text: str, written: TextFormat, source: str) -> tuple[_Row |
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     begin, comment = _beginning(lines, written)
     if stated := _STATED.fullmatch(lines[begin].strip(" ")) if begin < len(lines) else None:
-        written, lines[begin] = replace(written, delimiter=written.delimiter or stated[1]), ""
+        written = replace(written, delimiter=written.delimiter or stated[1])
+        lines[begin] = ""
         begin, comment = _beginning(lines, written)
     if begin == len(lines):
         if written.header:
             raise RecordError(f"{source}: no line begins with {written.header!r:.40}; it is `header` in [format]")
         return None, []
-    header_at, header = begin, lines[begin]
+    header_at = begin
+    header = lines[begin]
     if _looks_like_data(header):
         if comment is None:
             raise RecordError(
                 f"{source}, line {begin + 1}: {header.strip()!r:.40}; it must be a line of column names; {NAMES_BELOW}"
             )
-        header_at, header = comment, lines[comment].lstrip().removeprefix(written.comment or lines[comment].lstrip()[0])
+        header_at = comment
+        header = lines[comment].lstrip().removeprefix(written.comment or lines[comment].lstrip()[0])
     body = header_at + 1 if header_at == begin else begin
     samples = [line for line in islice(lines, body, body + SAMPLED_ROWS) if line.strip()]
     delimiter = written.delimiter or delimiter_of(header, samples, f"{source}, line {header_at + 1}")
@@ -94,7 +97,8 @@ def _names_and_rows(text: str, written: TextFormat, source: str) -> tuple[_Row |
 
 def _beginning(lines: Sequence[str], written: TextFormat) -> tuple[int, int | None]:
     """Index of the first line that is neither empty nor a comment, and of the last comment before it."""
-    marks, comment = (written.comment or "#", written.comment or "%"), None
+    marks = (written.comment or "#", written.comment or "%")
+    comment = None
     for index, line in enumerate(lines):
         if written.header:
             if line.lstrip().removeprefix('"').startswith(written.header.removeprefix('"')):
@@ -118,7 +122,8 @@ def _check_names(names: _Row, samples: Sequence[str], source: str) -> None:
 def _without_units(rows: list[_Row], source: str) -> list[_Row]:
     """The rows without those under the header that hold no number, such as units, if all others do in some column."""
     begin = next((at for at, (_, cells) in enumerate(rows) if any(map(_is_measured, cells))), 0)
-    above, below = [cells for _, cells in rows[:begin]], [cells for _, cells in rows[begin:]]
+    above = [cells for _, cells in rows[:begin]]
+    below = [cells for _, cells in rows[begin:]]
     for at in range(len(rows[0][1]) if begin else 0):
         if all(number_in(row[at]) is None for row in above) and all(number_in(row[at]) is not None for row in below):
             shown = ", ".join(rows[0][1])

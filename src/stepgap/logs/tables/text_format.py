@@ -118,7 +118,8 @@ def decimal_of(cells: Iterable[str], delimiter: str, source: str) -> str:
     for cell in cells:
         if "," in cell:
             if _DECIMAL_COMMA.fullmatch(cell) or _THOUSANDS.fullmatch(cell):
-                commas, example = True, example or cell
+                commas = True
+                example = example or cell
                 grouped &= _THOUSANDS.fullmatch(cell) is not None
                 if cell.count(",") > 1:
                     raise _ambiguous(source, cell, "has separated thousands, which are not read")
