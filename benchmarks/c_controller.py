@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy.stats import t
@@ -28,14 +28,14 @@ import stepgap
 from stepgap.base.random_streams import random_stream
 from stepgap.experiment.deployment import deploy
 from stepgap.experiment.run import Run
-from stepgap.export.controller.c_source import Real, c_source
+from stepgap.export.controller.c_source import c_source
 from stepgap.export.controller.portable_controller import PortableController, portable_controller
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.step import Array, StepRecord, StepStatus
 
 MAIN = Path(__file__).parents[1] / "examples" / "c_controller" / "main.c"
-STRICT = ("-std=c99", "-ffreestanding", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-O2")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-O2")
 
 
 @dataclass(frozen=True)
@@ -44,25 +44,22 @@ class Code:
 
     Attributes:
         library: The shared library.
-        number: Type of its arrays.
         program: The program of `examples/c_controller/main.c` with it.
         size: Size of the object file [bytes].
         stack: Stack of the deepest chain of calls [bytes].
     """
 
     library: Any
-    number: Any
     program: Path
     size: int
     stack: int
 
     def call(self, name: str, *arguments: Any) -> int:
         """Calls a function of the controller with arrays, numbers or None."""
-        scalar = ctypes.c_double if self.number is np.float64 else ctypes.c_float
         passed = [
             each.ctypes.data_as(ctypes.c_void_p)
             if isinstance(each, np.ndarray)
-            else scalar(each)
+            else ctypes.c_double(each)
             if isinstance(each, float)
             else each
             for each in arguments
@@ -70,13 +67,13 @@ class Code:
         return int(getattr(self.library, f"controller_{name}")(*passed))
 
     def array(self, values: Any) -> Any:
-        """A contiguous array of the controller's type."""
-        return np.ascontiguousarray(values, self.number)
+        """A contiguous array of doubles."""
+        return np.ascontiguousarray(values, float)
 
 
-def compiled(controller: PortableController, folder: Path, real: Real) -> Code:
+def compiled(controller: PortableController, folder: Path) -> Code:
     """Compiles a controller strictly."""
-    source = c_source(controller, "controller", real)
+    source = c_source(controller, "controller")
     (folder / "controller.c").write_text(source.code)
     (folder / "controller.h").write_text(source.header)
 
@@ -84,12 +81,11 @@ def compiled(controller: PortableController, folder: Path, real: Real) -> Code:
         return subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
 
     run("gcc", *STRICT, "-fcallgraph-info=su", "-c", "controller.c", "-o", "controller.o")
-    run("gcc", *STRICT, "-fPIC", "-shared", "controller.c", "-o", f"{real}.so")
-    run("gcc", "-std=c99", "-O2", "-I.", str(MAIN), "controller.c", "-o", f"program_{real}")
+    run("gcc", *STRICT, "-fPIC", "-shared", "controller.c", "-o", "controller.so", "-lm")
+    run("gcc", "-std=c99", "-O2", "-I.", str(MAIN), "controller.c", "-o", "program", "-lm")
     size = int(run("size", "controller.o").split("\n")[1].split()[3])
     stack = deepest_stack(next(folder.glob("*.ci")).read_text())
-    number = np.float64 if real == "double" else np.float32
-    return Code(ctypes.CDLL(str(folder / f"{real}.so")), number, folder / f"program_{real}", size, stack)
+    return Code(ctypes.CDLL(str(folder / "controller.so")), folder / "program", size, stack)
 
 
 def deepest_stack(graph: str) -> int:
@@ -107,15 +103,24 @@ def deepest_stack(graph: str) -> int:
     return max(depth(name, frozenset()) for name in frames)
 
 
+def started(code: Code) -> Any:
+    """A filter at the start of a deployment."""
+    filter_ = ctypes.create_string_buffer(2**20)
+    code.call("filter_init", filter_)
+    return filter_
+
+
 def compare_map(code: Code, controller: PortableController, count: int, rng: np.random.Generator) -> str:
     """Largest differences of mean and standard deviation [half ranges], also at states far outside the ranges."""
     space, n = controller.space, len(controller.space.state)
     states = space.state_centre + space.state_scale * rng.uniform(-2, 2, (count, n))
     commands = space.command_at(rng.uniform(-1, 1, (count, len(space.command))))
     outcome, std = controller.map.evaluate(states, commands), controller.map.std(states, commands)
+    filter_ = started(code)
     mean, spread, differ, worst = code.array(np.zeros(n)), code.array(np.zeros(n)), 0, np.zeros(2)
     for row in range(count):
-        status = code.call("map", code.array(states[row]), code.array(commands[row]), mean, spread)
+        given = code.array(states[row]), code.array(commands[row]), float("nan")
+        status = code.call("map", filter_, *given, mean, spread)
         differ += status != outcome.status[row]
         if status == StepStatus.OK == outcome.status[row]:
             errors = [np.abs(mean - outcome.next_state[row]), np.abs(spread - std[row])]
@@ -126,7 +131,7 @@ def compare_map(code: Code, controller: PortableController, count: int, rng: np.
 def compare_plans(code: Code, controller: PortableController, count: int, rng: np.random.Generator) -> str:
     """How often plans agree, how their expected squared distances compare, and the times of both."""
     space, n, m = controller.space, len(controller.space.state), len(controller.space.command)
-    tolerance = 1e-9 if code.number is np.float64 else 1e-4
+    tolerance, filter_ = 1e-9, started(code)
     apart, worse, seconds = [], 0.0, [[], []]
     command, predicted, std = (code.array(np.zeros(size)) for size in (m, n, n))
     for _ in range(count):
@@ -134,7 +139,7 @@ def compare_plans(code: Code, controller: PortableController, count: int, rng: n
         guess = space.command_at(rng.uniform(-1, 1, m))
         given = [code.array(each) for each in (state, target, guess)]
         begin = perf_counter()
-        status = code.call("plan", None, *given, 0.0, command, predicted, std)
+        status = code.call("plan", filter_, *given, float("nan"), command, predicted, std)
         middle = perf_counter()
         plan = controller.controller(state, target, guess)
         for times, duration in zip(seconds, (middle - begin, perf_counter() - middle), strict=True):
@@ -155,8 +160,7 @@ def compare_plans(code: Code, controller: PortableController, count: int, rng: n
 def compare_commands(code: Code, run: Run, seed: int) -> str:
     """Differences of the commands on the steps of one deployment of the twin, which Python hops."""
     plant = Hopper().simulations()["twin"](random_stream(seed)).plant(random_stream(seed, 0))
-    filter_, command, phase, apart = ctypes.create_string_buffer(2**20), None, float("nan"), []
-    code.call("filter_init", filter_)
+    filter_, command, phase, apart = started(code), None, float("nan"), []
     ahead = run.needed(run.settings).control.horizon
     for logged in deploy(run.learner(1), plant, paper_reference(), 1, control=run.needed(run.settings).control):
         record, found = logged.record, code.array(np.zeros(len(plant.space.command)))
@@ -219,7 +223,7 @@ def compare_hops(code: Code, python: Array, seeds: list[int]) -> str:
 
 
 def main() -> None:
-    """Prints a block for each type of the numbers."""
+    """Prints the comparison."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path)
     parser.add_argument("--points", type=int, default=10_000)
@@ -228,21 +232,17 @@ def main() -> None:
     options = parser.parse_args()
     run = stepgap.load_run(options.run)
     seeds = [int(seed) for seed in options.seeds.split(",")]
-    kinds: tuple[Literal["double", "float"], ...] = ("double", "float")
     with threadpool_limits(limits=1, user_api="blas"), TemporaryDirectory() as folder:
         controller = portable_controller(run, 1, random_stream(run.needed(run.settings).seed, 0, 3))
         for sentence in (*controller.approximations, *controller.notes):
             print(re.sub(r"\s+", " ", str(sentence)))
         python = np.array([tracking_error(steps_of(run, seed)) for seed in seeds])
-        for real in kinds:
-            code = compiled(controller, Path(folder), real)
-            print(
-                f"{real}: object {code.size} bytes, stack of the deepest calls {code.stack} bytes, {' '.join(STRICT)}"
-            )
-            print(f"  {compare_map(code, controller, options.points, random_stream(1))}")
-            print(f"  {compare_plans(code, controller, options.plans, random_stream(2))}", flush=True)
-            print(f"  {compare_commands(code, run, seeds[0])}")
-            print(f"  {compare_hops(code, python, seeds)}", flush=True)
+        code = compiled(controller, Path(folder))
+        print(f"object {code.size} bytes, stack of the deepest calls {code.stack} bytes, {' '.join(STRICT)}")
+        print(compare_map(code, controller, options.points, random_stream(1)))
+        print(compare_plans(code, controller, options.plans, random_stream(2)), flush=True)
+        print(compare_commands(code, run, seeds[0]))
+        print(compare_hops(code, python, seeds))
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from time import thread_time
 
 import numpy as np
-from c_controller import compiled
+from c_controller import compiled, started
 from threadpoolctl import threadpool_limits
 
 from stepgap.control.settings import ControlSettings
@@ -53,14 +53,15 @@ def controller_of(size: int) -> PortableController:
 
 def times_of(controller: PortableController, folder: Path, plans: int) -> tuple[Array, int]:
     """Processor times of the plans in C and in Python (2, plans) [ms], and how many are equal."""
-    code, rng, size = compiled(controller, folder, "double"), np.random.default_rng(1), len(controller.space.state)
+    code, rng, size = compiled(controller, folder), np.random.default_rng(1), len(controller.space.state)
+    filter_ = started(code)
     horizon, seconds, same, command = controller.settings.horizon, np.zeros((2, plans)), 0, code.array(np.zeros(size))
     for number in range(plans):
         state, guess = rng.uniform(-0.5, 0.5, (2, size))
         targets = rng.uniform(-0.5, 0.5, (horizon, size))
         given = code.array(state), code.array(targets), horizon, code.array(guess)
         begin = thread_time()
-        code.call("plan_ahead", None, *given, np.nan, command, None, None)
+        code.call("plan_ahead", filter_, *given, np.nan, command, None, None)
         middle = thread_time()
         plan = controller.controller(state, targets[0], guess, targets[1:])
         seconds[:, number] = middle - begin, thread_time() - middle
@@ -81,7 +82,7 @@ def main() -> None:
                 with TemporaryDirectory() as folder:
                     planned = replace(controller, settings=ControlSettings(horizon=horizon))
                     found, same = times_of(planned, Path(folder), plans)
-                    code = compiled(planned, Path(folder), "double")
+                    code = compiled(planned, Path(folder))
                 parts = [f"{np.median(each):.3g}, {np.quantile(each, 0.99):.3g}" for each in found]
                 sizes = f"{code.size / 1000:.0f}, {code.stack / 1000:.0f}"
                 print(f"{size}, {horizon}: {'; '.join(parts)}; {same} of {plans}; {sizes}", flush=True)

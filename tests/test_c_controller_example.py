@@ -23,7 +23,7 @@ def test_it_plans_section_after_section(tmp_path: Path) -> None:
     (tmp_path / "controller.c").write_text(source.code)
     (tmp_path / "controller.h").write_text(source.header)
     flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-I."]
-    subprocess.run([str(COMPILER), *flags, str(MAIN), "controller.c", "-o", "robot"], cwd=tmp_path, check=True)
+    subprocess.run([str(COMPILER), *flags, str(MAIN), "controller.c", "-o", "robot", "-lm"], cwd=tmp_path, check=True)
     states = SPACE.state_centre + SPACE.state_scale * np.random.default_rng(3).uniform(-1, 1, (8, 2))
     target = SPACE.state_centre
     with subprocess.Popen([tmp_path / "robot"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as robot:

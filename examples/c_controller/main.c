@@ -1,7 +1,7 @@
 /* The main loop of a robot that is controlled by what StepGap learned.
  *
  *     stepgap export runs/latest --to c --out controller.c
- *     cc -std=c99 -O2 -o robot examples/c_controller/main.c controller.c -I.
+ *     cc -std=c99 -O2 -o robot examples/c_controller/main.c controller.c -I. -lm
  *     echo "0.1 0.56 0.2 0.58 0.0" | ./robot
  *
  * Here, a line of standard input stands for the sensors at a section (for the hopper the apex): the state, the target
@@ -22,7 +22,7 @@
 enum { STATES = controller_STATES, COMMANDS = controller_COMMANDS };
 
 typedef struct {
-    controller_real state[STATES], target[STATES], phase;
+    double state[STATES], target[STATES], phase;
 } Section;
 
 /* Waits for the next section; 1 if there is one, 0 if the deployment ended, -1 if the robot is switched off. */
@@ -49,15 +49,15 @@ static int read_section(Section *section)
         return 0;
     }
     for (int i = 0; i < STATES; i++) {
-        section->state[i] = (controller_real)numbers[i];
-        section->target[i] = (controller_real)numbers[STATES + i];
+        section->state[i] = numbers[i];
+        section->target[i] = numbers[STATES + i];
     }
-    section->phase = (controller_real)numbers[2 * STATES];
+    section->phase = numbers[2 * STATES];
     return 1;
 }
 
 /* Hands the command of the next step to the inner controller. */
-static void write_command(int status, const controller_real *command)
+static void write_command(int status, const double *command)
 {
     printf("%d", status);
     for (int i = 0; i < COMMANDS; i++)
@@ -70,7 +70,7 @@ int main(void)
 {
     static controller_filter filter; /* what is known of the robot; too large for many a stack */
     static Section before, present;
-    static controller_real command[COMMANDS];
+    static double command[COMMANDS];
     int steps = 0, found;
 
     controller_filter_init(&filter);

@@ -1,7 +1,7 @@
 /* The learned controller as a function of Octave or MATLAB.
  *
  *     stepgap export runs/latest --to c --out controller.c
- *     mkoctfile --mex -I. examples/c_controller/octave/step_controller.c controller.c     (in MATLAB: mex …)
+ *     mkoctfile --mex -I. examples/c_controller/octave/step_controller.c controller.c -lm     (in MATLAB: mex …)
  *
  *     step_controller()                                        % before each deployment
  *     [command, status] = step_controller(state, target, phase)  % once per section; phase [rad] may be NaN
@@ -14,20 +14,20 @@
 
 enum { STATES = controller_STATES, COMMANDS = controller_COMMANDS };
 
-static void read_numbers(const mxArray *given, const char *name, int count, controller_real *numbers)
+static void read_numbers(const mxArray *given, const char *name, int count, double *numbers)
 {
     if (!mxIsDouble(given) || mxIsComplex(given) || (int)mxGetNumberOfElements(given) != count)
         mexErrMsgIdAndTxt("step_controller:size", "%s must have %d real numbers", name, count);
     for (int i = 0; i < count; i++)
-        numbers[i] = (controller_real)mxGetPr(given)[i];
+        numbers[i] = mxGetPr(given)[i];
 }
 
 void mexFunction(int results, mxArray *result[], int arguments, const mxArray *argument[])
 {
     static controller_filter filter;
-    static controller_real before[STATES], command[COMMANDS], phase_before;
+    static double before[STATES], command[COMMANDS], phase_before;
     static int steps = 0;
-    controller_real state[STATES], target[STATES], phase;
+    double state[STATES], target[STATES], phase;
     int status;
 
     if (arguments == 0) {

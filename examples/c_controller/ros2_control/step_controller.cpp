@@ -61,12 +61,12 @@ return_type StepController::update(const rclcpp::Time &, const rclcpp::Duration 
     const double step = state_interfaces_[controller_STATES + 1].get_value();
     if (!(step > step_))  // also if it is not a number
         return return_type::OK;
-    controller_real state[controller_STATES], target[controller_STATES];
+    double state[controller_STATES], target[controller_STATES];
     for (int i = 0; i < controller_STATES; i++) {
-        state[i] = static_cast<controller_real>(state_interfaces_[i].get_value());
-        target[i] = static_cast<controller_real>(target_[i]);
+        state[i] = state_interfaces_[i].get_value();
+        target[i] = target_[i];
     }
-    const auto phase = static_cast<controller_real>(state_interfaces_[controller_STATES].get_value());
+    const auto phase = state_interfaces_[controller_STATES].get_value();
     if (steps_ > 0 && step == step_ + 1)  // a section that was missed teaches nothing
         controller_filter_update(&filter_, before_, command_, state, phase_before_);
     const int status = controller_plan(&filter_, state, target, steps_ > 0 ? command_ : nullptr, phase, command_, nullptr,

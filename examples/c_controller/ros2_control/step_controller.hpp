@@ -26,7 +26,7 @@ private:
     std::vector<std::string> state_names_, command_names_;
     std::vector<double> target_;
     controller_filter filter_{};
-    controller_real before_[controller_STATES]{}, command_[controller_COMMANDS]{}, phase_before_{};
+    double before_[controller_STATES]{}, command_[controller_COMMANDS]{}, phase_before_{};
     double step_ = 0.0;
     int steps_ = 0;
 };

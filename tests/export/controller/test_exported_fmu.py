@@ -1,4 +1,4 @@
-"""The FMU of a learned controller plans what Python plans, in two versions of FMI, with its online filter."""
+"""The FMU of a learned controller plans what Python plans, with its online filter."""
 
 import shutil
 from dataclasses import replace
@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 from stepgap.experiment.deployment import tracking_plan
-from stepgap.export.controller.fmu.controller_fmu import controller_fmu
-from stepgap.export.controller.fmu.description import FmiVersion
-from stepgap.export.controller.fmu.package import COMPILERS
+from stepgap.export.controller.fmu import COMPILERS, controller_fmu
 from stepgap.export.controller.portable_controller import PortableController
 from stepgap.step import Array, StepRecord, StepStatus
 from tests.export.controller.learned import SPACE, learned
@@ -49,11 +47,10 @@ def python_plans(controller: PortableController, rows: np.ndarray[Any, Any]) -> 
     return np.array(plans)
 
 
-@pytest.mark.parametrize("version", [2, 3])
-def test_it_plans_what_python_plans_twice_in_a_row(version: FmiVersion, tmp_path: Path) -> None:
+def test_it_plans_what_python_plans_twice_in_a_row(tmp_path: Path) -> None:
     controller = learned("posterior")
     file = tmp_path / "controller.fmu"
-    file.write_bytes(controller_fmu(controller, version))
+    file.write_bytes(controller_fmu(controller))
     outputs = [f"{name}_{each.name}" for name, group in (
         ("command", SPACE.command), ("predicted", SPACE.state), ("std", SPACE.state)) for each in group]  # fmt: skip
     options: dict[str, Any] = {

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from stepgap.base.errors import InputError
-from stepgap.export.controller.fmu.description import FmiVersion
-from stepgap.export.controller.fmu.package import COMPILERS, fmu_file
+from stepgap.export.controller.fmu import COMPILERS, fmu_file
 from tests.export.controller.learned import SPACE
 
 fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
@@ -53,10 +52,10 @@ int controller_plan(const controller_filter *f, const double *state, const doubl
 """
 
 
-@pytest.fixture(scope="module", params=[2, 3])
-def fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
-    file = tmp_path_factory.mktemp("fmu") / f"controller_{request.param}.fmu"
-    file.write_bytes(fmu_file(SPACE, {"controller.h": HEADER, "controller.c": SOURCE}, request.param))
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory: pytest.TempPathFactory) -> str:
+    file = tmp_path_factory.mktemp("fmu") / "controller.fmu"
+    file.write_bytes(fmu_file(SPACE, {"controller.h": HEADER, "controller.c": SOURCE}))
     return str(file)
 
 
@@ -71,18 +70,15 @@ def opened(fmu: str, folder: Path) -> Any:
 
 
 def begin(unit: Any) -> None:
-    if hasattr(unit, "setupExperiment"):
-        unit.setupExperiment(startTime=0.0)
     unit.enterInitializationMode()
     unit.exitInitializationMode()
 
 
 def take_step(unit: Any, number: int, state: float, target: float) -> list[float]:
     """The reals that the unit gives out for a step."""
-    writes, reads = (unit.setReal, unit.getReal) if hasattr(unit, "setReal") else (unit.setFloat64, unit.getFloat64)
-    writes([0, 2], [state, target])
+    unit.setFloat64([0, 2], [state, target])
     unit.doStep(float(number), 1.0)
-    return list(reads(list(range(5, 11))))
+    return list(unit.getFloat64(list(range(5, 11))))
 
 
 def close(unit: Any) -> None:
@@ -135,16 +131,15 @@ def test_two_instances_do_not_disturb_each_other_and_reset_begins_again(fmu: str
 
 def test_a_state_is_kept_and_set_again(fmu: str, tmp_path: Path) -> None:
     unit = opened(fmu, tmp_path)
-    second = hasattr(unit, "setReal")
     take_step(unit, 0, 0.1, 0.2)
-    kept = unit.getFMUstate() if second else unit.getFMUState()
-    text = unit.serializeFMUstate(kept) if second else unit.serializeFMUState(kept)
+    kept = unit.getFMUState()
+    text = unit.serializeFMUState(kept)
     first = [take_step(unit, k, 0.2 * k, 0.3) for k in (1, 2)]
-    restored = unit.deSerializeFMUstate(text) if second else unit.deserializeFMUState(text)
-    (unit.setFMUstate if second else unit.setFMUState)(restored)
+    restored = unit.deserializeFMUState(text)
+    unit.setFMUState(restored)
     assert [take_step(unit, k, 0.2 * k, 0.3) for k in (1, 2)] == first
     for state in (kept, restored):
-        (unit.freeFMUstate if second else unit.freeFMUState)(state)
+        unit.freeFMUState(state)
     close(unit)
 
 
@@ -156,16 +151,15 @@ def test_a_step_that_was_not_completed_is_not_learned(fmu: str, tmp_path: Path) 
     unit.setBoolean([12], [True])
     assert take_step(unit, 2, 0.1, 0.2)[4] == 1
     assert take_step(unit, 3, 6.0, 0.2)[2:] == [0, 0, 0, 0], "nothing is predicted"
-    assert (unit.getInteger([11]) if hasattr(unit, "getInteger") else unit.getInt32([11])) == [3]
+    assert unit.getInt32([11]) == [3]
     close(unit)
 
 
 def test_outputs_and_unknown_variables_cannot_be_set(fmu: str, tmp_path: Path) -> None:
     unit = opened(fmu, tmp_path)
-    writes = unit.setReal if hasattr(unit, "setReal") else unit.setFloat64
     for reference in (5, 99):
         with pytest.raises(Exception, match="failed with status 3"):
-            writes([reference], [1.0])
+            unit.setFloat64([reference], [1.0])
     close(unit)
 
 
@@ -173,18 +167,17 @@ def test_only_functions_of_the_standard_are_visible(fmu: str, tmp_path: Path) ->
     folder = Path(fmpy.extract(fmu, str(tmp_path)))
     (binary,) = (file for file in (folder / "binaries").rglob("*") if file.is_file())
     library = ctypes.CDLL(str(binary))
-    assert hasattr(library, f"fmi{Path(fmu).stem[-1]}DoStep")
+    assert hasattr(library, "fmi3DoStep")
     assert not hasattr(library, "controller_plan")
 
 
-@pytest.mark.parametrize("version", [2, 3])
-def test_without_a_compiler_it_says_so(version: FmiVersion, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_compiler_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     with pytest.raises(InputError, match="needs a C compiler, one of cc, gcc, clang"):
-        fmu_file(SPACE, {"controller.h": HEADER, "controller.c": SOURCE}, version)
+        fmu_file(SPACE, {"controller.h": HEADER, "controller.c": SOURCE})
 
 
 def test_a_source_that_does_not_compile_is_one_line() -> None:
     with pytest.raises(InputError, match=r"failed: .*error") as caught:
-        fmu_file(SPACE, {"controller.h": HEADER, "controller.c": "int x = ;"}, 2)
+        fmu_file(SPACE, {"controller.h": HEADER, "controller.c": "int x = ;"})
     assert "\n" not in str(caught.value)

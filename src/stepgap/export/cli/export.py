@@ -1,5 +1,6 @@
 """The verb `stepgap export`."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,13 +12,26 @@ from stepgap.base.output_files import check_new, free_name, write_new, write_tog
 from stepgap.base.versions import optional_package
 from stepgap.cli.options import Integer, Name
 from stepgap.cli.terminal import announces_compilation
-from stepgap.export.cli.export_controller import CONTROLLER_FILES, controller_file
 
 if TYPE_CHECKING:
     from stepgap.experiment.settings import Experiment
+    from stepgap.export.controller.portable_controller import PortableController
 
 PACKAGE_OF_FORMAT = {"onnx": "onnx", "casadi": "casadi", "parquet": "pyarrow"}
 """Package that a format needs, which is looked for before a run is read."""
+
+CONTROLLER_FILES = {
+    "model": "model.json",
+    "python": "controller.py",
+    "onnx": "map.onnx",
+    "casadi": "map.casadi",
+    "fmu": "controller.fmu",
+    "c": "controller.c",
+}
+"""Name of the file of each format of a learned controller; that of C has a header beside it."""
+
+_Gone = Annotated[str, Parameter(show=False)]
+"""Option of earlier versions, which is answered by what to do instead."""
 
 
 @announces_compilation
@@ -29,8 +43,8 @@ def export(
     iteration: Annotated[
         Integer | None, Parameter(name=("--deployment", "--iteration"), validator=validators.Number(gte=0))
     ] = None,
-    fmi: Literal[2, 3] = 2,
-    real: Literal["double", "float"] = "double",
+    fmi: _Gone = "3",
+    real: _Gone = "double",
     name: Name = "",
     out: Path | None = None,
 ) -> None:
@@ -44,11 +58,13 @@ def export(
             controller as a C99 file and its header; python: the controller as a file that needs NumPy alone.
         iteration: Number of the only deployment to export. [default: all of them; for mcap the last one; for what was
             learned the one after the last]
-        fmi: For fmu, the version of FMI.
-        real: For c, the type of the numbers.
         name: Name of this robot, such as its serial number, in the passport of what was learned.
         out: New file, or for mjcf a new folder. [default: a new one in the folder export/ of the run]
     """
+    if fmi != "3":
+        raise InputError(f"--fmi {fmi}: an FMU is of FMI 3.0; leave this option out, or compile what --to c writes")
+    if real != "double":
+        raise InputError(f"--real {real}: the numbers of C are double; leave this option out")
     if to in PACKAGE_OF_FORMAT:
         optional_package(PACKAGE_OF_FORMAT[to], f"--to {to}", to)
     if to == "mjcf":
@@ -57,24 +73,56 @@ def export(
         _export_ticks(folder, iteration, out)
     elif to == "foxglove":
         _export_layout(folder, iteration, out)
-    elif to == "c":
-        _export_c(folder, iteration, real, out, name)
     elif to in CONTROLLER_FILES:
-        content, file = controller_file(folder, to, iteration, fmi, name), Path(CONTROLLER_FILES[to])
-        write_new(_target(folder, f"{file.stem}{_suffix(iteration)}{file.suffix}", out), "--out", content)
+        _export_controller(folder, to, iteration, out, name)
     else:
         _export_steps(folder, to, iteration, out)
 
 
-def _export_c(
-    folder: Path, iteration: int | None, real: Literal["double", "float"], out: Path | None, name: str
-) -> None:
-    from stepgap.export.cli.export_controller import c_files
+def _export_controller(folder: Path, to: str, iteration: int | None, out: Path | None, name: str) -> None:
+    """Writes a learned controller; what was replaced for the export is printed as messages."""
+    from stepgap.base.random_streams import random_stream
+    from stepgap.experiment.run import load_run
+    from stepgap.export.controller.portable_controller import portable_controller
 
-    target = out or _target(folder, "controller.c", None)
-    for file in (target, target.with_suffix(".h")):
-        check_new(file, "--out")
-    write_together(c_files(folder, target, iteration, real, name), "--out")
+    suffix = "" if to == "c" else _suffix(iteration)
+    file = Path(CONTROLLER_FILES[to])
+    target = _target(folder, f"{file.stem}{suffix}{file.suffix}", out)
+    if to == "c":
+        check_new(target.with_suffix(".h"), "--out")
+        if target.suffix != ".c":
+            raise InputError(f"--out {target}: the name must end with .c; the header beside it ends with .h")
+    run = load_run(folder)
+    controller = portable_controller(run, iteration, random_stream(run.needed(run.settings).seed, 0, 3), name)
+    contents = _contents(controller, to, target)
+    for sentence in (*map(str, controller.approximations), *controller.notes):
+        print(sentence, file=sys.stderr)
+    write_together(contents, "--out")
+
+
+def _contents(controller: "PortableController", to: str, target: Path) -> dict[Path, str | bytes]:
+    """Contents of the files by path; the stem of a C source begins the names of its functions."""
+    from stepgap.export.controller.c_source import c_source
+    from stepgap.export.controller.casadi_function import casadi_text
+    from stepgap.export.controller.fmu import controller_fmu
+    from stepgap.export.controller.model_document import model_document, model_text
+    from stepgap.export.controller.onnx_model import onnx_model
+    from stepgap.export.controller.python_source import python_source
+
+    match to:
+        case "c":
+            source = c_source(controller, target.stem)
+            return {target: source.code, target.with_suffix(".h"): source.header}
+        case "fmu":
+            return {target: controller_fmu(controller)}
+        case "python":
+            return {target: python_source(controller)}
+        case "onnx":
+            return {target: onnx_model(model_document(controller))}
+        case "casadi":
+            return {target: casadi_text(model_document(controller))}
+        case _:
+            return {target: model_text(controller)}
 
 
 def _export_steps(folder: Path, to: str, iteration: int | None, out: Path | None) -> None:
@@ -86,18 +134,15 @@ def _export_steps(folder: Path, to: str, iteration: int | None, out: Path | None
 
     run = Run(folder).checked()
     columns = step_columns(run.recorded, iteration)
-    contents = {
-        "mat": lambda: matlab_file(run, columns),
-        "csv": lambda: steps_text(columns),
-        "parquet": lambda: parquet_file(columns),
-    }
-    content = contents[to]()
     name = "run" if to == "mat" else "steps"
     target = _target(folder, f"{name}{_suffix(iteration)}.{to}", out)
-    legend = target.with_stem(f"{target.stem}_columns")
     if to == "csv":
+        legend = target.with_stem(f"{target.stem}_columns")
         check_new(legend, "--out")
-    write_together({target: content, **({legend: columns_text(columns)} if to == "csv" else {})}, "--out")
+        write_together({target: steps_text(columns), legend: columns_text(columns)}, "--out")
+    else:
+        content = matlab_file(run, columns) if to == "mat" else parquet_file(columns)
+        write_new(target, "--out", content)
 
 
 def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None:

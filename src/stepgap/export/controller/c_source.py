@@ -1,46 +1,40 @@
-"""A portable controller as C99: one source file and its header, without libraries, dynamic memory or global variables.
+"""A portable controller as C99: one source file and its header, without dynamic memory or global variables.
 
 The code is that of `controller.c.txt`, a port of `CautiousController`, of the searches that it uses and of `Beliefs`.
-This module writes the numbers into it: the ranges, the nominal map, the residual, the failures, and the settings and
-constants of the Python modules, so that both agree.
+This module writes the numbers into it: those of the documented model, of which the other exports are made, too, and the
+constants of the Python modules by their names.
 """
 
-import math
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
-from typing import Final, Literal, NamedTuple, Self, final, get_args
+from math import sqrt
+from typing import Any, Final, NamedTuple, final, get_args
 from unicodedata import normalize
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stepgap.base.errors import InputError
 from stepgap.base.versions import versions_here
-from stepgap.control import bounded_search, cautious_controller, gauss_newton, goal, horizon
+from stepgap.control import bounded_search, cautious_controller, gauss_newton, horizon
 from stepgap.control.box_points import box_points, composite_design, irrational_steps
+from stepgap.export.controller.model_document import model_document
 from stepgap.export.controller.passport import passport_lines
 from stepgap.export.controller.portable_controller import SAMPLE_RESOLUTION, PortableController
 from stepgap.export.controller.step_filter import UNCORRECTED
-from stepgap.gauss.features import Features
 from stepgap.gauss.kernel import SQUARED_EXPONENTIAL
-from stepgap.gauss.sparse_gaussian_process import SparseGaussianProcess
+from stepgap.gauss.monomials import number_of_monomials
 from stepgap.learning import beliefs, believed
-from stepgap.learning.belief import Kind
-from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
-from stepgap.learning.polynomial import Polynomial
-from stepgap.learning.posterior import Posterior, features_to_dict
-from stepgap.learning.regression import Regression
-from stepgap.robots.nominal_maps.affine_map import AffineMap
-from stepgap.robots.nominal_maps.surrogate_map import SurrogateMap, exponents_of
+from stepgap.learning.belief import Belief, Kind
 from stepgap.step import Quantity, StepStatus
 
-Real = Literal["double", "float"]
-"""Type of all numbers of the C code."""
+MODULES: Final = (gauss_newton, bounded_search, cautious_controller, horizon, beliefs, believed)
+"""Modules whose constants are those of the C code, under the same names."""
 
 _WORDS = (
     "auto break case char const continue default do double else enum extern float for goto if inline int long register "
-    "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while real"
+    "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while"
 )
 KEYWORDS: Final = frozenset(_WORDS.split())
 """Words that cannot begin the names of the functions."""
@@ -50,6 +44,14 @@ KINDS: Final = get_args(Kind)
 
 PER_LINE: Final = 6
 """Numbers in a line of an array."""
+
+REGRESSION: Final = {
+    "kind": "ZERO",
+    **dict.fromkeys(("degree", "waves", "squared_exponential", "constant_is_exact", "centre_count"), 0),
+    **dict.fromkeys(("noise_std", "unit", "signal"), 0.0),
+    **dict.fromkeys(("origin", "scale", "weights", "posterior", "centres", "factor", "slope_scale"), "NULL"),
+}
+"""Fields of the regression of a state coordinate in C, in their order, with the values where nothing was learned."""
 
 
 @final
@@ -65,81 +67,12 @@ class CSource(NamedTuple):
     code: str
 
 
-@final
-@dataclass(frozen=True)
-class _Arithmetic:
-    """What depends on the type of the numbers: constants of the elementary functions, and tolerances.
-
-    Attributes:
-        type: Name of the type in C.
-        definitions: C definitions.
-        tolerances: In place of those of `gauss_newton`, which are below the resolution of `float`.
-        largest_angle: Largest phase whose sine is computed [rad].
-    """
-
-    type: Real
-    definitions: str
-    tolerances: dict[str, float]
-    largest_angle: float
-
-
-_DOUBLE: Final = _Arithmetic(
-    "double",
-    """typedef uint64_t real_bits;
-#define SMALLEST_NORMAL 2.2250738585072014e-308
-#define INFINITE 1.7976931348623157e308 /* stands for infinity */
-#define EPSILON 2.220446049250313e-16
-#define LEAST_EXPONENT (-708.0)
-#define LOG_2_HIGH 6.93147180369123816490e-01
-#define LOG_2_LOW 1.90821492927058770002e-10
-#define HALF_PI_HIGH 1.57079632673412561417e+00
-#define HALF_PI_MIDDLE 6.07710050630396597660e-11
-#define HALF_PI_LOW 2.02226624879595063154e-21
-#define HALF_BIAS ((real_bits)1023 << 51)
-enum { EXPONENT_BIAS = 1023, MANTISSA_BITS = 52, TAYLOR_TERMS = 14, NEWTON_STEPS = 5 };""",
-    {
-        "TOLERANCE": gauss_newton.TOLERANCE,
-        "REACHED": gauss_newton.REACHED,
-        "FLAT": gauss_newton.FLAT,
-        "IMPROVEMENT": cautious_controller.IMPROVEMENT,
-        "STATIONARY": 1e-14,
-        "SMALLEST_MOVE": 1e-100,
-    },
-    1e6,
-)
-_FLOAT: Final = _Arithmetic(
-    "float",
-    """typedef uint32_t real_bits;
-#define SMALLEST_NORMAL 1.17549435e-38f
-#define INFINITE 3.40282347e38f /* stands for infinity */
-#define EPSILON 1.1920929e-07f
-#define LEAST_EXPONENT (-87.0f)
-#define LOG_2_HIGH 6.9313812256e-01f
-#define LOG_2_LOW 9.0580006145e-06f
-#define HALF_PI_HIGH 1.5707855225e+00f
-#define HALF_PI_MIDDLE 1.0804334124e-05f
-#define HALF_PI_LOW 6.0770943833e-11f
-#define HALF_BIAS ((real_bits)127 << 22)
-enum { EXPONENT_BIAS = 127, MANTISSA_BITS = 23, TAYLOR_TERMS = 8, NEWTON_STEPS = 4 };""",
-    {
-        "TOLERANCE": 1e-6,
-        "REACHED": 1e-5,
-        "FLAT": 1e-5,
-        "IMPROVEMENT": 1e-5,
-        "STATIONARY": 1e-6,
-        "SMALLEST_MOVE": 1e-30,
-    },
-    1e4,
-)
-
-
-def c_source(controller: PortableController, prefix: str, real: Real = "double") -> CSource:
+def c_source(controller: PortableController, prefix: str) -> CSource:
     """Writes a controller as C99.
 
     Args:
         controller: The controller.
         prefix: Begins every public name, and is the name of the files; a C identifier.
-        real: Type of all numbers.
 
     Raises:
         InputError: The prefix is not a C identifier.
@@ -149,117 +82,73 @@ def c_source(controller: PortableController, prefix: str, real: Real = "double")
             f"'{prefix}': the functions are named after the file, so its name must be a C identifier: a letter, then "
             "at most 30 letters, digits or underscores, and no word of C, such as controller.c"
         )
-    arithmetic = _DOUBLE if real == "double" else _FLOAT
-    tables = _Tables(controller, arithmetic)
+    document = model_document(controller)
+    features = _features(document)
+    code = _template("controller.c.txt")
+    sizes = _sizes(controller, document, features)
+    constants = {**_constants(), **sizes}
+    used = {name: constants[name] for name in sorted(set(re.findall(r"\b[A-Z][A-Z_]+\b", code)) & constants.keys())}
+    tables = [
+        *(f"#define {name} {_literal(value)}" for name, value in used.items()),
+        *_space(controller),
+        _array("wave_frequency", features["frequencies"]),
+        _array("wave_shift", features["shifts"]),
+        *_beliefs(controller),
+        *_nominal(document["nominal"]),
+        *_residual(document["residual"]["regressions"]),
+    ]
     include = f'/* Explained in {prefix}.h. */\n#include "{prefix}.h"'
-    body = _template("controller.c.txt").replace("@include@", include).replace("@constants@", tables.text())
-    header = _header(controller, arithmetic, tables.stack())
-    return CSource(header.replace("PREFIX", prefix), body.replace("PREFIX", prefix))
+    code = code.replace("@include@", include).replace("@constants@", "\n".join(tables))
+    header = _header(controller, sizes)
+    return CSource(header.replace("PREFIX", prefix), code.replace("PREFIX", prefix))
 
 
 def _template(name: str) -> str:
     return files("stepgap.export.controller").joinpath(name).read_text("utf-8")
 
 
-def _header(controller: PortableController, arithmetic: _Arithmetic, stack: int) -> str:
-    space = controller.space
-    noise, sizes = zip(space.state, controller.map.noise_std, strict=True), _Sizes.of(controller)
-    notes = [*map(str, controller.approximations), *controller.notes]
+def _header(controller: PortableController, sizes: Mapping[str, Any]) -> str:
+    space, settings = controller.space, controller.settings
     statuses = {**{each.name: each.value for each in StepStatus}, "UNCORRECTED": UNCORRECTED}
-    noises = ", ".join(f"{quantity.name} {std:.3g} {quantity.unit}" for quantity, std in noise)
+    noise = ", ".join(
+        f"{quantity.name} {std:.3g} {quantity.unit}"
+        for quantity, std in zip(space.state, controller.map.noise_std, strict=True)
+    )
+    change = f"; it differs from `guess` by at most {settings.largest_change:g} of its range"
+    notes = [*map(str, controller.approximations), *controller.notes]
     fields = {
         "title": "A step controller that was learned by StepGap: the command with which the next state is a target.",
         "version": versions_here()["stepgap"],
         "passport": "\n".join(f"   {_in_comment(line)}" for line in passport_lines(controller.passport)),
-        "n": str(len(space.state)),
-        "m": str(len(space.command)),
+        "n": len(space.state),
+        "m": len(space.command),
         "state": _quantities(space.state, "range of use"),
-        "horizon": str(controller.settings.horizon),
-        "change": _change(controller.settings.largest_change),
+        "horizon": settings.horizon,
+        "change": change if settings.largest_change < 1 else "",
         "command": _quantities(space.command, "bounds"),
-        "noise": _in_comment(noises),
+        "noise": _in_comment(noise),
         "approximations": "\n".join(f"   - {_in_comment(note)}" for note in notes) or "   none",
-        "real": arithmetic.type,
-        "features": str(sizes.features),
-        "beliefs": str(sizes.beliefs),
-        "recent": str(beliefs.RECENT),
-        "compared": str(beliefs.PROBES + beliefs.RECENT),
-        "changed": str(KINDS.index("changed")),
-        "earlier": str(KINDS.index("earlier")),
-        "size": str(sizes.memory(arithmetic.type)),
+        "features": sizes["FEATURES"],
+        "beliefs": sizes["BELIEFS"],
+        "recent": beliefs.RECENT,
+        "compared": beliefs.PROBES + beliefs.RECENT,
+        "changed": KINDS.index("changed"),
+        "earlier": KINDS.index("earlier"),
+        "size": _memory(controller, sizes),
         "statuses": ",\n".join(f"    PREFIX_{name} = {value}" for name, value in statuses.items()),
-        "angle": f"{arithmetic.largest_angle:g}",
-        "stack": str(stack),
+        "stack": _stack(controller, sizes),
     }
-    return re.sub("@([a-z]+)@", lambda found: fields[found[1]], _template("controller.h.txt"))
-
-
-@final
-@dataclass(frozen=True)
-class _Sizes:
-    """Sizes of the arrays of a controller.
-
-    Attributes:
-        states: n.
-        commands: m.
-        features: Features of state and command.
-        beliefs: Most beliefs at once: those at the start or those that are kept, young ones, what was believed earlier,
-            and while a step is learned one that is born and one that becomes an earlier one.
-    """
-
-    states: int
-    commands: int
-    features: int
-    beliefs: int
-
-    @classmethod
-    def of(cls, controller: PortableController) -> Self:
-        """The sizes of a controller."""
-        n, m = len(controller.space.state), len(controller.space.command)
-        known = controller.beliefs
-        most = 1 if known is None else max(len(known.beliefs), beliefs.MOST) + beliefs.YOUNG + 3
-        return cls(n, m, features_used(controller).count, most)
-
-    @property
-    def weights(self) -> int:
-        """Weights of each state coordinate, k."""
-        return self.features + 2 + self.states + self.commands
-
-    def memory(self, real: Real) -> int:
-        """About how large the state of a filter is [kB]."""
-        k, n, rows = self.weights, self.states, beliefs.PROBES + beliefs.RECENT
-        moments = n * (k + k * (k + 1) // 2)
-        numbers = self.beliefs * (moments + 2 * n * (1 + rows) + 2) + moments + beliefs.RECENT * k
-        return -(-(numbers * (8 if real == "double" else 4) + 12 * self.beliefs) // 1000)
-
-
-def features_used(controller: PortableController) -> Features:
-    """The features of beliefs or of a fitted residual, which may lack waves; without both, those of degree 1.
-
-    Raises:
-        InputError: Those of the residual are others.
-    """
-    parts = [each.features for each in controller.residual.regressions if isinstance(each, Posterior)]
-    known = [*([controller.beliefs.features] if controller.beliefs else []), *parts]
-    inputs = len(controller.space.names)
-    for each in known[1:]:
-        same = features_to_dict(each) == features_to_dict(known[0])
-        if not same and each.waves:
-            raise InputError("beliefs and residual have different features, which C cannot have; run again")
-    return known[0] if known else Features(inputs, 1, np.empty((0, inputs)), np.empty(0))
+    return re.sub("@([a-z]+)@", lambda found: str(fields[found[1]]), _template("controller.h.txt"))
 
 
 def _quantities(quantities: Iterable[Quantity], what: str) -> str:
-    return "\n".join(
-        f"       [{i}] {_in_comment(each.name)} [{_in_comment(each.unit)}], {what} {each.lower:g} to {each.upper:g}"
-        f"{'' if each.weight == 1 else f', weight {each.weight:g}' if each.weight else ', not tracked'}"
-        for i, each in enumerate(quantities)
-    )
-
-
-def _change(largest: float) -> str:
-    """What holds of the command and the one before."""
-    return f"; it differs from `guess` by at most {largest:g} of its range" if largest < 1 else ""
+    lines = list[str]()
+    for index, quantity in enumerate(quantities):
+        weight = f", weight {quantity.weight:g}" if quantity.weight else ", not tracked"
+        name = f"{_in_comment(quantity.name)} [{_in_comment(quantity.unit)}]"
+        ends = f"{what} {quantity.lower:g} to {quantity.upper:g}"
+        lines.append(f"       [{index}] {name}, {ends}{'' if quantity.weight == 1 else weight}")
+    return "\n".join(lines)
 
 
 def _in_comment(text: str) -> str:
@@ -269,289 +158,242 @@ def _in_comment(text: str) -> str:
     return re.sub(r"(?<=\*)(?=/)|(?<=/)(?=\*)", " ", plain)
 
 
-@final
-class _Tables:
-    """Writes the constants of a controller."""
+def _memory(controller: PortableController, sizes: Mapping[str, Any]) -> int:
+    """About how large the state of a filter is [kB]."""
+    n, k, rows = len(controller.space.state), sizes["WEIGHTS"], beliefs.PROBES + beliefs.RECENT
+    moments = n * (k + k * (k + 1) // 2)
+    numbers = sizes["BELIEFS"] * (moments + 2 * n * (1 + rows) + 2) + moments + beliefs.RECENT * k
+    return -(-(numbers * 8 + 12 * sizes["BELIEFS"]) // 1000)
 
-    def __init__(self, controller: PortableController, arithmetic: _Arithmetic):
-        self.controller = controller
-        self.arithmetic = arithmetic
 
-    def text(self) -> str:
-        """All constants."""
-        parts = [
-            self.arithmetic.definitions,
-            *(f"#define {name} R({value!r})" for name, value in self._numbers().items()),
-            f"enum {{ {', '.join(f'{name} = {value}' for name, value in self._sizes().items())} }};",
-            "enum { AFFINE, POLYNOMIAL_MAP };",
-            "enum { ZERO, WEIGHTED, GAUSSIAN_PROCESS };",
-            "enum { MATERN_52, SQUARED_EXPONENTIAL };",
-            *self._space(),
-            *self._features(),
-            *self._beliefs(),
-            self._nominal(),
-            self._residual(),
-        ]
-        return "\n".join(parts)
+def _stack(controller: PortableController, sizes: Mapping[str, Any]) -> int:
+    """About how much stack the deepest calls need [kB]: a plan of several steps, as gcc compiles it."""
+    n, m = len(controller.space.state), len(controller.space.command)
+    variables, rows = sizes["HORIZON"] * m, 2 * n * sizes["HORIZON"]
+    search = variables * (3 * (rows + variables) + variables + rows)
+    planning = 600 + 4 * sizes["CENTRES"] + 10 * n * (n + m) + 4 * sizes["WEIGHTS"] + search
+    learning = sizes["BELIEFS"] * (2 * n + 4) + 12 * sizes["WEIGHTS"]
+    return -(-max(planning, learning) * 8 // 1000)
 
-    def stack(self) -> int:
-        """About how much stack the deepest calls need [kB]: a plan of several steps, as gcc compiles it."""
-        n, m = len(self.controller.space.state), len(self.controller.space.command)
-        sizes = self._sizes()
-        variables, rows = sizes["HORIZON"] * m, 2 * n * sizes["HORIZON"]
-        search = variables * (3 * (rows + variables) + variables + rows)
-        size = _Sizes.of(self.controller)
-        learning = size.beliefs * (2 * n + 4) + 12 * size.weights
-        numbers = max(600 + 4 * sizes["CENTRES"] + 10 * n * (n + m) + 4 * size.weights + search, learning)
-        return -(-numbers * (8 if self.arithmetic.type == "double" else 4) // 1000)
 
-    def _numbers(self) -> dict[str, float]:
-        return {
-            **self.arithmetic.tolerances,
-            "NEARBY": gauss_newton.NEARBY,
-            "MOST_DAMPING": gauss_newton.MOST_DAMPING,
-            "LEAST_DAMPING": gauss_newton.LEAST_DAMPING,
-            "NO_DAMPING": gauss_newton.NO_DAMPING,
-            "ACCEPTED": gauss_newton.ACCEPTED,
-            "AHEAD_IMPROVEMENT": horizon.AHEAD_IMPROVEMENT,
-            "LARGEST_CHANGE": self.controller.settings.largest_change,
-            "CAUTION": goal.CAUTION,
-            "RISK": cautious_controller.RISK,
-            "SEPARATION": bounded_search.SEPARATION,
-            "FAILURE_RADIUS": cautious_controller.FAILURE_RADIUS,
-            "SAMPLE_RESOLUTION": SAMPLE_RESOLUTION,
-            "WAVE_AMPLITUDE": math.sqrt(2.0 / max(features_used(self.controller).waves, 1)),
-            "PERIODIC_STD": beliefs.PERIODIC_STD,
-            "LOG_HAZARD": math.log(beliefs.HAZARD),
-            "LOG_RETURN_HAZARD": math.log(beliefs.RETURN_HAZARD),
-            "LOG_FIRST_HAZARD": math.log(beliefs.FIRST_HAZARD),
-            "WRONG": beliefs.WRONG,
-            "WRONG_WIDTH": beliefs.WRONG_WIDTH,
-            "WRONG_FREEDOM": beliefs.WRONG_FREEDOM,
-            "SUSPECT": beliefs.SUSPECT,
-            "WIDER": beliefs.WIDER,
-            "LEAST_TRUST": beliefs.LEAST_TRUST,
-            "LEAST_WEIGHT": beliefs.LEAST_WEIGHT,
-            "SAME_MEAN": beliefs.SAME_MEAN,
-            "LEAST_RATIO": math.exp(-beliefs.SAME_SPREAD),
-            "MOST_RATIO": math.exp(beliefs.SAME_SPREAD),
-            "LOG_REPORTED_ODDS": math.log(beliefs.REPORTED_ODDS),
-            "LARGEST": believed.LARGEST,
-            "LARGEST_ANGLE": self.arithmetic.largest_angle,
-        }
+def _features(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The features of beliefs or of a fitted residual, which may lack waves; without both, those of degree 1.
 
-    def _sizes(self) -> dict[str, int]:
-        settings, m = self.controller.settings, len(self.controller.space.command)
-        nominal, regressions = self.controller.nominal, self.controller.residual.regressions
-        coarse, fine = (len(box_points(count, m)) for count in bounded_search.SEARCHED)
-        design = len(composite_design(m))
-        half = settings.evaluations // 2
-        centres = [len(_process(each).inducing) for each in regressions if isinstance(each, GaussianProcessRegression)]
-        return {
-            "HORIZON": settings.horizon,
-            "DEGREE": nominal.degree if isinstance(nominal, SurrogateMap) else 1,
-            "CENTRES": max(centres, default=1),
-            "MOST_TRIALS": gauss_newton.MOST_TRIALS,
-            "BASINS": bounded_search.BASINS,
-            "ZOOM_ROUNDS": bounded_search.ZOOM_ROUNDS,
-            "ZOOM_SIZE": len(box_points(bounded_search.ZOOMED, m)),
-            "COARSE_SIZE": coarse,
-            "FINE_SIZE": fine,
-            "SAMPLE_SIZE": max([1, *(size for size in (coarse, fine) if size <= half)]),
-            "SEARCH_SIZE": len(box_points(cautious_controller.searched_commands(settings), m)),
-            "DESIGN_SIZE": design,
-            "OPPOSITE": max(1, (design - 1 - 2 * m) // 2),
-            "EVALUATIONS": settings.evaluations,
-            "CAUTIOUS": int(settings.cautious),
-            "VIABILITY": int(settings.viability),
-            "AVOID_FAILURES": int(settings.avoid_failures),
-            "BELIEVES": int(self.controller.beliefs is not None),
-            "START_COUNT": len(self.controller.beliefs.beliefs) if self.controller.beliefs else 0,
-            "FEATURE_DEGREE": features_used(self.controller).degree,
-            "WAVES": features_used(self.controller).waves,
-            "PROBES": beliefs.PROBES,
-            "MOST": beliefs.MOST,
-            "YOUNG": beliefs.YOUNG,
-            "SUDDEN": beliefs.SUDDEN,
-            "ACCIDENTS": beliefs.ACCIDENTS,
-            "WIDENINGS": beliefs.WIDENINGS,
-            "CURRENT": KINDS.index("current"),
-        }
+    Raises:
+        InputError: Those of the residual are others.
+    """
+    parts = [each["features"] for each in document["residual"]["regressions"] if each["kind"] == "posterior"]
+    if document["beliefs"] is not None:
+        parts.insert(0, document["beliefs"]["features"])
+    if any(part != parts[0] and part["shifts"] for part in parts):
+        raise InputError("beliefs and residual have different features, which C cannot have; run again")
+    inputs = len(document["state"]) + len(document["command"])
+    return parts[0] if parts else {"inputs": inputs, "degree": 1, "frequencies": [], "shifts": []}
 
-    def _space(self) -> list[str]:
-        space, failures = self.controller.space, self.controller.failures
-        names = "state_scale", "state_centre", "command_scale", "command_centre", "command_lower", "command_upper"
-        arrays = [self._array(name, getattr(space, name)) for name in names]
-        arrays.append(self._array("error_scale", np.where(space.tracked, space.error_scale, 0.0)))
-        arrays.append(self._array("irrational_steps", irrational_steps(len(space.command))))
-        return [*arrays, self._array("failures", failures), f"static const int failure_count = {len(failures)};"]
 
-    def _features(self) -> list[str]:
-        used = features_used(self.controller)
-        return [self._array("wave_frequency", used.frequencies), self._array("wave_shift", used.shifts)]
+def _constants() -> dict[str, float]:
+    """The numbers that are constants of the Python modules."""
+    return {
+        name: value
+        for module in MODULES
+        for name, value in vars(module).items()
+        if name.isupper() and isinstance(value, int | float)
+    }
 
-    def _beliefs(self) -> list[str]:
-        """What is believed at the start: roots column by column, as the transposed matrices row by row."""
-        known, sizes = self.controller.beliefs, _Sizes.of(self.controller)
-        if known is None:
-            names = ("probes", "change", "start_mixture_mean", "start_mixture_covariance", "start_noise", "start_mean")
-            others = ("start_root", "start_freedom", "start_squares", "start_log_weight", "start_rate")
-            arrays = [self._array(name, np.empty(0)) for name in (*names, *others)]
-            counts = [_integers(name, "int", np.empty(0)) for name in ("start_kind", "start_age")]
-            return [*arrays, *counts, "#define START_WRONG_ENDS 0", "#define START_RIGHT_ENDS 0"]
-        mixture, each, upper = known.mixture(math.nan), known.beliefs, np.triu_indices(sizes.weights)
-        lower, count = np.tril_indices(sizes.features), sizes.features
-        arrays = {
-            "probes": known.probes,
-            "change": known.change[:, *upper],
-            "start_mixture_mean": mixture.mean[:, :count],
-            "start_mixture_covariance": mixture.covariance[:, *lower],
-            "start_noise": np.sqrt(mixture.noise),
-            "start_mean": np.array([one.weights.mean for one in each]),
-            "start_root": np.array([np.swapaxes(one.weights.root, 1, 2)[:, *upper] for one in each]),
-            "start_freedom": np.array([one.freedom for one in each]),
-            "start_squares": np.array([one.squares for one in each]),
-            "start_log_weight": np.array([one.log_weight for one in each]),
-            "start_rate": np.array([one.rate for one in each]),
-        }
-        ends = zip(("START_WRONG_ENDS", "START_RIGHT_ENDS"), known.wrong_measurements, strict=True)
+
+def _sizes(
+    controller: PortableController, document: Mapping[str, Any], features: Mapping[str, Any]
+) -> dict[str, float]:
+    """The settings, and the numbers that depend on the controller.
+
+    BELIEFS are most beliefs at once: those at the start or those that are kept, young ones, what was believed earlier,
+    and while a step is learned one that is born and one that becomes an earlier one.
+    """
+    n, m = len(document["state"]), len(document["command"])
+    known = controller.beliefs
+    regressions = document["residual"]["regressions"]
+    evaluations = document["control"]["evaluations"]
+    waves = len(features["shifts"])
+    count = number_of_monomials(features["inputs"], features["degree"]) + waves
+    design = len(composite_design(m))
+    coarse, fine = (len(box_points(size, m)) for size in bounded_search.SEARCHED)
+    centres = max([1, *(len(part["centres"]) for part in regressions if part["kind"] == "gaussian_process")])
+    degrees = document["nominal"].get("degrees", [[1]])
+    return {
+        **{name.upper(): float(value) if isinstance(value, float) else int(value)
+           for name, value in document["control"].items()},
+        "FEATURES": count,
+        "WEIGHTS": count + 2 + n + m,
+        "BELIEFS": 1 if known is None else max(len(known.beliefs), beliefs.MOST) + beliefs.YOUNG + 3,
+        "BELIEVES": int(known is not None),
+        "START_COUNT": len(known.beliefs) if known else 0,
+        "CURRENT": KINDS.index("current"),
+        "FEATURE_DEGREE": features["degree"],
+        "WAVES": waves,
+        "WAVE_AMPLITUDE": sqrt(2.0 / max(waves, 1)),
+        "DEGREE": max(1, int(np.max(degrees))),
+        "CENTRES": centres,
+        "MOST_FEATURES": max(centres + n + m + 1, *(len(part.get("weights", [])) for part in regressions)),
+        "SAMPLE_RESOLUTION": SAMPLE_RESOLUTION,
+        "STATIONARY": 1e-14,
+        "SMALLEST_MOVE": 1e-100,
+        "ZOOM_SIZE": len(box_points(bounded_search.ZOOMED, m)),
+        "COARSE_SIZE": coarse,
+        "FINE_SIZE": fine,
+        "SAMPLE_SIZE": max([1, *(size for size in (coarse, fine) if size <= evaluations // 2)]),
+        "SEARCH_SIZE": len(box_points(cautious_controller.searched_commands(controller.settings), m)),
+        "DESIGN_SIZE": design,
+        "OPPOSITE": max(1, (design - 1 - 2 * m) // 2),
+    }  # fmt: skip
+
+
+def _space(controller: PortableController) -> list[str]:
+    space, failures = controller.space, controller.failures
+    return [
+        _array("input_scale", [*space.state_scale, *space.command_scale]),
+        _array("input_centre", [*space.state_centre, *space.command_centre]),
+        _array("command_lower", space.command_lower),
+        _array("command_upper", space.command_upper),
+        _array("error_scale", np.where(space.tracked, space.error_scale, 0.0)),
+        _array("irrational_steps", irrational_steps(len(space.command))),
+        _array("failures", failures),
+        f"static const int failure_count = {len(failures)};",
+    ]
+
+
+def _beliefs(controller: PortableController) -> list[str]:
+    """What is believed at the start."""
+    known = controller.beliefs
+    if known is None:
         return [
-            *(self._array(name, values) for name, values in arrays.items()),
-            _integers("start_kind", "int", np.array([KINDS.index(one.kind) for one in each])),
-            _integers("start_age", "int", np.array([one.age for one in each])),
-            *(f"#define {name} R({float(value)!r})" for name, value in ends),
+            _array("probe_features", []),
+            _array("change", []),
+            "static const PREFIX_belief *const start = NULL;",
+            "#define WRONG_ENDS 0",
+            "#define RIGHT_ENDS 0",
         ]
-
-    def _nominal(self) -> str:
-        """The nominal map: `centre` and `scale` are those of its inputs."""
-        nominal = self.controller.nominal
-        declaration = (
-            "static const struct {\n    int kind, terms, sample_count;\n"
-            "    const real *centre, *scale, *next_state, *weights;\n"
-            "    const unsigned char *exponents;\n    const int16_t *samples;\n"
-            "    const unsigned char *sample_status;\n"
-            "} nominal = "
-        )
-        if isinstance(nominal, AffineMap):
-            arrays = [
-                self._array("nominal_centre", np.concatenate([nominal.state, nominal.command])),
-                self._array("nominal_next_state", nominal.next_state),
-                self._array("nominal_weights", nominal.matrix),
-            ]
-            fields = "{AFFINE, 0, 0, nominal_centre, NULL, nominal_next_state, nominal_weights, NULL, NULL, NULL};"
-            return "\n".join([*arrays, declaration + fields])
-        if not isinstance(nominal, SurrogateMap):
-            raise TypeError(f"{type(nominal).__name__} is not the map of a portable controller")
-        samples, dimension = nominal.samples, len(self.controller.space.names)
-        exponents = exponents_of(dimension, nominal.degree)
-        arrays = [
-            self._array("nominal_centre", nominal.centre),
-            self._array("nominal_scale", nominal.scale),
-            self._array("nominal_weights", nominal.weights),
-            _integers("nominal_exponents", "unsigned char", exponents),
-        ]
-        if len(samples.status):
-            arrays.append(_integers("nominal_samples", "int16_t", samples.points / SAMPLE_RESOLUTION))
-            arrays.append(_integers("nominal_sample_status", "unsigned char", samples.status))
-        sampled = "nominal_samples, nominal_sample_status" if len(samples.status) else "NULL, NULL"
-        fields = (
-            f"{{POLYNOMIAL_MAP, {len(exponents)}, {len(samples.status)}, nominal_centre, nominal_scale, NULL,\n"
-            f"    nominal_weights, nominal_exponents, {sampled}}};"
-        )
-        return "\n".join([*arrays, declaration + fields])
-
-    def _residual(self) -> str:
-        declaration = (
-            "typedef struct {\n    int kind, degree, waves, kernel, plug_in, centre_count;\n"
-            "    real noise_std, signal;\n"
-            "    const real *origin, *scale, *weights, *posterior, *centres, *factor, *slope_scale;\n} regression;"
-        )
-        arrays, rows = [], []
-        for i, each in enumerate(self.controller.residual.regressions):
-            found, row = self._regression(f"residual_{i}", each)
-            arrays += found
-            rows.append(f"    {{{row}}}")
-        table = ",\n".join(rows)
-        return "\n".join([declaration, *arrays, f"static const regression residual[N] = {{\n{table}\n}};"])
-
-    def _regression(self, name: str, regression: Regression) -> tuple[list[str], str]:
-        """Arrays of a regression, and its row in the table."""
-        noise = self._literal(regression.noise_std)
-        if isinstance(regression, Polynomial):
-            moments = regression.moments
-            weights, inverse, noise_variance = moments.solve(np.eye(len(moments.projection)))
-            arrays = {
-                "origin": regression.data.centre,
-                "scale": regression.data.scale,
-                "weights": weights,
-                "posterior": _triangle(noise_variance * inverse),
-            }
-            pointers = ", ".join(f"{name}_{each}" for each in arrays)
-            head = f"WEIGHTED, {regression.degree}, 0, 0, 0, 0, {noise}, {self._literal(1.0)}"
-            row = f"{head}, {pointers}, NULL, NULL, NULL"
-        elif isinstance(regression, Posterior):
-            used = regression.features
-            arrays = {
-                "origin": regression.data.centre,
-                "scale": regression.data.scale,
-                "weights": regression.mean_weights,
-                "posterior": _triangle(regression.covariance),
-            }
-            pointers = ", ".join(f"{name}_{each}" for each in arrays)
-            scale = self._literal(regression.data.value_scale)
-            row = f"WEIGHTED, {used.degree}, {used.waves}, 0, 0, 0, {noise}, {scale}, {pointers}, NULL, NULL, NULL"
-        elif isinstance(regression, GaussianProcessRegression):
-            process = _process(regression)
-            inducing, mean = process.inducing, process.posterior.mean
-            covariance = process.hyper_parameters.covariance(process.kernel, inducing, process.input_scale)
-            kernel_weights = process.inducing_factor.solve_transposed(mean[: len(inducing)])
-            arrays = {
-                "origin": covariance.origin,
-                "scale": covariance.length_scale,
-                "weights": np.concatenate([kernel_weights, mean[len(inducing) :]]),
-                "posterior": _triangle(process.posterior.factor.assembled()),
-                "centres": inducing / covariance.length_scale,
-                "factor": _triangle(process.inducing_factor.assembled()),
-                "slope_scale": covariance.slope_scale,
-            }
-            kernel = "SQUARED_EXPONENTIAL" if process.kernel is SQUARED_EXPONENTIAL else "MATERN_52"
-            signal = self._literal(process.hyper_parameters.signal_std)
-            pointers = ", ".join(f"{name}_{each}" for each in arrays)
-            plug_in, count = int(regression.plug_in), len(process.inducing)
-            row = f"GAUSSIAN_PROCESS, 0, 0, {kernel}, {plug_in}, {count}, {noise}, {signal}, {pointers}"
-        else:
-            zero = self._literal(0.0)
-            return [], f"ZERO, 0, 0, 0, 0, 0, {noise}, {zero}, NULL, NULL, NULL, NULL, NULL, NULL, NULL"
-        return [self._array(f"{name}_{key}", value) for key, value in arrays.items()], row
-
-    def _literal(self, value: float) -> str:
-        if self.arithmetic.type == "double":
-            return repr(float(value))
-        return f"{float(f'{np.float32(value):.9g}')!r}f"
-
-    def _array(self, name: str, values: np.ndarray) -> str:
-        return _declaration(name, "real", [self._literal(value) for value in np.ravel(values)])
+    upper = np.triu_indices(known.change.shape[1])
+    wrong, right = known.wrong_measurements
+    start = ",\n".join(_belief(each) for each in known.beliefs)
+    return [
+        _array("probe_features", known.features(known.probes)),
+        _array("change", known.change[:, *upper]),
+        f"static const PREFIX_belief start[START_COUNT] = {{\n{start}\n}};",
+        f"#define WRONG_ENDS {_literal(float(wrong))}",
+        f"#define RIGHT_ENDS {_literal(float(right))}",
+    ]
 
 
-def _integers(name: str, kind: str, values: np.ndarray) -> str:
-    return _declaration(name, kind, [str(int(value)) for value in np.ravel(values)])
+def _belief(belief: Belief) -> str:
+    """The initial value of a belief; roots column by column, as the transposed matrices row by row."""
+    columns = np.swapaxes(belief.weights.root, 1, 2)[:, *np.triu_indices(belief.weights.root.shape[1])]
+    parts = [
+        str(KINDS.index(belief.kind)),
+        str(belief.age),
+        _literal(float(belief.rate)),
+        _literal(float(belief.log_weight)),
+        _numbers(belief.freedom),
+        _numbers(belief.squares),
+        "{" + ",\n".join(map(_numbers, belief.weights.mean)) + "}",
+        "{" + ",\n".join(map(_numbers, columns)) + "}",
+        "{{0}}",
+        "{{0}}",
+    ]
+    return "{" + ", ".join(parts) + "}"
 
 
-def _declaration(name: str, kind: str, numbers: list[str]) -> str:
-    """A constant array; a null pointer if it is empty, since C has no empty arrays."""
-    if not numbers:
-        return f"static const {kind} *const {name} = NULL;"
-    lines = [", ".join(numbers[start : start + PER_LINE]) for start in range(0, len(numbers), PER_LINE)]
-    body = ",\n    ".join(lines)
-    return f"static const {kind} {name}[{len(numbers)}] = {{\n    {body}\n}};"
+def _nominal(nominal: Mapping[str, Any]) -> list[str]:
+    """The nominal map: `centre` and `scale` are those of its inputs. An affine one is a polynomial of degree 1."""
+    samples = nominal.get("samples", {"points": [], "status": []})
+    if nominal["kind"] == "affine":
+        centre = [*nominal["state"], *nominal["command"]]
+        size = len(centre)
+        degrees = np.vstack([np.zeros((1, size)), np.eye(size)])
+        weights = np.vstack([nominal["next_state"], np.transpose(nominal["matrix"])])
+        scale = np.ones(size)
+    else:
+        centre, scale, degrees, weights = (nominal[key] for key in ("centre", "scale", "degrees", "weights"))
+    return [
+        _array("nominal_centre", centre),
+        _array("nominal_scale", scale),
+        _array("nominal_weights", weights),
+        _array("nominal_degrees", degrees, "unsigned char"),
+        _array("nominal_samples", np.array(samples["points"]) / SAMPLE_RESOLUTION, "int16_t"),
+        _array("nominal_sample_status", samples["status"], "unsigned char"),
+        f"enum {{ TERMS = {len(degrees)}, SAMPLE_COUNT = {len(samples['status'])} }};",
+    ]
 
 
-def _triangle(matrix: np.ndarray) -> np.ndarray:
+def _residual(regressions: Sequence[Mapping[str, Any]]) -> list[str]:
+    arrays, rows = list[str](), list[str]()
+    for number, part in enumerate(regressions):
+        fields = {**REGRESSION, **_regression(part), "noise_std": float(part["noise_std"])}
+        for key, value in fields.items():
+            if isinstance(value, np.ndarray):
+                arrays.append(_array(f"residual_{number}_{key}", value))
+                fields[key] = f"residual_{number}_{key}"
+        texts = [each if isinstance(each, str) else _literal(each) for each in fields.values()]
+        rows.append(f"    {{{', '.join(texts)}}}")
+    table = ",\n".join(rows)
+    return [*arrays, f"static const regression residual[N] = {{\n{table}\n}};"]
+
+
+def _regression(part: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields in which a regression differs from one that learned nothing."""
+    if part["kind"] == "zero":
+        return {}
+    if part["kind"] == "gaussian_process":
+        scale = np.array(part["slope_scale"])
+        slopes = np.divide(part["slopes"], scale, out=np.zeros_like(scale), where=scale > 0)
+        return {
+            "kind": "GAUSSIAN_PROCESS",
+            "squared_exponential": int(part["kernel"] == SQUARED_EXPONENTIAL.name),
+            "constant_is_exact": int(part["constant_is_exact"]),
+            "centre_count": len(part["centres"]),
+            "unit": 1.0,
+            "signal": float(part["signal_std"]),
+            "origin": np.array(part["origin"]),
+            "scale": np.array(part["length_scale"]),
+            "weights": np.array([*part["weights"], *slopes, part["constant"]]),
+            "posterior": _triangle(part["weight_factor"]),
+            "centres": np.array(part["centres"]) / part["length_scale"],
+            "factor": _triangle(part["centre_factor"]),
+            "slope_scale": scale,
+        }
+    of_polynomial = part["kind"] == "polynomial"
+    return {
+        "kind": "WEIGHTED",
+        "degree": int(np.sum(part["degrees"], axis=1).max()) if of_polynomial else part["features"]["degree"],
+        "waves": 0 if of_polynomial else len(part["features"]["shifts"]),
+        "unit": 1.0 if of_polynomial else float(part["value_scale"]),
+        "origin": np.array(part["centre"]),
+        "scale": np.array(part["scale"]),
+        "weights": np.array(part["weights"]),
+        "posterior": _triangle(part["covariance"]),
+    }
+
+
+def _triangle(matrix: ArrayLike) -> np.ndarray:
     """The lower triangle, row by row."""
-    return matrix[np.tril_indices(len(matrix))]
+    whole = np.array(matrix)
+    return whole[np.tril_indices(len(whole))]
 
 
-def _process(regression: GaussianProcessRegression) -> SparseGaussianProcess:
-    if not isinstance(regression.process, SparseGaussianProcess):
-        raise TypeError(f"{type(regression.process).__name__} is not the process of a portable controller")
-    return regression.process
+def _literal(value: float) -> str:
+    return str(value) if isinstance(value, int) else repr(float(value))
+
+
+def _numbers(values: ArrayLike, kind: str = "double") -> str:
+    """The initial value of an array."""
+    numbers = np.ravel(values).tolist()
+    texts = [repr(float(each)) if kind == "double" else str(int(each)) for each in numbers]
+    lines = [", ".join(texts[start : start + PER_LINE]) for start in range(0, len(texts), PER_LINE)]
+    return "{\n    " + ",\n    ".join(lines) + "\n}"
+
+
+def _array(name: str, values: ArrayLike, kind: str = "double") -> str:
+    """A constant array; a null pointer if it is empty, since C has no empty arrays."""
+    size = np.size(values)
+    if not size:
+        return f"static const {kind} *const {name} = NULL;"
+    return f"static const {kind} {name}[{size}] = {_numbers(values, kind)};"
