@@ -11,7 +11,7 @@ from stepgap.experiment.run import Run
 from stepgap.records.summary import NoiseFloor
 from stepgap.report import drawing
 from stepgap.step import StepMap
-from stepgap.sweep.cases import processes
+from stepgap.sweep.cases import execution
 
 EMPTY_SVG = b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"></svg>'
 """A figure that was not drawn."""
@@ -54,7 +54,7 @@ def leave_out_sweep_report(patch: pytest.MonkeyPatch) -> None:
 
 def compute_in_a_thread(patch: pytest.MonkeyPatch) -> None:
     """Cases are computed in a thread of this process, which starts at once, instead of other processes."""
-    patch.setattr(processes, "Processes", lambda count: ThreadPoolExecutor(1))
+    patch.setattr(execution, "Processes", lambda count: ThreadPoolExecutor(1))
 
 
 def leave_out_drawing(patch: pytest.MonkeyPatch) -> None:

@@ -11,16 +11,7 @@ from stepgap.cli.app import main
 from stepgap.cli.help_format import HelpFormat
 from stepgap.cli.options import Flag, Integer, Name, Names
 from stepgap.cli.terminal import announces_compilation
-from stepgap.sweep.cli.execution import (
-    THIS_MACHINE,
-    Execution,
-    all_finished,
-    continuing,
-    execute_cases,
-    opened,
-    shard_of,
-    stopping,
-)
+from stepgap.sweep.cli.execution import THIS_MACHINE, Execution, all_finished, computed_cases
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from collections.abc import Sequence
@@ -62,26 +53,20 @@ def compare_methods(
 
     plan = _plan_in_folder(out, execution) if not (twins or seeds or methods or task or quick) else None
     plan = plan or _new_plan(twins, seeds, methods, task, quick)
-    shard = shard_of(execution)
-    with (
-        opened(out, plan, execution, shard) as cases,
-        stopping(continuing("python -m benchmarks.learning", out, execution)),
-    ):
-        execute_cases(plan, cases, measure_case, execution, shard)
-        if all_finished(plan, cases, execution):
+    with computed_cases(out, plan, measure_case, execution, "python -m benchmarks.learning") as cases:
+        if all_finished(plan, cases, execution.quiet):
             _summarise(plan, cases, execution.quiet)
 
 
 def _plan_in_folder(out: Path, execution: Execution) -> "LearningPlan | None":
-    """The plan in a folder that is continued, or else in the first one that is merged; None if there is none."""
+    """The plan in a folder that is continued; None if there is none."""
     from benchmarks.learning.learning_plan import LEARNING_FILE, read_learning_plan
 
-    folders = [out] if execution.resume else execution.merge[:1]
-    files = [folder / LEARNING_FILE for folder in folders if (folder / LEARNING_FILE).is_file()]
-    if not files:
+    file = out / LEARNING_FILE
+    if not execution.resume or not file.is_file():
         return None
-    plan = read_learning_plan(files[0])
-    _check_methods(plan.methods, f"{files[0]}: methods")
+    plan = read_learning_plan(file)
+    _check_methods(plan.methods, f"{file}: methods")
     return plan
 
 

@@ -61,11 +61,11 @@ class LearningPlan:
         """Twin and seed of a case."""
         return number % self.twins, number // self.twins
 
-    def case(self, number: int) -> str:
-        """Twin, seed, methods, reference and task of a case, as TOML."""
+    def case(self, number: int) -> dict[str, Any]:
+        """Twin, seed, methods, reference and task of a case."""
         twin, seed = self.twin_and_seed(number)
         shared = {"methods": list(self.methods), "reference": self.reference, "task": self.task}
-        return tomli_w.dumps({"twin": twin, "seed": seed} | shared)
+        return {"twin": twin, "seed": seed} | shared
 
 
 def read_learning_plan(path: Path) -> LearningPlan:

@@ -18,10 +18,9 @@ import numpy as np
 from stepgap.base.files import write_whole
 from stepgap.records.missing import Missing
 from stepgap.report.own_style import own_style
-from stepgap.step import Array, ContextQuantity, Quantity
+from stepgap.step import ContextQuantity, Quantity
 
 if TYPE_CHECKING:  # slow imports are made where they are used
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 BLACK: Final = "#000000"
@@ -179,19 +178,6 @@ def plain(text: str) -> str:
 def unit_label(quantity: Quantity | ContextQuantity) -> str:
     """The unit in brackets after a space; empty where it is not known."""
     return f" [{plain(quantity.unit)}]" if quantity.unit else ""
-
-
-def log_scale(panel: "Axes", values: Array) -> None:
-    """Sets a logarithmic axis with plain numbers for these values, if there are positive ones."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    if not (values > 0).any():
-        return
-    panel.set_yscale("log", nonpositive="mask")
-    if values[values > 0].max() < 1e3 * values[values > 0].min():
-        panel.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    panel.yaxis.set_minor_formatter(NullFormatter())
 
 
 def hover_values(figure: Any) -> str:

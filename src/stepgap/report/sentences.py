@@ -21,30 +21,28 @@ def headline(run: Run) -> str:
     """Sentence on whether the run tracked its reference, and what learning changed."""
     if not run.deployments:
         return "No deployment is finished yet."
-    found = Achievement(run)
-    last = found.last
+    achieved = Achievement(run)
+    last = achieved.last
     if last.failed_steps:
         return f"It did not track to the end: {_ended(run, last)}."
     to_end = f"the last deployment made all its {_count(last.steps, 'step')} without a fall"
-    if far := found.beyond():
-        ratios = {run.space.state[row].name: f"{decimal(ratio, 2)} noise floors" for row, ratio in far.items()}
-        errors = [f"the error of {name} is {ratio}" for name, ratio in ratios.items()]
+    far = achieved.beyond()
+    if far:
+        names = run.space.state_names
+        errors = [f"the error of {names[row]} is {decimal(ratio, 2)} noise floors" for row, ratio in far.items()]
         verdict = f"It did not track: {listed(errors)}. But {to_end}"
-    elif np.isfinite(found.floor[found.rows]).all():
+    elif np.isfinite(achieved.floor[achieved.rows]).all():
         verdict = f"It tracked: {to_end}"
     else:
         verdict = capitalised(to_end)
-    return f"{verdict}{_compared(found)}."
+    return f"{verdict}{_compared(achieved)}."
 
 
 def sentences(run: Run) -> list[str]:
     """Sentences on what is unusual: failed steps, limits, targets that were not held, unfinished deployments."""
+    failed = [deployment for deployment in run.deployments if deployment.failed_steps]
     return [
-        *(
-            f"{capitalised(_ended(run, deployment))}; its errors include only the steps before."
-            for deployment in run.deployments
-            if deployment.failed_steps
-        ),
+        *(f"{capitalised(_ended(run, each))}; its errors include only the steps before." for each in failed),
         *_grounds(run),
         *_limits(run),
         *(
@@ -63,56 +61,61 @@ def recorded(run: Run) -> str:
     )
 
 
-def _compared(found: Achievement) -> str:
+def _compared(achieved: Achievement) -> str:
     """Phrase on the errors before and after learning, and on when they became small; it begins with a comma."""
-    run, first = found.run, found.first
-    if first.failed_steps and first is not found.last:
-        return f", whereas {_ended(run, first)}"
-    if not found.learned:
-        return ", with the nominal map: nothing was learned yet" if first is found.last else ""
-    steps = found.steps_to_band() if found.predicted else None
-    within = f"; after {steps} executed steps they stayed within {found.band[0]}" if steps else ""
-    return f"{_changes(found)}{within}"
+    first = achieved.first
+    alone = first is achieved.last
+    if first.failed_steps and not alone:
+        return f", whereas {_ended(achieved.run, first)}"
+    if not achieved.learned:
+        return ", with the nominal map: nothing was learned yet" if alone else ""
+    steps = achieved.steps_to_band() if achieved.predicted else None
+    if not steps:
+        return _changes(achieved)
+    return f"{_changes(achieved)}; after {steps} executed steps they stayed within {achieved.band[0]}"
 
 
-def _changes(found: Achievement) -> str:
-    """Phrase on which errors are smaller and larger than before; it begins with a comma."""
-    changes, names = found.changes(), [found.run.space.state_names[row] for row in found.rows]
-    than = "that of the nominal map's predictions" if found.predicted else f"in deployment {found.first.iteration}"
-    if np.isnan(changes).any():
-        return f", but not every error is known, so that none is compared with {than.removeprefix('in ')}"
-    if all(change < 0 for change in changes):
-        return f", and every tracking error is smaller than {than}"
-    if not any(changes):
-        at_floor = (found.before <= NEAR_FLOOR * found.floor)[found.rows].all()
-        reason = ": all were near the noise floor from the beginning" if at_floor else ""
-        return f", and no tracking error is clearly smaller or larger than {than}{reason}"
-    words = {"smaller": -1, "larger": 1, "not clearly changed": 0}
-    groups = {
-        word: [name for name, each in zip(names, changes, strict=True) if each == sign] for word, sign in words.items()
-    }
-    parts = [f"{word} for {listed(group)}" for word, group in groups.items() if group]
-    return f". Compared with {than.removeprefix('in ')}, the error is {listed(parts)}"
+def _changes(achieved: Achievement) -> str:
+    """Phrase on which errors are smaller and larger than before; it begins with a comma or a full stop."""
+    changes = np.array(achieved.changes())
+    names = np.array([achieved.run.space.state_names[row] for row in achieved.rows])
+    if achieved.predicted:
+        base = than = "that of the nominal map's predictions"
+    else:
+        base = f"deployment {achieved.first.iteration}"
+        than = f"in {base}"
+    at_floor = (achieved.before <= NEAR_FLOOR * achieved.floor)[achieved.rows].all()
+    reason = ": all were near the noise floor from the beginning" if at_floor else ""
+    whole = (
+        (np.isnan(changes).any(), f", but not every error is known, so that none is compared with {base}"),
+        ((changes < 0).all(), f", and every tracking error is smaller than {than}"),
+        (not changes.any(), f", and no tracking error is clearly smaller or larger than {than}{reason}"),
+    )
+    for holds, phrase in whole:
+        if holds:
+            return phrase
+    groups = {"smaller": names[changes < 0], "larger": names[changes > 0], "not clearly changed": names[changes == 0]}
+    parts = [f"{word} for {listed(list(group))}" for word, group in groups.items() if len(group)]
+    return f". Compared with {base}, the error is {listed(parts)}"
 
 
 def floor_sentences(run: Run) -> list[str]:
     """Sentence on the noise floor of the plant and what it means for a controller; empty if it is not known."""
-    known = [row for row, value in enumerate(run.noise_floor) if value > 0]
-    if not known or not run.deployments:
+    rows = [row for row, value in enumerate(run.noise_floor) if value > 0]
+    if not rows or not run.deployments:
         return []
     if Achievement(run).is_without_noise:
         return [
             "Steps that are repeated with the same command end alike: the plant has no noise, and so no noise floor."
         ]
-    values = _with_intervals(run, run.noise_floor, run.noise_floor_interval, known)
+    values = _with_intervals(run, run.noise_floor, run.noise_floor_interval, rows)
     count = f"from {_count(run.noise_floor_steps, 'step')}, " if run.noise_floor_steps else ""
-    how = (
-        f"is {values}, {count}measured with the same command and the same motion at the start, but "
-        f"{_differences(run, known)}"
-        if run.summary.noise_floor_measured
-        else f"is at most about {values}, {count}the residual standard error of a linear fit to the steady steps of "
-        "the last deployment; the true noise floor may be smaller"
-    )
+    if run.summary.noise_floor_measured:
+        source = f"measured with the same command and the same motion at the start, but {_differences(run, rows)}"
+        how = f"is {values}, {count}{source}"
+    else:
+        source = "the residual standard error of a linear fit to the steady steps of the last deployment"
+        how = f"is at most about {values}, {count}{source}; the true noise floor may be smaller"
     return [f"The noise floor (standard deviation of repeated steps) {how}."]
 
 
@@ -142,44 +145,49 @@ def _with_intervals(run: Run, floor: Array, ends: Array, rows: Sequence[int]) ->
 
 def _grounds(run: Run) -> list[str]:
     """Sentences on what states are measured above."""
-    found = []
-    for name in dict.fromkeys(each.above for each in run.space.state if each.above):
-        names = run.steps.space.context
-        context = run.steps.context[:, run.steps.space.context_names.index(name)]
-        known, changes = context[np.isfinite(context)], np.abs(np.diff(context, prepend=np.nan))[run.steps.follows]
+    space = run.steps.space
+    lines = []
+    for name in dict.fromkeys(quantity.above for quantity in run.space.state if quantity.above):
+        column = space.context_names.index(name)
+        context = run.steps.context[:, column]
+        known = context[np.isfinite(context)]
         if not len(known):
             continue
-        above = listed([each.name for each in run.space.state if each.above == name])
-        unit = next(f" {each.unit}" for each in names if each.name == name)
-        found.append(
+        changes = np.abs(np.diff(context, prepend=np.nan))[run.steps.follows]
+        largest = np.nanmax(np.append(changes, 0.0))
+        above = listed([quantity.name for quantity in run.space.state if quantity.above == name])
+        unit = space.context[column].unit
+        lines.append(
             f"{capitalised(above)} is measured above the {name} that each step found, which lay between "
-            f"{decimal(known.min(), 2)} and {decimal(known.max(), 2)}{unit} and changed by up to "
-            f"{decimal(np.nanmax(np.append(changes, 0.0)), 2)}{unit} from a step to the next."
+            f"{decimal(known.min(), 2)} and {decimal(known.max(), 2)} {unit} and changed by up to "
+            f"{decimal(largest, 2)} {unit} from a step to the next."
         )
-    return found
+    return lines
 
 
 def _limits(run: Run) -> list[str]:
     """Sentences on cut commands, and on targets that were not held."""
     if not run.deployments:
         return []
-    first, last = run.deployments[0], run.deployments[-1]
-    found = []
-    if last.cut:
-        learned = "; the residual includes what they removed" if last.residual != "none" else ""
-        found.append(f"Limits cut {last.cut} of {last.steps} commands of deployment {last.iteration}{learned}.")
+    first = run.deployments[0]
+    last = run.deployments[-1]
     of_first = "nominal map" if first.residual == "none" else f"map of deployment {first.iteration}"
-    for of_map, entry in {of_first: first, f"map of deployment {last.iteration}": last}.items():
-        if len(entry.unreachable):
-            found.append(
-                f"Not held by any command within the bounds, by the {of_map}: {_targets(run, entry.unreachable)}."
-            )
-    if len(last.missed):
-        found.append(
+    maps = {of_first: first, f"map of deployment {last.iteration}": last}
+    included = "; the residual includes what they removed" if last.residual != "none" else ""
+    table = [(last.cut, f"Limits cut {last.cut} of {last.steps} commands of deployment {last.iteration}{included}.")]
+    table += [
+        (len(entry.unreachable), f"Not held by any command within the bounds, by the {name}: {targets}.")
+        for name, entry in maps.items()
+        for targets in [_targets(run, entry.unreachable)]
+    ]
+    table.append(
+        (
+            len(last.missed),
             f"Missed in deployment {last.iteration}, with a steady error above {TRACKED:g} times the scatter of its "
-            f"steady steps, although its map holds them: {_targets(run, last.missed)}."
+            f"steady steps, although its map holds them: {_targets(run, last.missed)}.",
         )
-    return found
+    )
+    return [sentence for count, sentence in table if count]
 
 
 def _targets(run: Run, targets: Array) -> str:
@@ -221,14 +229,15 @@ def _last_status(run: Run, deployment: Deployment) -> StepStatus:
 
 def _failures(run: Run) -> str:
     """Numbers of the steps without a next state, by their status."""
-    found = Counter(logged.record.status for logged in run.steps)
-    falls, stops = found[StepStatus.FELL], found[StepStatus.STOPPED]
-    doubts = found[StepStatus.DOUBTFUL]
+    counts = Counter(logged.record.status for logged in run.steps)
+    falls = counts[StepStatus.FELL]
+    stops = counts[StepStatus.STOPPED]
+    doubts = counts[StepStatus.DOUBTFUL]
     others = run.steps.failed_steps - falls - stops - doubts
-    parts = [
-        *([_count(falls, "fall")] if falls or not run.steps.failed_steps else []),
-        *([f"{_count(stops, 'step')} stopped by the plant"] if stops else []),
-        *([f"{_count(doubts, 'step')} stopped because of a doubtful sensor"] if doubts else []),
-        *([f"{_count(others, 'step')} without a next state for other reasons"] if others else []),
-    ]
-    return ", ".join(parts)
+    table = (
+        (falls or not run.steps.failed_steps, _count(falls, "fall")),
+        (stops, f"{_count(stops, 'step')} stopped by the plant"),
+        (doubts, f"{_count(doubts, 'step')} stopped because of a doubtful sensor"),
+        (others, f"{_count(others, 'step')} without a next state for other reasons"),
+    )
+    return ", ".join(phrase for holds, phrase in table if holds)

@@ -100,9 +100,9 @@ class Sweep:
         table = {**self.table, "base": "experiment.toml", POINTS_SHA256: points_digest(self.base, self.axes)}
         return {SWEEP_FILE: tomli_w.dumps(table), **base}
 
-    def case(self, number: int) -> str:
-        """Files of the experiment of a case, and what to keep, as TOML."""
-        return tomli_w.dumps({"keep": self.keep, "files": _input_files(self.experiment(number))})
+    def case(self, number: int) -> dict[str, Any]:
+        """Files of the experiment of a case, and what to keep."""
+        return {"keep": self.keep, "files": _input_files(self.experiment(number))}
 
 
 def points_digest(base: Experiment, axes: Sequence[Axis]) -> str:

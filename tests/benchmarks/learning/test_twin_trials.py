@@ -178,7 +178,9 @@ def test_shards_that_are_merged_and_a_continued_call_give_the_same_files(
         assert (part.code, part.out) == (0, "")
         assert part.err.endswith(f"part{shard}: 1 of 2 cases are finished\n")
     shutil.copytree("part1", "continued")
-    merged = compare("--merge", "part1", "part2", "--out", "merged")
+    shutil.copytree("part1", "merged")
+    shutil.copytree("part2/cases", "merged/cases", dirs_exist_ok=True)
+    merged = compare("--resume", "--out", "merged")
     continued = compare("--resume", "--out", "continued")
     shared = compare(*COMMAND, "--out", "part1", "--shard", "2/2", "--quiet")
     assert "1 of 1 cases" in continued.err, "the other one was finished"
@@ -218,7 +220,6 @@ def test_bad_input_is_refused(compare: Command) -> None:
     refused(compare("--task", "stairs"), "--task stairs: it must be one of reference, payload")
     refused(compare("--twins", "0"), "twins")
     refused(compare("--shard", "3/2"), "--shard 3/2: must be I/N")
-    refused(compare("--merge", "none", "--out", "new"), "--merge none: contains no learning.toml")
     Path("mine").write_text("my notes")
     refused(compare("--out", "mine"), "mine: File exists; choose another folder")
     assert Path("mine").read_text() == "my notes"
@@ -250,8 +251,7 @@ def test_a_folder_of_other_cases_is_refused(compare: Command) -> None:
 
 
 def test_a_result_of_other_methods_is_refused(tiny: None, tmp_path: Path) -> None:
-    with CaseFolder(tmp_path, PLAN, join=False) as folder:
-        assert folder.claim(1)
-        folder.store(1, CaseResult([{"method": "none"}]))
-        with pytest.raises(InputError, match="case 1 lacks the rows of a method"):
-            learning_results(PLAN, folder)
+    folder = CaseFolder(tmp_path, PLAN, join=False)
+    folder.store(1, CaseResult([{"method": "none"}]))
+    with pytest.raises(InputError, match="case 1 lacks the rows of a method"):
+        learning_results(PLAN, folder)

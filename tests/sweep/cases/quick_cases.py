@@ -26,10 +26,10 @@ class Squares:
     def __len__(self) -> int:
         return self.count
 
-    def case(self, number: int) -> str:
+    def case(self, number: int) -> dict[str, int]:
         if number == self.bad:
             raise InputError(f"case {number}: bad")
-        return f"number = {number}\n"
+        return {"number": number}
 
 
 def square(case: Mapping[str, Any]) -> CaseOutput:
@@ -55,14 +55,6 @@ def full_disk(case: Mapping[str, Any]) -> CaseOutput:
 
 def square_of_caller(number: int) -> tuple[int, int]:
     return number**2, os.getpid()
-
-
-def end_once(number: int, mark: Path) -> int:
-    """Ends its process in the first call."""
-    if not mark.exists():
-        mark.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number
 
 
 def sleep_after(mark: Path) -> None:

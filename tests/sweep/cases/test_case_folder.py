@@ -1,12 +1,8 @@
-"""The folder of a plan: claims that end with their process, results that are there whole or not at all."""
+"""The folder of a plan: results that are there whole or not at all."""
 
 import json
-import multiprocessing
 import os
-import signal
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given
@@ -22,43 +18,20 @@ PLAN = Squares(2500)
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Iterator[CaseFolder]:
-    with CaseFolder(tmp_path / "out", PLAN, join=False) as opened:
-        yield opened
+def folder(tmp_path: Path) -> CaseFolder:
+    return CaseFolder(tmp_path / "out", PLAN, join=False)
 
 
 def test_results_come_back_in_the_order_of_their_numbers(folder: CaseFolder) -> None:
     for number in (2001, 7, 1200):
-        assert folder.claim(number)
         folder.store(number, CaseResult({"x": [number, 0.1]}, seconds=1.5, files={"a/b.txt": "β\n"}))
-        assert not folder.claim(number)
     assert folder.finished() == {7, 1200, 2001}
     assert [number for number, _ in folder.results()] == [7, 1200, 2001]
-    assert folder.read(1200) == CaseResult({"x": [1200, 0.1]}, seconds=1.5)
+    assert folder.read(1200) == CaseResult({"x": [1200, 0.1]})
     assert (folder.kept(7) / "a" / "b.txt").read_text(encoding="utf-8") == "β\n"
 
 
-def _claim(path: Path, numbers: list[int], pipe: Any) -> None:
-    folder = CaseFolder(path, PLAN, join=True)
-    pipe.send([folder.claim(number) for number in numbers])
-    signal.pause()
-
-
-def test_a_claim_excludes_other_processes_and_ends_with_its_process(folder: CaseFolder) -> None:
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe()
-    assert folder.claim(5)
-    other = context.Process(target=_claim, args=(folder.path, [5, 6], there))
-    other.start()
-    assert here.recv() == [False, True]
-    assert not folder.claim(6)
-    os.kill(other.pid or 0, signal.SIGKILL)
-    other.join()
-    assert folder.claim(6)
-
-
 def test_only_the_same_plan_continues_a_folder(folder: CaseFolder) -> None:
-    assert folder.claim(0)
     folder.store(0, CaseResult(1))
     with pytest.raises(InputError, match="--resume"):
         CaseFolder(folder.path, PLAN, join=False)
@@ -66,36 +39,15 @@ def test_only_the_same_plan_continues_a_folder(folder: CaseFolder) -> None:
     with pytest.raises(InputError, match=r"plan\.toml: already there, but of other cases"):
         CaseFolder(folder.path, Squares(2500, name="other"), join=True)
     assert (folder.path / "plan.toml").read_bytes() == before
-    CaseFolder(folder.path, PLAN, join=True).__exit__()
+    assert CaseFolder(folder.path, PLAN, join=True).finished() == {0}
 
 
 def test_results_of_a_changed_plan_are_refused(folder: CaseFolder) -> None:
-    assert folder.claim(1)
     folder.store(1, CaseResult(1))
     (folder.path / "plan.toml").write_text(Squares(2500, name="new").files["plan.toml"])
-    with (
-        CaseFolder(folder.path, Squares(2500, name="new"), join=True) as changed,
-        pytest.raises(InputError, match=r"00000001\.json: computed before plan\.toml, notes\.txt in .* were changed"),
-    ):
+    changed = CaseFolder(folder.path, Squares(2500, name="new"), join=True)
+    with pytest.raises(InputError, match=r"00000001\.json: computed before plan\.toml, notes\.txt in .* were changed"):
         changed.read(1)
-
-
-def test_a_failure_is_forgotten_but_no_success(folder: CaseFolder) -> None:
-    for number, failed in ((1, ""), (2, "bad")):
-        assert folder.claim(number)
-        folder.store(number, CaseResult(1, failed=failed))
-    assert [folder.forget_failure(number) for number in (0, 1, 2)] == [False, False, True]
-    assert folder.finished() == {1}
-
-
-def test_merging_copies_regular_files_only(folder: CaseFolder, tmp_path: Path) -> None:
-    with CaseFolder(tmp_path / "other", PLAN, join=False) as other:
-        assert other.claim(4)
-        other.store(4, CaseResult(1, files={"a/b.txt": "b"}))
-        (other.kept(4) / "link").symlink_to("/etc/hostname")
-        folder.add_results(other)
-    assert folder.read(4) == CaseResult(1)
-    assert [path.name for path in sorted(folder.kept(4).rglob("*"))] == ["a", "b.txt"]
 
 
 def test_a_folder_with_other_files_is_not_used(tmp_path: Path) -> None:
@@ -110,12 +62,11 @@ def test_a_folder_with_other_files_is_not_used(tmp_path: Path) -> None:
 
 def test_a_folder_whose_files_were_only_partly_written_is_completed(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text(PLAN.files["notes.txt"], encoding="utf-8")
-    with CaseFolder(tmp_path, PLAN, join=False):
-        assert (tmp_path / "plan.toml").read_text(encoding="utf-8") == PLAN.files["plan.toml"]
+    CaseFolder(tmp_path, PLAN, join=False)
+    assert (tmp_path / "plan.toml").read_text(encoding="utf-8") == PLAN.files["plan.toml"]
 
 
 def test_on_a_full_disk_a_case_has_no_result(folder: CaseFolder) -> None:
-    assert folder.claim(3)
     with largest_file(1000), pytest.raises(OSError, match=FILE_TOO_LARGE) as caught:
         folder.store(3, CaseResult("x" * 5000))
     assert "00000003.json" in caught.value.filename
@@ -126,7 +77,6 @@ def test_on_a_full_disk_a_case_has_no_result(folder: CaseFolder) -> None:
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"result": 1}', b'{"failed": 3, "result": 1}', b"\xff" * 9])
 def test_a_damaged_result_is_named(folder: CaseFolder, content: bytes) -> None:
-    assert folder.claim(8)
     folder.store(8, CaseResult(1))
     (path,) = (folder.path / "cases").glob("*/00000008.json")
     path.write_bytes(content)
@@ -144,7 +94,6 @@ def test_no_kept_file_leaves_its_folder(name: str) -> None:
 
 
 def test_other_files_among_the_results_are_passed_over(folder: CaseFolder) -> None:
-    assert folder.claim(0)
     folder.store(0, CaseResult(1))
     for name in ("x.json", "00000001.json.partial", "99999999.json", "00000002.txt"):
         (folder.path / "cases" / "00000" / name).write_text(json.dumps({}))

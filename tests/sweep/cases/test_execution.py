@@ -1,8 +1,8 @@
-"""Execution of cases: failures are results, processes may end, and what another process has is left alone."""
+"""Execution of cases: failures are results, processes may end."""
 
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -12,17 +12,14 @@ import pytest
 
 from stepgap.base import start_method
 from stepgap.sweep.cases.case_folder import CaseFolder
-from stepgap.sweep.cases.execution import execute
-from stepgap.sweep.cases.plan import LONGEST_REASON, CaseResult, Compute, computed
-from stepgap.sweep.cases.processes import ATTEMPTS, ProcessEnded, Processes
+from stepgap.sweep.cases.execution import Processes, execute
+from stepgap.sweep.cases.plan import LONGEST_REASON, Compute, computed
 from tests.sweep.cases.quick_cases import (
     Squares,
     end_at_one,
-    end_once,
     fail_at_one,
     full_disk,
     sleep_after,
-    square,
     square_of_caller,
 )
 
@@ -30,9 +27,8 @@ PLAN = Squares(5, bad=3)
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Iterator[CaseFolder]:
-    with CaseFolder(tmp_path / "out", PLAN, join=False) as opened:
-        yield opened
+def folder(tmp_path: Path) -> CaseFolder:
+    return CaseFolder(tmp_path / "out", PLAN, join=False)
 
 
 def outcomes(folder: CaseFolder) -> list[object]:
@@ -51,16 +47,8 @@ def test_a_case_that_fails_does_not_stop_the_others(folder: CaseFolder, make: Ca
 def test_a_case_that_ends_its_process_fails_and_the_others_go_on(folder: CaseFolder) -> None:
     with Processes(2) as executor:
         execute(PLAN, folder, range(5), end_at_one, executor, 2)
-    reason = f"its process ended {ATTEMPTS} times, the last time with exit code -9"
+    reason = "its process ended, such as by a crash of compiled code or for lack of memory"
     assert outcomes(folder) == [0, reason, 4, "case 3: bad", 16]
-
-
-def test_finished_cases_are_not_computed_again(folder: CaseFolder) -> None:
-    assert folder.claim(2)
-    folder.store(2, CaseResult("mine"))
-    with ThreadPoolExecutor(1) as executor:
-        execute(PLAN, folder, [4, 2, 0], square, executor, 1)
-    assert outcomes(folder) == [0, "mine", 16]
 
 
 def test_an_error_of_the_system_stops_the_execution(folder: CaseFolder) -> None:
@@ -69,12 +57,11 @@ def test_an_error_of_the_system_stops_the_execution(folder: CaseFolder) -> None:
     assert outcomes(folder) == []
 
 
-def test_calls_run_in_other_processes_and_an_ended_one_is_replaced(tmp_path: Path) -> None:
+def test_calls_run_in_other_processes() -> None:
     with Processes(2) as executor:
         calls = [executor.submit(square_of_caller, number) for number in range(8)]
         assert [call.result()[0] for call in calls] == [number**2 for number in range(8)]
         assert os.getpid() not in {call.result()[1] for call in calls}
-        assert executor.submit(end_once, 7, tmp_path / "mark").result() == 7
         with pytest.raises(ZeroDivisionError):
             executor.submit(divmod, 1, 0).result()
 
@@ -87,8 +74,8 @@ def test_shutdown_without_waiting_ends_calls_at_once(tmp_path: Path) -> None:
     while not (mark.exists() and mark.read_text()):
         sleep(0.01)
     executor.shutdown(wait=False)
-    assert isinstance(call.exception(), ProcessEnded)
-    assert waiting.cancelled() or isinstance(waiting.exception(), ProcessEnded)
+    assert call.exception() is not None
+    assert waiting.cancelled() or waiting.exception() is not None
     with pytest.raises(ProcessLookupError):
         os.kill(int(mark.read_text()), 0)
 
@@ -117,6 +104,6 @@ def test_a_reason_is_one_short_line() -> None:
         raise ValueError("a\nb " * 1000)
 
     compute: Compute = long  # pyright: ignore[reportAssignmentType]
-    found = computed(compute, "number = 1")
+    found = computed(compute, {"number": 1})
     assert found.failed.startswith("ValueError: a b a b")
     assert len(found.failed) == LONGEST_REASON

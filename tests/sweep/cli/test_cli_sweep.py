@@ -1,6 +1,5 @@
 """`stepgap sweep`: the same table by all ways of execution, after any process was killed, and clear errors."""
 
-import os
 import shutil
 import subprocess
 import sys
@@ -9,10 +8,14 @@ from pathlib import Path
 from time import sleep
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from stepgap.base.errors import InputError
 from stepgap.cli.app import main
-from stepgap.sweep.cases import processes
-from stepgap.sweep.cases.processes import Processes
+from stepgap.sweep.cases import execution
+from stepgap.sweep.cases.execution import Processes
+from stepgap.sweep.cli.execution import JOB_ARRAYS, Execution
 from stepgap.sweep.results_table import read_results
 from tests.cli.command_line import Command, refused
 from tests.full_disk import FILE_TOO_LARGE, largest_file
@@ -30,10 +33,6 @@ keep = "runs"
 PROGRAM = [sys.executable, "-c", "from stepgap.cli.app import main; main()"]
 
 
-ARRAYS = ("SLURM_ARRAY_TASK_ID", "LSB_JOBINDEX", "SGE_TASK_ID", "PBS_ARRAY_INDEX", "PBS_ARRAYID")
-"""Variables of the environment by which a job array names its shard."""
-
-
 def write_inputs(folder: Path) -> None:
     """Writes a sweep of four short experiments."""
     targets = "".join(f"{target}\n" for target in ["0,0.55"] + ["0.17,0.58"] * 2)
@@ -46,7 +45,7 @@ def write_inputs(folder: Path) -> None:
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with a sweep of four short experiments."""
     monkeypatch.chdir(tmp_path)
-    for name in ARRAYS:
+    for name in JOB_ARRAYS:
         monkeypatch.delenv(name, raising=False)
     write_inputs(tmp_path)
     return tmp_path
@@ -60,7 +59,7 @@ def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         compute_in_a_thread(patch)
         leave_out_sweep_report(patch)
-        for name in ARRAYS:
+        for name in JOB_ARRAYS:
             patch.delenv(name, raising=False)
         main(["sweep", str(folder / "s.toml"), "--out", str(folder / "one"), "--processes", "1", "--quiet"])
     return folder / "one"
@@ -100,14 +99,15 @@ def test_all_ways_give_the_same_table(
     table: bytes, dask: str, stepgap: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(processes, "Processes", Processes)
+        patch.setattr(execution, "Processes", Processes)
         result = stepgap("sweep", "s.toml", "--out", "two", "--processes", 2)
     assert (result.code, result.out.splitlines()[0]) == (0, "two/results.csv"), result.err
     assert Path("two/results.csv").read_bytes() == table
     for shard in (1, 2, 3):
         result = stepgap("sweep", "s.toml", "--out", f"shard{shard}", "--shard", f"{shard}/3", "--processes", 1)
         assert (result.code, result.out) == (0, "")
-    merged = stepgap("sweep", "s.toml", "--out", "three", "--merge", "shard1", "shard2", "shard3")
+        shutil.copytree(f"shard{shard}", "three", dirs_exist_ok=True)
+    merged = stepgap("sweep", "--out", "three", "--resume")
     assert merged.code == 0, merged.err
     assert Path("three/results.csv").read_bytes() == table
     assert Path("three/runs/00000003/steps.csv").read_bytes() == Path("one/runs/00000003/steps.csv").read_bytes()
@@ -128,16 +128,31 @@ def test_the_table_has_the_numbers_of_single_runs(table: bytes, stepgap: Command
 
 
 def test_shards_share_a_folder_and_the_last_one_writes_the_table(table: bytes, stepgap: Command) -> None:
-    for index in (1, 0):
-        os.environ |= {"SLURM_ARRAY_TASK_ID": str(index), "SLURM_ARRAY_TASK_MIN": "0", "SLURM_ARRAY_TASK_MAX": "1"}
-        try:
-            result = stepgap("sweep", "s.toml", "--out", "shared", "--processes", 1)
-        finally:
-            for name in [name for name in os.environ if name.startswith("SLURM_ARRAY")]:
-                del os.environ[name]
-        assert f"shard {index + 1}/2, from the job array" in result.err
-        assert Path("shared/results.csv").exists() == (index == 0)
+    for index in (2, 1):
+        result = stepgap("sweep", "s.toml", "--out", "shared", "--processes", 1, "--shard", f"{index}/2")
+        assert result.code == 0, result.err
+        assert Path("shared/results.csv").exists() == (index == 1)
     assert Path("shared/results.csv").read_bytes() == table
+
+
+@given(st.integers(1, 50), st.integers(0, 300))
+def test_every_case_is_in_exactly_one_shard(count: int, cases: int) -> None:
+    parts = [list(Execution(shard=f"{index}/{count}").numbers(cases)) for index in range(1, count + 1)]
+    assert sorted(number for part in parts for number in part) == list(range(cases))
+    assert max(map(len, parts)) - min(map(len, parts)) <= 1
+
+
+@pytest.mark.parametrize("text", ["", "0/3", "4/3", "1", "a/b", "1/3/5", "-1/3", "1.0/3", "1/ 3", "9" * 12 + "/1"])
+def test_other_shards_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--shard"):
+        Execution(shard=text).numbers(9)
+
+
+@pytest.mark.parametrize("name", JOB_ARRAYS)
+def test_a_task_of_a_job_array_needs_its_shard(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(name, "3")
+    with pytest.raises(InputError, match=rf"--shard \${name}/N"):
+        Execution().numbers(9)
 
 
 def test_a_killed_sweep_continues_without_loss(table: bytes, stepgap: Command) -> None:
@@ -218,7 +233,7 @@ def test_bad_input_is_one_line_and_writes_nothing(here: Path, stepgap: Command) 
     refused(stepgap(*sweep, "x", "--shard", "4/3"), "--shard 4/3: must be I/N")
     refused(stepgap("sweep", "s.toml", "--shard", "1/3"), "--shard: give --out")
     refused(stepgap(*sweep, "x", "--shard", "1/3", "--dask", "local"), "give only one of them")
-    refused(stepgap(*sweep, "x", "--merge", "used"), "--merge used")
+    refused(stepgap(*sweep, "x", "--merge", "used"), "--merge: this option is gone; copy the folders of all parts")
     refused(stepgap(*sweep, "x", "--processes", 0), "processes")
     refused(stepgap(*sweep, "x", "--dask", "none.json"), "none.json: no such file")
     refused(stepgap(*sweep, "s.toml"), "s.toml")

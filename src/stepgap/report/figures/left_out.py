@@ -8,6 +8,7 @@ from stepgap.base.normal import INTERVAL_95
 from stepgap.report.drawing import BLACK, BLUE, GREY, MOST_VECTORS, axis_label, new_figure, unit_label
 from stepgap.report.figures import RunFigure
 from stepgap.report.learned_residual import LearnedResidual
+from stepgap.report.plots import clear_frame
 from stepgap.step import StepSpace
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -43,7 +44,7 @@ def left_out_figure(space: StepSpace, learned: LearnedResidual) -> "Figure":
         wide.set(xlabel="Step, in recorded order", ylabel="(Error − predicted) / std")
         wide.set_ylim(-FARTHEST - 0.3, FARTHEST + 0.3)
         for panel in (square, wide):
-            panel.spines[["top", "right"]].set_visible(False)
+            clear_frame(panel)
     return figure
 
 

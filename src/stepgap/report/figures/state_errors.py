@@ -11,6 +11,7 @@ from stepgap.learning.steps import Steps
 from stepgap.report.analysis import Analysis
 from stepgap.report.drawing import BLUE, GREY, MOST_VECTORS, VERMILLION, WIDTH, axis_label, new_figure
 from stepgap.report.figures import RunFigure
+from stepgap.report.plots import clear_frame
 from stepgap.step import Array, Quantity
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -54,7 +55,7 @@ def state_error_figure(run: Run) -> "Figure":
             panel.axhline(0, color=GREY, linewidth=0.8)
             for label, (error, colour, marker) in kinds.items():
                 panel.plot(_inputs(steps)[:, column], error[:, row], marker, color=colour, label=label, **dots)
-            panel.spines[["top", "right"]].set_visible(False)
+            clear_frame(panel)
     _label(figure, panels, [run.space.state[row] for row in rows], [_quantities(steps)[each] for each in columns])
     return figure
 

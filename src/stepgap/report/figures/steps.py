@@ -22,17 +22,25 @@ from stepgap.report.drawing import (
     BLUE,
     GREY,
     LIGHT,
-    MOST_VECTORS,
     SKY,
     VERMILLION,
     axis_label,
-    log_scale,
-    new_figure,
     plain,
     unit_label,
 )
 from stepgap.report.figures import RunFigure
-from stepgap.step import Array, StepStatus
+from stepgap.report.plots import (
+    as_pixels,
+    draw_tracking,
+    drawn_values,
+    ends_of_steps,
+    finish,
+    log_scale,
+    show_steps,
+    step_numbers,
+    step_panels,
+    write_note,
+)
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from matplotlib.axes import Axes
@@ -182,48 +190,6 @@ def _deployment_label(run: Run) -> str:
     return "Deployment" if nominal or not run.deployments else "Deployment (all of this run: corrected map)"
 
 
-def step_panels(count: int) -> "tuple[Figure, list[Axes]]":
-    """A figure with a number of panels below each other, which share their horizontal axis."""
-    figure = new_figure(0.8 + 2.0 * count)
-    return figure, list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
-
-
-def show_steps(panels: "Sequence[Axes]", steps: Steps) -> None:
-    """Sets the axis of step numbers to these steps, and marks the exploratory ones."""
-    first, last = int(steps.number.min()), int(steps.number.max())
-    margin = 0.5 + 0.01 * (last - first)
-    panels[0].set_xlim(first - margin, last + margin)
-    for panel in panels if first < 1 else ():
-        label = "exploratory steps" if panel is panels[-1] else ""
-        panel.axvspan(first - margin, 0.5, color="0.93", linewidth=0, zorder=0, label=label)
-
-
-def step_numbers(steps: Steps) -> Array:
-    """Numbers of the steps in their deployments; shape (N,)."""
-    return steps.number.astype(float)
-
-
-def as_pixels(steps: Steps) -> dict[str, Any]:
-    """Style of a curve over these steps: pixels if there are many."""
-    return {"rasterized": len(steps) > MOST_VECTORS}
-
-
-def _reached(steps: Steps, index: int) -> Array:
-    """One coordinate of the next states, NaN where there was none; shape (N,)."""
-    completed = steps.status == StepStatus.OK
-    return np.where(completed, steps.next_state[:, index], np.nan)
-
-
-def draw_tracking(panel: "Axes", steps: Steps, index: int, name: str, style: dict[str, Any]) -> None:
-    """Draws a state coordinate at the ends of steps, with a mark where there was none."""
-    numbers, reached = step_numbers(steps), _reached(steps, index)
-    panel.plot(numbers, reached, label=name, **style)
-    failed = np.isnan(reached)
-    if failed.any():
-        mark = {"color": style["color"], "marker": "X", "linestyle": "", "markersize": 7, "clip_on": False}
-        panel.plot(numbers[failed], steps.state[failed, index], label="no next state after this one", **mark)
-
-
 def _draw_ground(panel: "Axes", run: Run, name: str) -> None:
     """Draws a measured ground of each step, in the first and the last deployment."""
     index = run.space.context_names.index(name)
@@ -235,7 +201,7 @@ def _draw_ground(panel: "Axes", run: Run, name: str) -> None:
 
 def _draw_prediction(panel: "Axes", steps: Steps, index: int) -> None:
     numbers, std = step_numbers(steps), steps.std[:, index]
-    mean, reached = steps.predicted[:, index], _reached(steps, index)
+    mean, reached = steps.predicted[:, index], ends_of_steps(steps, index)
     mean = np.where(np.isfinite(mean), mean, np.nan)
     if np.isnan(reached).all():
         write_note(panel, "No step has a next state.")
@@ -249,43 +215,12 @@ def _draw_prediction(panel: "Axes", steps: Steps, index: int) -> None:
     panel.plot(numbers, reached, **measured, **fast)
 
 
-def write_note(panel: "Axes", text: str) -> None:
-    """Writes a text into an empty panel."""
-    panel.set_yticks([])
-    panel.text(0.5, 0.5, text, transform=panel.transAxes, ha="center", va="center", color=GREY)
-
-
 def _mark_changes(panel: "Axes", steps: Steps) -> None:
     """Draws a light line at every step whose target differs from the previous one."""
     changes = np.flatnonzero(~same_target(steps.target[1:], steps.target[:-1])) + 1
     if len(changes) <= MOST_CHANGES:
         for order, step in enumerate(step_numbers(steps)[changes]):
             panel.axvline(step, color="#cccccc", lw=0.8, zorder=0, label="" if order else "change of the target")
-
-
-def drawn_values(panel: "Axes") -> Array:
-    """Values of all curves of a panel."""
-    return np.concatenate([np.asarray(line.get_ydata(), float) for line in panel.lines] or [np.zeros(0)])
-
-
-def finish(figure: "Figure", panels: "list[Axes]", step_label: str, own_legends: bool = False) -> None:
-    """Adds labels, grid, and legends outside the data: one above all panels, or one above each."""
-    from matplotlib.ticker import MaxNLocator
-
-    for panel in panels:
-        panel.grid(True, axis="y", color="#dddddd", linewidth=0.6)
-        panel.set_axisbelow(True)
-        panel.spines[["top", "right"]].set_visible(False)
-        panel.xaxis.set_major_locator(MaxNLocator(integer=True))
-        if own_legends and panel.get_legend_handles_labels()[1]:
-            panel.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False, borderaxespad=0.2)
-    panels[-1].set_xlabel(step_label)
-    figure.align_ylabels(panels)
-    if not own_legends:
-        found = {
-            label: handle for panel in panels for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
-        }
-        figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=3, frameon=False)
 
 
 def _first_and_last(run: Run) -> tuple[str, str]:

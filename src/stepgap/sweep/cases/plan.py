@@ -1,4 +1,4 @@
-"""Cases: independent computations that are numbered from 0 and described by a TOML text."""
+"""Cases: independent computations that are numbered from 0."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -6,7 +6,6 @@ from time import perf_counter
 from typing import Any, NamedTuple, Protocol
 
 from stepgap.base.errors import StepGapError
-from stepgap.base.settings_file import parse_toml
 
 LONGEST_REASON = 500
 """Longest reason of a failure that is recorded [characters]."""
@@ -24,8 +23,8 @@ class Plan(Protocol):
         """Number of cases."""
         ...
 
-    def case(self, number: int) -> str:
-        """TOML text with everything that the computation of a case needs.
+    def case(self, number: int) -> Mapping[str, Any]:
+        """Plain data with everything that the computation of a case needs.
 
         Raises:
             InputError: The settings of this case are not valid together.
@@ -46,7 +45,7 @@ class CaseOutput(NamedTuple):
 
 
 Compute = Callable[[Mapping[str, Any]], CaseOutput]
-"""Computes a case from the table of its TOML text; a function of a module, which other processes can import."""
+"""Computes a case from its data; a function of a module, which other processes can import."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +64,8 @@ class CaseResult:
     seconds: float = 0.0
     files: Mapping[str, str] = field(default_factory=dict)
 
-    def content(self) -> dict[str, Any]:
-        """The result as data for JSON, without the files."""
-        return {"failed": self.failed, "seconds": round(self.seconds, 3), "result": self.result}
 
-
-def computed(compute: Compute, case: str) -> CaseResult:
+def computed(compute: Compute, case: Mapping[str, Any]) -> CaseResult:
     """Computes a case; an error of the case becomes its result.
 
     Raises:
@@ -79,7 +74,7 @@ def computed(compute: Compute, case: str) -> CaseResult:
     """
     begin = perf_counter()
     try:
-        result, files = compute(parse_toml(case))
+        result, files = compute(case)
     except (OSError, MemoryError):
         raise
     except Exception as error:

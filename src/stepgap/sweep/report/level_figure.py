@@ -6,9 +6,9 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from stepgap.report.drawing import BLUE, VERMILLION, WIDTH, axis_label, plain
+from stepgap.report.drawing import BLUE, VERMILLION, axis_label, new_figure, plain
+from stepgap.report.plots import clear_frame, log_scale, shared_legend
 from stepgap.step import Array, Quantity
 from stepgap.sweep.report.cases import SweepAxis, SweepCases
 
@@ -22,7 +22,7 @@ _ROW, _HEAD = 0.16, 0.22
 def level_figure(cases: SweepCases, axes: Sequence[SweepAxis], state: Sequence[Quantity]) -> Figure:
     """Medians of the errors by the levels of each axis, with bars between the quartiles: a column a coordinate."""
     heights = [_HEAD + _ROW * min(len(axis.levels), MOST_LEVELS_DRAWN) for axis in axes]
-    figure = Figure(figsize=(WIDTH, 0.8 + sum(heights)), layout="constrained")
+    figure = new_figure(0.8 + sum(heights))
     panels = figure.subplots(
         len(axes), len(state), squeeze=False, sharex="col", sharey="row", gridspec_kw={"height_ratios": heights}
     )
@@ -38,9 +38,8 @@ def level_figure(cases: SweepCases, axes: Sequence[SweepAxis], state: Sequence[Q
         _name_levels(row[0], axis)
     for index, quantity in enumerate(state):
         panels[-1, index].set_xlabel(f"RMSE of {axis_label(quantity, capital=False)}")
-        _error_scale(panels[-1, index])
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=2, frameon=False)
+        log_scale(panels[-1, index], np.concatenate([errors[:, index] for errors, _ in series]), "x")
+    shared_legend(figure, panels[0, :1])
     return figure
 
 
@@ -49,9 +48,7 @@ def _draw(panel: Axes, quartiles: Array, look: dict[str, Any]) -> None:
     rows = np.arange(len(middle))
     bars = [middle - lower, upper - middle]
     panel.errorbar(middle, rows, xerr=bars, linestyle="", elinewidth=0.9, **look)
-    panel.grid(True, axis="x", color="#dddddd", linewidth=0.6)
-    panel.set_axisbelow(True)
-    panel.spines[["top", "right"]].set_visible(False)
+    clear_frame(panel, grid="x")
 
 
 def _name_levels(panel: Axes, axis: SweepAxis) -> None:
@@ -62,12 +59,3 @@ def _name_levels(panel: Axes, axis: SweepAxis) -> None:
     panel.set_ylim(len(shown) - 0.5, -0.5)
     more = f"\n(without {left_out} levels)" if left_out else ""
     panel.set_ylabel(plain(axis.name) + more, rotation=0, ha="right", va="center")
-
-
-def _error_scale(panel: Axes) -> None:
-    panel.set_xscale("log", nonpositive="mask")
-    lower, upper = panel.get_xlim()
-    if upper < 1e3 * lower:
-        panel.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    panel.xaxis.set_minor_formatter(NullFormatter())

@@ -15,7 +15,7 @@ from stepgap.records.missing import Missing
 from stepgap.records.text import capitalised, decimal, unit_suffix, with_unit
 from stepgap.report.drawing import Drawing, draw_figure, has_figures, write_figures
 from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section, table
-from stepgap.report.settings_table import changed_settings
+from stepgap.report.tables import changed_settings
 from stepgap.step import Array, Quantity
 from stepgap.sweep.report.cases import SweepAxis, SweepCases, sweep_cases
 from stepgap.sweep.results_table import RESULTS, read_results
