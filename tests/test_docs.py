@@ -83,8 +83,6 @@ def name(page):
 def test_pages_run(page, tmp_path, monkeypatch, capsys):
     """Blocks of a page continue each other, examples in the last column of a table after them."""
     monkeypatch.chdir(tmp_path)
-    if page.name == "gym.md":
-        monkeypatch.setattr("stepgap.gym.camera.FRAMES_PER_SECOND", 5)  # to draw them takes longer than all else
     examples = EXAMPLE_IN_TABLE.findall(TEXTS[page]) if page.name == "from_matlab.md" else []
     script = tmp_path / f"{page.stem}.py"
     script.write_text("\n".join([SCRIPTS[page], *examples]), "utf-8")

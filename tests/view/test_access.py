@@ -123,7 +123,7 @@ CAMERA = encoded(
 
 
 def test_wrong_messages_end_neither_the_page_nor_its_quiet(page: Page, capfd: pytest.CaptureFixture[str]) -> None:
-    controls = (page._deployment, page._overlay, page._step, page._speed, page._along, page._ride, page._buttons)
+    controls = (page._deployment, page._overlay, page._step, page._speed, page._ride, page._buttons)
     values = ("nonsense", 10**18, -1, 1e300, float("nan"), None, [1], {"a": 1}, "")
     messages = [
         "text",

@@ -61,12 +61,7 @@ def test_the_page(served: str, watched_page: Watched) -> None:
     watched_page.wait_for_change(robot, held)  # the robot has moved
     watched_page.keep_screenshot("view_tracking")
 
-    page.get_by_text("What was learned").click()
-    expect(body).to_contain_text("with which deployment 1 began (posterior)")
-    choose(watched_page, "Along", "fx")
     expect(page.locator(".uplot:visible").first).to_be_visible()
-    page.wait_for_timeout(500)
-    watched_page.keep_screenshot("view_learned")
 
     choose(watched_page, "Deployment", "0: nominal map")
     expect(body).to_contain_text("The robot is released.")
@@ -74,7 +69,6 @@ def test_the_page(served: str, watched_page: Watched) -> None:
     choose(watched_page, "Speed", "16")
     page.get_by_text("Pause / play").click()
     expect(body).to_contain_text(re.compile(f"Step {STEPS}"))
-    expect(body).to_contain_text("this deployment began with the nominal map")
     watched_page.keep_screenshot("view_uncorrected")
 
 

@@ -75,7 +75,7 @@ def test_wrong_input_is_one_line(stepgap: Command, run_folder: Path, tmp_path: P
     refused(stepgap("view", run_folder, "--ring", "no-such-ring"), "no-such-ring")
 
 
-NAMES, CONTENTS = ["steps.csv", "models/iteration_1.json", "experiment.toml"], [b"\x00\xff rubbish", b"{}", b""]
+NAMES, CONTENTS = ["steps.csv", "experiment.toml"], [b"\x00\xff rubbish", b"{}", b""]
 
 
 @pytest.mark.parametrize(("name", "content"), list(product(NAMES, CONTENTS))[:-1])  # an empty file of settings is one

@@ -70,25 +70,6 @@ def test_it_plays_step_by_step_and_its_charts_grow(page: Page) -> None:
     assert f"Step {STEPS}" in page._status.content
 
 
-def test_what_was_learned_is_drawn_along_the_chosen_input(page: Page) -> None:
-    page.player.show(2)
-    page.update(0.0)
-    along_speed = page._learned[0]._chart.data[0]
-    page._along.value = "fy"
-    page.update(0.0)
-    along_force = page._learned[0]._chart.data[0]
-    assert (along_speed[0], along_speed[-1]) == (0.0, 0.4)
-    assert (along_force[0], along_force[-1]) == (-20.0, 20.0)
-    *_, mean, here = page._learned[0]._chart.data
-    assert np.isfinite(mean).all()
-    assert np.isfinite(here).sum() == 1
-    page.choose(0)
-    page.player.show(2)
-    page.update(0.0)
-    assert not np.isfinite(page._learned[0]._chart.data[-1]).any()
-    assert "nominal map" in page._model_note.content
-
-
 def test_deployment_overlay_and_speed_can_be_chosen(page: Page) -> None:
     page.choose(0)
     page.update(0.1)

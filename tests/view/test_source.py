@@ -12,7 +12,6 @@ from stepgap.experiment.run import Run
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.plants.ticks.tick_ring import TickRing
-from stepgap.records.steps_csv import read_step_log
 from stepgap.robots.hopper.tick.tick_row import TICK_UNITS
 from stepgap.robots.scene import Motion
 from stepgap.view.source import STILL, Source
@@ -110,18 +109,6 @@ def test_new_steps_are_read(copy: Path) -> None:
     (copy / "steps.csv").write_text(text)
     assert source.poll()
     assert source.iterations == [0, 1]
-
-
-def test_the_model_is_that_at_the_start_of_the_deployment(run_folder: Path) -> None:
-    source = Source(run_folder)
-    assert source.residual(0, 1) is None
-    residual = source.residual(1, 2)
-    assert residual
-    steps = read_step_log(run_folder / "steps.csv", source.space).of_iteration(1)
-    predicted = source.nominal.evaluate(steps.state[:1], steps.applied[:1]).next_state + residual.mean(
-        np.hstack([steps.state[:1], steps.applied[:1]])
-    )
-    np.testing.assert_allclose(predicted, steps.predicted[:1], atol=1e-3)
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path: Path, copy: Path) -> None:

@@ -19,17 +19,15 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from stepgap.base.plugins import one_of
-from stepgap.control.command_change import CommandChange
 from stepgap.control.reach import whole_states
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ControlSettings
+from stepgap.control.wrapped_map import CommandChange
 from stepgap.experiment.inputs import load_reference
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import Experiment
-from stepgap.gym.camera import FRAMES_PER_SECOND, Camera
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
-from stepgap.records.text import in_scale, unit_suffix
 from stepgap.robots.entry_points import load_robot, simulations_of
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap, StepStatus
@@ -40,10 +38,6 @@ MODEL = "model"
 """Plant that is the nominal map with noise."""
 OBSERVATION_LIMIT = 10.0
 """Distance from the middle of the range at which observations are clipped [half ranges]."""
-RENDER_MODES = ("rgb_array", "rgb_array_list")
-"""What `render` returns: a picture of the robot at the end of the step, or those of its motion since the last call."""
-STEPS_PER_SECOND = 2
-"""Steps shown in a second of a video with one picture for each."""
 LARGEST_COST = 10.0
 """Squared error at which the cost of a step is clipped [squared half ranges]. A failed step costs as much for itself
 and each remaining step, so that failing is never better than continuing."""
@@ -68,12 +62,10 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         make_plant: Makes the plant of one episode from the environment's random generator.
         nominal: Map used for predictions; it defines state and command.
         reference: Reference to track; `reset(options={"reference": …})` sets another one for one episode.
-        render_mode: One of `RENDER_MODES`; None for no pictures.
-        camera: Draws the robot; its `on_ticks` must be called with the ticks of the plant if they are to be drawn.
         largest_change: As in `ControlSettings`.
 
     Raises:
-        ValueError: The reference does not fit this map, or the render mode or the largest change is not possible.
+        ValueError: The reference does not fit this map, or the largest change is not possible.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012  (as Gymnasium has it)
@@ -83,21 +75,20 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         make_plant: Callable[[np.random.Generator], Plant],
         nominal: StepMap,
         reference: Reference,
-        render_mode: str | None = None,
-        camera: Camera | None = None,
         largest_change: float = 1.0,
     ):
         reference = reference.of(nominal.space)
         self._any_change = CommandChange(ControlSettings(largest_change=largest_change).largest_change)
-        _check_render_mode(render_mode, camera)
-        self.render_mode, self._camera = render_mode, camera
-        rate = FRAMES_PER_SECOND if render_mode == "rgb_array_list" else STEPS_PER_SECOND
-        self.metadata = {"render_modes": list(RENDER_MODES) if camera else [], "render_fps": rate}
-        self.nominal, self.reference, self.space = nominal, reference, nominal.space
-        self._make_plant, self._tracked = make_plant, reference
+        self.nominal = nominal
+        self.reference = reference
+        self.space = nominal.space
+        self._make_plant = make_plant
+        self._tracked = reference
         self._plant: Plant | None = None
-        self._state, self._done = np.full(len(self.space.state), np.nan), 0
-        centre, limit = np.tile(self.space.state_centre, 2), OBSERVATION_LIMIT * np.tile(self.space.state_scale, 2)
+        self._state = np.full(len(self.space.state), np.nan)
+        self._done = 0
+        centre = np.tile(self.space.state_centre, 2)
+        limit = OBSERVATION_LIMIT * np.tile(self.space.state_scale, 2)
         self.observation_space = Box(centre - limit, centre + limit, dtype=np.float64)
         self.action_space = Box(-1.0, 1.0, (len(self.space.command),), dtype=np.float32)
 
@@ -110,10 +101,10 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         super().reset(seed=seed)
         self.close()
         self._tracked = _reference_of(options or {}, self.reference).of(self.space)
-        self._plant, self._done, self._change = self._make_plant(self.np_random), 0, self._any_change
+        self._plant = self._make_plant(self.np_random)
+        self._done = 0
+        self._change = self._any_change
         self._state = self._plant.start()
-        if self._camera:
-            self._camera.begin(self._state, self._caption())
         return self._observation(), {}
 
     def step(self, action: NDArray[Any]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
@@ -145,39 +136,16 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
             squared = float(np.nansum(((record.next_state - target) / self.space.error_scale) ** 2))
             reward = -min(squared, LARGEST_COST)
             self._state, self._done = record.next_state, self._done + 1
-        if self._camera:
-            self._camera.take(self._state, f"{self._caption()}\n{record.status.label}" if failed else self._caption())
         truncated = not failed and remaining == 1
         if failed or truncated:
             self.close()
         return self._observation(), reward, failed, truncated, info
-
-    def render(self) -> Any:
-        """Returns what `render_mode` says: a picture (480, 480, 3), or a list of them.
-
-        Raises:
-            ResetNeeded: No episode was started.
-        """
-        if self._camera is None or self.render_mode is None:
-            return None
-        if np.isnan(self._state).any():
-            raise ResetNeeded("no episode was started: call reset() before render()")
-        return self._camera.picture() if self.render_mode == "rgb_array" else self._camera.pictures()
 
     def close(self) -> None:
         """Stops the plant."""
         if self._plant is not None:
             self._plant.stop()
             self._plant = None
-
-    def _caption(self) -> str:
-        """State of the robot and number of the last step, as text."""
-        rows = [f"step {self._done} of {len(self._tracked)}"]
-        target = self._tracked.targets[max(self._done - 1, 0)]
-        for quantity, value, wanted in zip(self.space.state, self._state, target, strict=True):
-            numbers = in_scale(value, quantity) + (f", target {in_scale(wanted, quantity)}" if isfinite(wanted) else "")
-            rows.append(f"{quantity.name} {numbers}{unit_suffix(quantity)}")
-        return "\n".join(rows)
 
     def _observation(self) -> Array:
         """State and next target, the middle of the range of use where there is none; shape (2 n,)."""
@@ -206,20 +174,22 @@ def robot_env(
         noise: Standard deviation of the noise added to every next state of `model`; shape (n,) [state units]. None
             for a hundredth of the ranges of use.
         reference: Reference to track; None for the robot's first one.
-        render_mode: One of `RENDER_MODES`, if the robot has a kinematics; None for no pictures.
+        render_mode: None; there are no pictures.
         weights: As in `Experiment`; they decide the reward.
         largest_change: As in `ControlSettings`.
 
     Raises:
         ValueError: An argument is wrong.
     """
+    if render_mode is not None:
+        raise ValueError(
+            f"render_mode = {render_mode!r}, but this environment draws no pictures; leave it out, and see the robot "
+            "by `stepgap run --view` or in the report of a run"
+        )
     chosen = load_robot(robot) if isinstance(robot, str) else robot
     settings = Experiment(chosen, plant="" if plant == MODEL else plant, weights=weights or {})
     nominal = load_nominal(settings).map
     reference = reference or load_reference(settings, settings.space)
-    kinematics = chosen.kinematics()
-    camera = Camera(kinematics) if kinematics else None
-    _check_render_mode(render_mode, camera)
     if plant == MODEL:
         std = 0.02 * chosen.space.state_scale if noise is None else np.asarray(noise, float)
         if std.shape != chosen.space.state_scale.shape or not (np.isfinite(std) & (std >= 0)).all():
@@ -227,7 +197,7 @@ def robot_env(
             raise ValueError(f"noise = {noise}, but it must be numbers that are not negative, for {names}")
         (start,) = whole_states(nominal, reference.of(nominal.space).targets[:1])
         make_model = partial(ModelPlant, nominal, start, std)
-        return StepEnv(make_model, nominal, reference, render_mode, camera, largest_change)
+        return StepEnv(make_model, nominal, reference, largest_change)
     simulations = simulations_of(chosen)
     if settings.plant not in simulations:
         known = (*simulations, MODEL)
@@ -235,22 +205,10 @@ def robot_env(
     make = simulations[settings.plant]
 
     def make_plant(rng: np.random.Generator) -> Plant:
-        return make(rng).plant(rng, camera.on_ticks if camera and render_mode else None)
+        return make(rng).plant(rng)
 
     make_plant(np.random.default_rng(0))  # reports errors of the simulation now
-    return StepEnv(make_plant, nominal, reference, render_mode, camera, largest_change)
-
-
-def _check_render_mode(render_mode: str | None, camera: Camera | None) -> None:
-    """Raises ValueError for a render mode that is not possible."""
-    if render_mode is None or (camera and render_mode in RENDER_MODES):
-        return
-    if camera is None:
-        raise ValueError(f"render_mode = {render_mode!r}: this robot has no kinematics, so it cannot be drawn")
-    window = (
-        "; for a window, wrap the environment in gymnasium.wrappers.HumanRendering" if "human" in render_mode else ""
-    )
-    raise ValueError(f"render_mode = {render_mode!r}, but it must be {one_of(render_mode, RENDER_MODES)}{window}")
+    return StepEnv(make_plant, nominal, reference, largest_change)
 
 
 def _reference_of(options: dict[str, Any], default: Reference) -> Reference:

@@ -1,22 +1,19 @@
-"""The page: 3-D scene, buttons and charts. It only displays a run and never acts on it."""
+"""The page: 3-D scene, buttons and charts of the tracking. It only displays a run and never acts on it."""
 
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from typing import Any
 
 import numpy as np
-from viser import GuiDropdownHandle, ViserServer
+from viser import ViserServer
 
-from stepgap.learning.observations import error_of
-from stepgap.learning.residual import join_points
 from stepgap.learning.steps import LoggedStep
-from stepgap.records.text import in_scale, in_words
+from stepgap.records.text import in_scale, in_words, with_unit
 from stepgap.report.drawing import BLUE, VERMILLION
 from stepgap.robots.scene import Scene
 from stepgap.step import StepStatus
-from stepgap.view.learned import curve_along
 from stepgap.view.player import Player
-from stepgap.view.plots import BAND, INK, LearnedPlot, TrackingPlot, add_legend, named
+from stepgap.view.plots import INK, TrackingPlot, add_legend
 from stepgap.view.robot_scene import Ground, RobotScene, light
 from stepgap.view.source import Source
 
@@ -103,15 +100,7 @@ class Page:
         player.advance(elapsed, count, self._duration)
         with self._server.atomic():
             self._show_motion()
-            state = (
-                self.iteration,
-                self.overlaid,
-                player.step,
-                count,
-                self._along.value,
-                source.missing_motion,
-                player.playing,
-            )
+            state = (self.iteration, self.overlaid, player.step, count, source.missing_motion, player.playing)
             if state != self._drawn:
                 self._show_step()
                 self._drawn = state
@@ -178,19 +167,9 @@ class Page:
         control.on_update(changed)
 
     def _build_plots(self) -> None:
-        gui, space = self._server.gui, self._source.space
-        tabs = gui.add_tab_group()
-        with tabs.add_tab("Tracking"):
-            add_legend(gui, [("┅", INK, "target"), ("━", BLUE, "measured"), ("┉", VERMILLION, "overlaid")])
-            self._tracking = [TrackingPlot(gui, quantity, index) for index, quantity in enumerate(space.state)]
-        with tabs.add_tab("What was learned"):
-            names = [*space.state_names, *space.command_names]
-            self._along: GuiDropdownHandle[str] = gui.add_dropdown(
-                "Along", names, initial_value=names[0], hint="The other inputs are those of the displayed step"
-            )
-            self._model_note = gui.add_markdown("")
-            add_legend(gui, [("━", BLUE, "mean"), ("▇", BAND, "95 % of steps"), ("●", VERMILLION, "this step")])
-            self._learned = [LearnedPlot(gui, quantity, index) for index, quantity in enumerate(space.state)]
+        gui = self._server.gui
+        add_legend(gui, [("┅", INK, "target"), ("━", BLUE, "measured"), ("┉", VERMILLION, "overlaid")])
+        self._tracking = [TrackingPlot(gui, quantity, index) for index, quantity in enumerate(self._source.space.state)]
 
     def _find_deployments(self) -> None:
         labels = [self._label(number) for number in self._source.iterations] or [self._label(0)]
@@ -238,24 +217,6 @@ class Page:
         self._status.content = self._describe(steps, number)
         for plot in self._tracking:
             plot.show(steps, overlaid, number)
-        self._show_learned(steps, number)
-
-    def _show_learned(self, steps: list[LoggedStep], number: int) -> None:
-        residual = self._source.residual(self.iteration, number)
-        if residual is None:
-            self._model_note.content = "Nothing: this deployment began with the nominal map." * (number > 0)
-            for plot in self._learned:
-                plot.clear()
-            return
-        space, record = self._source.space, steps[number - 1].record
-        names = (*space.state_names, *space.command_names)
-        index = names.index(self._along.value) if self._along.value in names else 0
-        curve = curve_along(residual, space, join_points(record.state, record.requested), index)
-        error = error_of(record, self._source.nominal)
-        model = f"the model with which deployment {self.iteration} began ({as_markdown(residual.name)})"
-        self._model_note.content = f"Actual − nominal by {model}."
-        for plot in self._learned:
-            plot.show(curve, named((*space.state, *space.command)[index]), error)
 
     def _describe(self, steps: list[LoggedStep], number: int) -> str:
         """Description of the displayed step, with a table."""
@@ -289,6 +250,8 @@ def _step_table(logged: LoggedStep, source: Source) -> str:
     rows = ["| | target | predicted | measured |", "|---|---:|---:|---:|"]
     for index, quantity in enumerate(space.state):
         values = (logged.target[index], logged.predicted[index], record.next_state[index])
-        rows.append(f"| {as_markdown(named(quantity))} | {' | '.join(in_scale(value, quantity) for value in values)} |")
+        rows.append(
+            f"| {as_markdown(with_unit(quantity))} | {' | '.join(in_scale(value, quantity) for value in values)} |"
+        )
     command = in_words(space.command, record.command)
     return "\n".join([head, "", *rows, "", f"Command: {command}"])

@@ -1,6 +1,6 @@
-"""All data of a run, finished or in progress: steps, motion and models.
+"""All data of a run, finished or in progress: steps and motion.
 
-Steps and models are read from the run folder. Motion comes from a ring of ticks while the run is in progress, from the
+Steps are read from the run folder. Motion comes from a ring of ticks while the run is in progress, from the
 tick logs of a rig, or otherwise from a repeated simulation of the deployment.
 """
 
@@ -14,13 +14,10 @@ import numpy as np
 from stepgap.base.errors import InputError, message_of
 from stepgap.experiment.replay import ground_of, kinematics_of, logged_ticks, replayed_steps
 from stepgap.experiment.run import Run
-from stepgap.learning.observations import next_history
-from stepgap.learning.residual import Residual
 from stepgap.learning.steps import LoggedStep
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
-from stepgap.records.model_files import model_path
 from stepgap.robots.scene import GroundPieces, Kinematics, Motion
 from stepgap.step import Array
 from stepgap.view.live import VIEW_INTERVAL
@@ -43,7 +40,7 @@ class Source:
         kinematics: How its robot is drawn, as a simulated plant where its motion is not known; None if it is not.
 
     Raises:
-        InputError: It is not a run folder, a model in it is not valid, or it has no step and no run is adding one.
+        InputError: It is not a run folder, or it has no step and no run is adding one.
     """
 
     def __init__(self, folder: Path, ring: TickRing | None = None):
@@ -61,13 +58,10 @@ class Source:
         self._loaders: dict[int, Thread] = {}
         self._closed = Event()
         self._ticks: dict[tuple[int, int], list[np.ndarray]] = defaultdict(list)
-        self._models: dict[int, Residual | None] = {}
         self._grounds: dict[tuple[int, int], GroundPieces | None] = {}
         self.poll()
         if not self._steps and ring is None:
             raise InputError(f"{folder / 'steps.csv'}: no step yet; try again when there are some")
-        for iteration in self._steps:
-            self._model(iteration)
 
     @property
     def missing_motion(self) -> Missing | None:
@@ -131,28 +125,12 @@ class Source:
             self._grounds[known] = ground_of(self._run, iteration, self.kinematics.scene)
         return self._grounds.get(known)
 
-    def residual(self, iteration: int, number: int) -> Residual | None:
-        """Residual with which a deployment began, conditioned on the history of a step; None without a model."""
-        residual, steps = self._model(iteration), self.steps(iteration)
-        if residual is None or not 0 < number <= len(steps):
-            return None
-        log = self._run.recorded
-        row = np.flatnonzero((log.iteration == iteration) & ~log.unplanned)[number - 1]
-        return residual.conditioned_on(next_history(log.selected(slice(row)), self.nominal, iteration))
-
     def poll(self) -> bool:
         """Reads new data; returns whether there were new steps."""
         grown = self._read_steps()
         if self._ring:
             self._drain(self._ring)
         return grown
-
-    def _model(self, iteration: int) -> Residual | None:
-        """Residual with which a deployment began; None if it has no file."""
-        if iteration not in self._models:
-            exists = model_path(self.folder, iteration).exists()
-            self._models[iteration] = self._run.needed(self._run.residual(iteration)) if exists else None
-        return self._models[iteration]
 
     def _still(self, state: Array) -> Motion:
         """The robot at rest in a state at the section; a pause if it is not drawn."""
