@@ -15,7 +15,7 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
 from stepgap.report.analysis import Analysis
-from stepgap.report.error_table import band_table
+from stepgap.report.tables import band_table
 from stepgap.report.figures.steps import command_figure, error_figure, map_figure, tracking_figure
 from stepgap.report.run_report import write_report
 from stepgap.robots.hopper.paper import paper_result

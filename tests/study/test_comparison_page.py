@@ -10,7 +10,8 @@ from scipy import stats
 from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
 from stepgap.records.summary import parse_summary
-from stepgap.report.settings_table import changed_settings, differing, flat_settings
+from stepgap.report import drawing
+from stepgap.report.tables import changed_settings, differing, flat_settings
 from stepgap.robots.hopper.paper import paper_reference, paper_result
 from stepgap.study.comparison_page import FEWEST_SEEDS, comparison_html, run_names, seed_groups, spread_tables
 from tests.report.pages import Page, check_alone
@@ -27,8 +28,9 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return folders
 
 
-@pytest.mark.usefixtures("drawn_page", "unplaced")
-def test_runs_side_by_side(folders: list[Path], tmp_path: Path) -> None:
+@pytest.mark.usefixtures("drawn_page")
+def test_runs_side_by_side(folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drawing, "_lay_out", lambda figure: figure.set_layout_engine(None))  # which takes seconds
     records = [Run(folder) for folder in folders]
     (tmp_path / "page.html").write_text(comparison_html(records), encoding="utf-8")
     page = Page(tmp_path / "page.html")

@@ -1,7 +1,7 @@
 """Comparison of several runs on one page: their errors side by side, one figure, and the settings that differ."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,22 +11,23 @@ from scipy.special import stdtrit
 from stepgap.base.errors import InputError
 from stepgap.experiment.run import Run
 from stepgap.records.missing import Missing
+from stepgap.records.summary import Deployment
 from stepgap.records.text import decimal, with_unit
-from stepgap.report.drawing import BLACK, BLUE, LIGHT, VERMILLION, axis_label, draw_figure, log_scale, plain
-from stepgap.report.error_table import steps_in_words
-from stepgap.report.figures.steps import (
+from stepgap.report.drawing import BLACK, BLUE, LIGHT, VERMILLION, axis_label, draw_figure, plain
+from stepgap.report.html import bullets, page, paragraph, picture, section, table
+from stepgap.report.plots import (
     as_pixels,
     draw_tracking,
     drawn_values,
     finish,
+    log_scale,
     show_steps,
     step_numbers,
     step_panels,
     write_note,
 )
-from stepgap.report.html import bullets, page, paragraph, picture, section, table
 from stepgap.report.sentences import end_in_a_word, headline
-from stepgap.report.settings_table import DASH, differing, flat_settings
+from stepgap.report.tables import DASH, differing, flat_settings, steps_in_words
 from stepgap.step import Array
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -79,6 +80,9 @@ def comparison_html(runs: Sequence[Run], before: Sequence[str] = ()) -> str:
         drawing = draw_figure(lambda: comparison_tracking_figure(runs, names), "the tracking")
         pictures.append(picture(drawing, "tracking-", TRACKING_CAPTION))
     spreads = spread_tables(runs, names)
+    spread = []
+    if spreads:
+        spread = [section("spread", "Spread over seeds", paragraph(SPREAD_NOTE), _side_by_side(spreads))]
     return page(
         "StepGap comparison",
         [
@@ -86,11 +90,7 @@ def comparison_html(runs: Sequence[Run], before: Sequence[str] = ()) -> str:
             bullets([f"{name}: {headline(run)}" for name, run in zip(names, runs, strict=True)]),
             *before,
             section("figure", "Figures", *pictures),
-            *(
-                [section("spread", "Spread over seeds", paragraph(SPREAD_NOTE), _side_by_side(spreads))]
-                if spreads
-                else []
-            ),
+            *spread,
             section(
                 "numbers",
                 "Errors by deployment",
@@ -149,37 +149,35 @@ def _references(runs: Sequence[Run]) -> str:
 
 
 def _tables(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
-    numbers = sorted({entry.iteration for run in runs for entry in run.deployments})
-    entries = [{entry.iteration: entry for entry in run.deployments} for run in runs]
-    found = []
-    for measure, label in COMPARED.items():
-        for index in _tracked(runs):
-            rows = [
-                [
-                    str(number),
-                    *(decimal(each[number].errors[measure][index]) if number in each else DASH for each in entries),
-                ]
-                for number in numbers
-            ]
-            title = f"{label} of {with_unit(runs[0].space.state[index])}"
-            found.append(table(title, ["deployment", *names], rows))
-    rows = [
-        [
-            str(number),
-            *(
-                f"{each[number].steps}, {end_in_a_word(run, each[number])}" if number in each else DASH
-                for run, each in zip(runs, entries, strict=True)
-            ),
-        ]
-        for number in numbers
+    tables = [
+        _by_deployment(
+            f"{label} of {with_unit(runs[0].space.state[index])}",
+            runs,
+            names,
+            lambda _, entry, measure=measure, index=index: decimal(entry.errors[measure][index]),
+        )
+        for measure, label in COMPARED.items()
+        for index in _tracked(runs)
     ]
-    found.append(table("Steps, and how the deployment ended", ["deployment", *names], rows))
+    title = "Steps, and how the deployment ended"
+    tables.append(_by_deployment(title, runs, names, lambda run, entry: f"{entry.steps}, {end_in_a_word(run, entry)}"))
     results = [run.compared_result for run in runs]
     if len({result and result.source for result in results}) == 1 and results[0]:
         caption = f"Number of steps, exploratory ones included, until the error stays in {results[0].source}'s band"
         steps = [_to_band(run, results[0].band) for run in runs]
-        found.append(table(caption, ["", *names], [["steps", *steps]]))
-    return found
+        tables.append(table(caption, ["", *names], [["steps", *steps]]))
+    return tables
+
+
+def _by_deployment(
+    title: str, runs: Sequence[Run], names: Sequence[str], cell: Callable[[Run, Deployment], str]
+) -> str:
+    """Table with a row for each deployment and a column for each run."""
+    rows = dict[int, list[str]]()
+    for column, run in enumerate(runs):
+        for entry in run.deployments:
+            rows.setdefault(entry.iteration, [DASH] * len(runs))[column] = cell(run, entry)
+    return table(title, ["deployment", *names], [[str(number), *cells] for number, cells in sorted(rows.items())])
 
 
 def _to_band(run: Run, band: Array) -> str:
@@ -257,14 +255,11 @@ def comparison_figure(runs: Sequence[Run], names: Sequence[str]) -> "Figure":
     figure, panels = step_panels(len(rows))
     for row, (run, name) in enumerate(zip(runs, names, strict=True)):
         numbers = [deployment.iteration for deployment in run.deployments]
-        look: dict[str, Any] = {
-            "color": RUN_COLOURS[row % len(RUN_COLOURS)],
-            "marker": RUN_MARKERS[row % len(RUN_MARKERS)],
-        }
+        marker = RUN_MARKERS[row % len(RUN_MARKERS)]
         for index, panel in zip(rows, panels, strict=True):
             values = [deployment.errors["rmse"][index] for deployment in run.deployments]
             if np.isfinite(values).any():
-                panel.plot(numbers, values, **look, linestyle=RUN_LINES[row % len(RUN_LINES)], label=plain(name))
+                panel.plot(numbers, values, **_look(row), marker=marker, label=plain(name))
     for panel, index in zip(panels, rows, strict=True):
         panel.set_ylabel(f"RMSE of\n{axis_label(runs[0].space.state[index], capital=False)}")
         log_scale(panel, drawn_values(panel))
@@ -272,6 +267,11 @@ def comparison_figure(runs: Sequence[Run], names: Sequence[str]) -> "Figure":
             write_note(panel, "There is no error yet.")
     finish(figure, panels, "Deployment")
     return figure
+
+
+def _look(row: int) -> dict[str, Any]:
+    """Colour and line of a run."""
+    return {"color": RUN_COLOURS[row % len(RUN_COLOURS)], "linestyle": RUN_LINES[row % len(RUN_LINES)]}
 
 
 def comparison_tracking_figure(runs: Sequence[Run], names: Sequence[str]) -> "Figure":
@@ -288,12 +288,7 @@ def comparison_tracking_figure(runs: Sequence[Run], names: Sequence[str]) -> "Fi
         reference = {"color": LIGHT, "linewidth": 3.5, "drawstyle": "steps-mid", "label": "reference"}
         panel.plot(step_numbers(longest), longest.target[:, index], **reference, **as_pixels(longest))
         for row, (steps, name) in enumerate(zip(last, names, strict=True)):
-            look = {
-                "color": RUN_COLOURS[row % len(RUN_COLOURS)],
-                "linestyle": RUN_LINES[row % len(RUN_LINES)],
-                "linewidth": 0.8,
-            }
-            draw_tracking(panel, steps, index, plain(name), {**look, **as_pixels(steps)})
+            draw_tracking(panel, steps, index, plain(name), {**_look(row), "linewidth": 0.8, **as_pixels(steps)})
         panel.set_ylabel(axis_label(quantity))
     finish(figure, panels, "Step")
     return figure
