@@ -83,8 +83,8 @@ class Plants(NamedTuple):
 
     Attributes:
         make: Makes the plant of one deployment from its random generator.
-        replays: Whether plants made from the same generator take the same steps again. If not, as on hardware, the
-            steps of an interrupted deployment are kept, and the next deployment starts.
+        replays: Whether plants made from the same generator take the same steps again: then an interrupted deployment
+            begins again. If not, as on hardware, its steps are kept, and the next deployment starts.
         measure_noise_floor: Measures the noise floor; None where that is not possible: then it is estimated from steady
             steps.
     """
@@ -150,6 +150,7 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
         log = Steps(recording.space)
         prepare = partial(Learner.start, nominal, Steps(recording.space) + past, setup.learning, 0, setup.priors)
         while True:
+            # Learn from all steps so far.
             iteration = len(deployments)
             observer.on_phase("learning", 0, 0)
             begin = perf_counter()
@@ -158,22 +159,18 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
             if iteration > 0 or len(past) or learner.beliefs:
                 observer.on_time(iteration, "fit", seconds)
                 recording.write_model(learner)
+            # Deploy, or take the steps that are recorded.
             latest = deque[AdaptiveMap]([learner], maxlen=1)
             execute = partial(_execute, learner, setup, observer, partial(_follow, latest, observer))
             steps = _observed(recording.steps(iteration, execute), recording.space, observer)
             log += steps
-            alarms = recording.alarms(iteration)
+            # Judge the deployment.
             final = _final(learner, latest[0], steps)
             floor = estimate_noise_floor(steps, reference)
+            residual = _residual_name(learner)
             deployments.append(
-                summarise(
-                    steps,
-                    reference,
-                    _residual_name(learner),
-                    learner.step_map(),
-                    floor.any_phase,
-                    final.alarms if alarms is None else alarms,
-                )
+                recording.deployment(iteration)
+                or summarise(steps, reference, residual, learner.step_map(), floor.any_phase, final.alarms)
             )
             summary = _summary(deployments, log, floor, seed, past)
             recording.write_summary(summary)
@@ -182,6 +179,7 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
                 break
             prepare = partial(final.redeployed, Steps(recording.space) + past + log, setup.priors)
         recording.check_finished()
+        # Measure how well a controller could track.
         if plants.measure_noise_floor:
             noise_floor = recording.measured_noise_floor(len(deployments))
             if noise_floor is None:

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Self
 
 from stepgap.experiment.deployment import ExecutedSteps
-from stepgap.learning.alarm import Alarm
 from stepgap.learning.learner import Learner
 from stepgap.learning.steps import Steps
 from stepgap.records.model_files import Model, read_model, write_model
 from stepgap.records.steps_csv import RecordError, StepWriter, digest
-from stepgap.records.summary import NoiseFloor, OtherSchema, Summary, WarmStart, read_summary, write_summary
+from stepgap.records.summary import Deployment, NoiseFloor, OtherSchema, Summary, WarmStart, read_summary, write_summary
 from stepgap.step import StepSpace
 
 _REMEDY = "resume with the record, settings, versions and machine that it was started with"
@@ -115,10 +114,10 @@ class Recording:
         if not self._recorded:
             write_summary(self._path.with_name("summary.json"), summary, self._writer.recorded.space.state_names)
 
-    def alarms(self, iteration: int) -> tuple[Alarm, ...] | None:
-        """Alarms of a deployment that is taken as it is recorded; None if they are not known."""
-        known = self._summary.deployments
-        return known[iteration].alarms if iteration < len(known) else None
+    def deployment(self, iteration: int) -> Deployment | None:
+        """Outcome of a deployment that `summary.json` counts; None of another."""
+        finished = self._summary.deployments
+        return finished[iteration] if iteration < len(finished) else None
 
     def check_finished(self) -> None:
         """Raises RecordError if there are recorded steps after the last deployment."""
