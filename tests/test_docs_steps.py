@@ -18,7 +18,7 @@ def test_the_page_of_steps_runs(
     stepgap: Command, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "stepgap.learning.residual_fit.names_without_lagged_inputs", lambda: ("none", "constant", "linear")
+        "stepgap.learning.entry_points.names_by_complexity", lambda: ("none", "constant", "linear")
     )
     printed, rules = list[str](), list[str]()
     for language, block in BLOCKS:

@@ -16,8 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.speed.timing import Announce, machine, timed
 from stepgap.base.normal import INTERVAL_95
-from stepgap.gauss.gaussian_process_fit import fit_gaussian_process
-from stepgap.gauss.sparse_gaussian_process import fit_sparse
+from stepgap.gauss.gaussian_process_fit import EXACT_SIZE, fit_gaussian_process
 from stepgap.step import Array
 
 GP_PACKAGES = ("stepgap", "numpy", "scipy", "numba", "scikit-learn", "openturns")
@@ -143,14 +142,11 @@ def _ours() -> list[Library]:
     def predict_gradient(process: Any, query: Array) -> tuple[Array, Array]:
         return process.mean(query), process.mean_gradient(query)
 
-    def exact(points: Array, values: Array, starts: int) -> Any:
+    def constant(points: Array, values: Array, starts: int) -> Any:
         return fit_gaussian_process(points, values, SCALE, VALUE_SCALE)
 
     def linear(points: Array, values: Array, starts: int) -> Any:
         return fit_gaussian_process(points, values, SCALE, VALUE_SCALE, basis="linear")
-
-    def sparse(points: Array, values: Array, starts: int) -> Any:
-        return fit_sparse(points, values, SCALE, VALUE_SCALE)
 
     both = {
         "predict_gradient": predict_gradient,
@@ -158,9 +154,11 @@ def _ours() -> list[Library]:
         "starts": MOST_STARTS,
     }
     return [
-        Library("StepGap", "priors; starts compete on at most 100 points", exact, predict, 3000, **both),
-        Library("StepGap, linear basis", "with linear basis functions", linear, predict, 3000, **both),
-        Library("StepGap, sparse", "hyper-parameters from 1,000 points", sparse, predict, 10**6, 1000, **both),
+        Library("StepGap", "priors; starts compete on at most 100 points", constant, predict, EXACT_SIZE, **both),
+        Library("StepGap, linear basis", "with linear basis functions", linear, predict, EXACT_SIZE, **both),
+        Library(
+            "StepGap, sparse", "hyper-parameters of 1,000 points", constant, predict, 10**6, EXACT_SIZE + 1, **both
+        ),
     ]
 
 

@@ -3,14 +3,31 @@
 import numpy as np
 import pytest
 
+from stepgap.control.step_controller import StepController
 from stepgap.experiment.command_response import CommandResponse, command_response
-from stepgap.learning.steps import Steps
-from stepgap.step import Array
+from stepgap.learning.steps import LoggedStep, Steps
+from stepgap.step import Array, StepRecord, StepStatus
 from tests.control.maps import LossyHopper
-from tests.learning.test_diagnosis import HOLDING, MIDDLE, NOISE
 
 NOMINAL = LossyHopper()
+NOISE = np.array([0.01, 0.002])
+MIDDLE = np.array([0.2, 0.58])
+HOLDING = StepController(NOMINAL)(MIDDLE, MIDDLE).command
+"""The command that keeps the state in the middle."""
 COUNT = 120
+
+
+def steps_of(count: int, seed: int) -> Steps:
+    """Steps with random commands of a robot whose error is a function of its state, and noise."""
+    rng, steps = np.random.default_rng(seed), []
+    state = MIDDLE
+    for number in range(1, count + 1):
+        command = HOLDING + rng.uniform([-6, -3], [6, 3])
+        error = np.array([0.02, 0.002]) + np.array([0.1, 0.2]) * (state - MIDDLE) + NOISE * rng.normal(size=2)
+        record = StepRecord(state, command, command, NOMINAL(state, command) + error, StepStatus.OK)
+        steps.append(LoggedStep(0, number, state, record.next_state, NOISE, record))
+        state = record.next_state
+    return Steps(NOMINAL.space, steps)
 
 
 def response(seed: int, delays: tuple[int | None, int | None], varied: float = 1.0) -> CommandResponse:

@@ -10,9 +10,8 @@ from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
 from stepgap.experiment.deployment import deploy
 from stepgap.experiment.noise_floor import measure_noise_floor
-from stepgap.learning.diagnosis import diagnose
 from stepgap.learning.learner import Learner
-from stepgap.learning.observations import Observations, observe
+from stepgap.learning.observations import observe
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.plants.plant import Touchdown
@@ -160,18 +159,3 @@ def test_no_noise_floor_is_measured_where_the_ground_belongs_to_the_place():
     reference = Reference(("speed", "height"), np.tile([0.2, 0.58], (12, 1)))
     found = measure_noise_floor(simulation.repeatable_plant, nominal, reference, rng, lambda done, of: None, 1)
     assert np.isnan(found.any_phase).all()
-
-
-def test_what_a_touchdown_finds_is_not_called_memory():
-    """An error that depends on the slope alone, which is drawn anew for each step."""
-    rng, space = np.random.default_rng(0), STAIRS.space
-    slope, inputs = rng.normal(0, 1, 300), rng.normal(0, 0.3, (300, 4))
-    points = np.hstack([space.state_centre, space.command_centre]) + inputs * np.hstack(
-        [space.state_scale, space.command_scale]
-    )
-    error = np.column_stack([slope, -slope]) * 0.01 + rng.normal(0, 1e-4, (300, 2))
-    before = np.vstack([np.zeros(6), rng.normal(0, 1, (299, 6))])
-    before[1:, :2] = error[:-1] / space.state_scale
-    history = np.column_stack([before, np.arange(300.0), slope, np.zeros(300)])
-    found = diagnose(Observations(space, points[:, :2], points[:, 2:], error, history))
-    assert not found.lagged

@@ -1,29 +1,28 @@
 """The sparse process against the exact one, and against the dense formulae of the approximation."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 from sklearn.gaussian_process.kernels import Matern
 
-from stepgap.gauss import gaussian_process_fit, sparse_gaussian_process
-from stepgap.gauss.exact_gaussian_process import ExactGaussianProcess, condition
-from stepgap.gauss.gaussian_process_fit import fit_gaussian_process, fit_hyper_parameters
-from stepgap.gauss.sparse_gaussian_process import (
+from stepgap.gauss import gaussian_process_fit
+from stepgap.gauss.gaussian_process import (
+    ExactGaussianProcess,
     SparseGaussianProcess,
+    condition,
     condition_sparse,
-    fit_process,
-    fit_sparse,
     process_from_dict,
+)
+from stepgap.gauss.gaussian_process_fit import (
+    fit_gaussian_process,
+    fit_hyper_parameters,
+    fit_like_fitrgp,
     spread_points,
 )
-from stepgap.learning import gaussian_process_regression
-from stepgap.learning.gaussian_process_regression import FITRGP
-from stepgap.learning.regression import TrainingData
 from stepgap.step import Array
-from tests.gauss.test_gaussian_process import CENTRE, FIXED, SCALE, SLOPED, central_difference, sample, truth
+from tests.gauss.test_gaussian_process import CENTRE, FIXED, SCALE, SLOPED, central_difference, sample, singles, truth
 
 METHODS = ("mean", "mean_gradient", "std", "std_gradient", "kriging_std", "kriging_std_gradient")
 BOTH = pytest.mark.parametrize("hyper_parameters", [FIXED, SLOPED], ids=["constant", "linear"])
@@ -37,7 +36,7 @@ def test_with_all_points_inducing_it_is_the_exact_process(hyper_parameters) -> N
     queries, _ = sample(20, seed=1)
     for method in METHODS:
         np.testing.assert_allclose(getattr(sparse, method)(queries), getattr(exact, method)(queries), rtol=1e-6)
-    np.testing.assert_allclose(sparse.leave_one_out(), exact.leave_one_out(), rtol=1e-6)
+    np.testing.assert_allclose(sparse.leave_out(singles(40)), exact.leave_out(singles(40)), rtol=1e-6)
     np.testing.assert_allclose(sparse.std(queries), exact.std(queries), rtol=1e-6)
     assert sparse.coefficient == pytest.approx(exact.coefficient, rel=1e-6)
 
@@ -98,19 +97,13 @@ def test_leave_out_is_the_prediction_without_the_block(hyper_parameters) -> None
         without = condition_sparse(*others, SCALE, hyper_parameters, inducing)
         stds = (std(points[block], include_noise=True) for std in (without.std, without.kriging_std))
         np.testing.assert_allclose([part[block] for part in found], [without.mean(points[block]), *stds], rtol=1e-7)
-    singles = [slice(row, row + 1) for row in range(30)]
-    for process in (
-        condition(points, values, SCALE, hyper_parameters),
-        condition_sparse(points, values, SCALE, hyper_parameters, inducing),
-    ):
-        np.testing.assert_allclose(process.leave_out(singles), process.leave_one_out(), rtol=1e-7)
 
 
 @BOTH
 def test_leave_one_out_is_the_prediction_without_the_point(hyper_parameters) -> None:
     points, values = sample(30)
     inducing, _ = sample(8, seed=2)
-    mean, std, kriging_std = condition_sparse(points, values, SCALE, hyper_parameters, inducing).leave_one_out()
+    mean, std, kriging_std = condition_sparse(points, values, SCALE, hyper_parameters, inducing).leave_out(singles(30))
     for i, rest in enumerate(~np.eye(30, dtype=bool)):
         process = condition_sparse(points[rest], values[rest], SCALE, hyper_parameters, inducing)
         assert mean[i] == pytest.approx(process.mean(points[i]), rel=1e-8)
@@ -188,14 +181,14 @@ class TestSpreadPoints:
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("EXACT_SIZE", 300), ("INDUCING_SIZES", (15, 30, 60, 120))):
-        monkeypatch.setattr(sparse_gaussian_process, name, value)
+        monkeypatch.setattr(gaussian_process_fit, name, value)
 
 
 @pytest.mark.usefixtures("small")
 class TestFit:
     @pytest.mark.parametrize("basis", ["constant", "linear"])
     def test_recovers_a_smooth_function(self, basis) -> None:
-        sparse = fit_sparse(*sample(1500), SCALE, 0.2, basis=basis)
+        sparse = fit_gaussian_process(*sample(1500), SCALE, 0.2, basis=basis)
         queries, observed = sample(1000, seed=5)
         error = sparse.mean(queries) - observed
         assert np.sqrt(np.mean((sparse.mean(queries) - truth(queries)) ** 2)) < 0.003
@@ -206,13 +199,14 @@ class TestFit:
         points, noise = sample(1000)
         rough = 0.1 * np.prod(np.sin(3 * (points - CENTRE)[:, :2] / SCALE[:2]), axis=1)
         smooth, rougher = (
-            len(fit_sparse(points, values, SCALE, 0.2).inducing) for values in (noise, 0.05 * noise + rough)
+            len(fit_gaussian_process(points, values, SCALE, 0.2).covariance.centres)
+            for values in (noise, 0.05 * noise + rough)
         )
         assert rougher > smooth
 
     def test_the_size_decides_which_process_is_fitted(self) -> None:
         for size, kind in ((300, ExactGaussianProcess), (301, SparseGaussianProcess)):
-            assert isinstance(fit_process(*sample(size), SCALE, 0.2, basis="linear"), kind)
+            assert isinstance(fit_gaussian_process(*sample(size), SCALE, 0.2, basis="linear"), kind)
 
     def test_the_search_uses_no_more_points_than_an_exact_process_may_have(
         self, monkeypatch: pytest.MonkeyPatch
@@ -223,34 +217,29 @@ class TestFit:
         some = np.linspace(0, 1499, 120).astype(int)
         for basis in ("constant", "linear"):
             part = fit_hyper_parameters(points[some], values[some], SCALE, 0.2, basis=basis)
-            for fit in (fit_sparse, fit_gaussian_process):
-                found = fit(points, values, SCALE, 0.2, basis=basis).hyper_parameters
-                np.testing.assert_equal(vars(found), vars(part))
+            found = fit_gaussian_process(points, values, SCALE, 0.2, basis=basis).hyper_parameters
+            np.testing.assert_equal(vars(found), vars(part))
 
     def test_that_of_fitrgp_is_sparse_beyond_this_number_and_predicts_as_well(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         points, values = sample(400)
-        data = TrainingData(points, values, CENTRE, SCALE, 0.2, False)
-        exact = FITRGP.fit(data, None)
-        monkeypatch.setattr(gaussian_process_regression, "EXACT_SIZE", 399)
-        sparse, (queries, _) = FITRGP.fit(data, None), sample(100, seed=5)
+        monkeypatch.setattr(gaussian_process_fit, "EXACT_SIZE", 400)
+        exact = fit_like_fitrgp(points, values)
+        monkeypatch.setattr(gaussian_process_fit, "EXACT_SIZE", 399)
+        sparse, (queries, _) = fit_like_fitrgp(points, values), sample(100, seed=5)
+        assert isinstance(sparse, SparseGaussianProcess)
         np.testing.assert_allclose(sparse.mean(queries), exact.mean(queries), atol=0.002)
         np.testing.assert_allclose(sparse.std(queries), exact.std(queries), atol=0.001)
 
-    @pytest.mark.parametrize("size", [1, 2, 9, 400])
-    def test_awkward_data_do_not_fail(self, size: int) -> None:
+    @pytest.mark.parametrize("size", [5, 9, 400])
+    def test_awkward_data_do_not_fail(self, size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(gaussian_process_fit, "EXACT_SIZE", 4)
         points, values = sample(size)
         points[:, 1] = CENTRE[1]
         points[size // 2 :] = points[-1]
         for data in (values, np.full(size, 0.03), 1e6 * values, 1e-9 * values):
-            sparse = fit_sparse(points, data, SCALE, 0.2, basis="linear")
+            sparse = fit_gaussian_process(points, data, SCALE, 0.2, basis="linear")
             assert np.all(np.isfinite(sparse.mean_gradient(points)))
             assert np.all(sparse.kriging_std(points, include_noise=True) > 0)
-            assert np.all(np.isfinite(sparse.leave_one_out()[0])) or size == 1
-
-    def test_a_warm_start_is_as_good(self) -> None:
-        points, values = sample(400)
-        cold = fit_sparse(points, values, SCALE, 0.2)
-        warm = fit_sparse(points, values, SCALE, 0.2, start=replace(cold.hyper_parameters, slope_std=0.0))
-        assert warm.mean(CENTRE) == pytest.approx(cold.mean(CENTRE), abs=1e-3)
+            assert np.all(np.isfinite(sparse.leave_out(singles(size))[0]))

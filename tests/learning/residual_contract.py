@@ -39,7 +39,7 @@ class ResidualContract:
 
     @pytest.fixture
     def regression(self, model: ResidualModel, data: TrainingData) -> Regression:
-        return model.fit(data, None)
+        return model.fit(data)
 
     def test_it_has_a_name_and_a_description(self, model: ResidualModel, regression: Regression) -> None:
         assert model.name.isidentifier()
@@ -120,16 +120,10 @@ class ResidualContract:
             np.testing.assert_allclose(found.std[block], std, rtol=1e-6)
 
     def test_a_single_value_is_enough(self, model: ResidualModel) -> None:
-        regression = model.fit(training_data(1), None)
+        regression = model.fit(training_data(1))
         mean, std = regression.predict(QUERIES)
         assert np.isfinite(mean).all()
         assert (std > 0).all()
-
-    def test_a_fit_may_start_from_another(self, model: ResidualModel, data: TrainingData) -> None:
-        former = model.fit(data.without(slice(20, SIZE)), None)
-        started, alone = model.fit(data, former), model.fit(data, None)
-        assert type(started) is type(alone)
-        np.testing.assert_allclose(started.mean(QUERIES), alone.mean(QUERIES), atol=0.02 * VALUE_SCALE)
 
     @pytest.mark.parametrize("wrong", ["missing", None, "3", {}])
     def test_a_wrong_entry_is_named(self, model: ResidualModel, regression: Regression, wrong: object) -> None:

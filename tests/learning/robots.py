@@ -5,7 +5,8 @@ from numpy.typing import ArrayLike
 
 from stepgap.gauss.features import Features
 from stepgap.gauss.monomials import monomials
-from stepgap.learning.beliefs import Beliefs, Family, Observed
+from stepgap.learning.beliefs import Beliefs, Observed
+from stepgap.learning.first_beliefs import Family
 from stepgap.step import Array
 
 SIZES = 2, 2

@@ -18,24 +18,26 @@ from stepgap.learning import beliefs as module
 from stepgap.learning.belief import Belief
 from stepgap.learning.beliefs import (
     CHANGED_PART,
-    EXPECTED_NOISE_COUNT,
     FIRST_HAZARD,
-    LEAST_FOR_WAVES,
     LEAST_WEIGHT,
     MOST,
-    MOST_MONOMIALS,
-    PERIODIC_STD,
-    RIVAL,
     RUN_COUNT,
-    WAVES,
     WRONG,
     WRONG_FREEDOM,
     WRONG_WIDTH,
     YOUNG,
     Beliefs,
-    Family,
     Observed,
     Suspicion,
+)
+from stepgap.learning.first_beliefs import (
+    EXPECTED_NOISE_COUNT,
+    LEAST_FOR_WAVES,
+    MOST_MONOMIALS,
+    PERIODIC_STD,
+    RIVAL,
+    WAVES,
+    Family,
     features_of,
 )
 from stepgap.step import Array

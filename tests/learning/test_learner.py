@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stepgap.learning.beliefs import LEAST_FOR_WAVES
+from stepgap.learning.first_beliefs import LEAST_FOR_WAVES
 from stepgap.learning.learner import REFIT_GROWTH, Learner
 from stepgap.learning.observations import observe
 from stepgap.learning.posterior import Posterior
@@ -319,7 +319,7 @@ def test_an_earlier_run_is_believed_as_long_as_it_predicts(prior: Prior) -> None
 def test_another_residual_is_the_mean_of_beliefs(kind: str) -> None:
     """Its noise is theirs, and they follow the robot where it cannot."""
     known = hops(REALITY, 40, seed=0)
-    learner = Learner.start(NOMINAL, log_of(known), LearningSettings(kind, lagged_inputs="none"), 1)
+    learner = Learner.start(NOMINAL, log_of(known), LearningSettings(kind), 1)
     residual = fitted(known, kind)
     expected = NOMINAL(POINTS[:, :2], POINTS[:, 2:]) + residual.mean(POINTS)
     np.testing.assert_allclose(said(learner)[0] * SCALE, expected, rtol=1e-12)
@@ -337,7 +337,7 @@ def test_another_residual_is_the_mean_of_beliefs(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["linear", "gp", "posterior"])
 def test_without_drift_the_residual_is_alone_to_the_last_bit(kind: str) -> None:
-    known, settings = hops(REALITY, 40, seed=0), LearningSettings(kind, drift=False, lagged_inputs="none")
+    known, settings = hops(REALITY, 40, seed=0), LearningSettings(kind, drift=False)
     learner = Learner.start(NOMINAL, log_of(known), settings, 1)
     assert learner.beliefs is None
     residual = fitted(known, kind)
@@ -350,7 +350,7 @@ def test_without_drift_the_residual_is_alone_to_the_last_bit(kind: str) -> None:
 
 
 def test_online_a_residual_alone_is_appended_to_and_fitted_again_when_it_has_grown() -> None:
-    settings = LearningSettings("gp", online=True, drift=False, lagged_inputs="none")
+    settings = LearningSettings("gp", online=True, drift=False)
     known, new = hops(REALITY, 40, seed=0), hops(REALITY, 6, seed=7, iteration=1)
     learner, expected = Learner.start(NOMINAL, log_of(known), settings, 1), fitted(known, "gp")
     for number, logged in enumerate(new, 1):

@@ -87,9 +87,7 @@ def test_it_is_short() -> None:
 @pytest.mark.usefixtures("installed")
 def test_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile("\n".join(USES), "docs/own_residual.md", "exec"), {"__name__": "page"})  # noqa: S102  (our own document)
-    printed = re.fullmatch(
-        rf"{NAME} with previous error: (.*) m/s without it, (.*) m/s with it\n", capsys.readouterr().out
-    )
+    printed = re.fullmatch(rf"{NAME}: (.*) m/s without it, (.*) m/s with it\n", capsys.readouterr().out)
     assert printed
     assert float(printed[2]) < 0.2 * float(printed[1])
 
@@ -97,7 +95,7 @@ def test_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.usefixtures("installed")
 def test_it_is_the_posterior_of_a_gaussian_process_with_a_linear_kernel() -> None:
     """The function-space view of the same model, RW Eqs. 2.25 and 2.26, computed independently."""
-    regression = load_residual_model(NAME).fit(data := training_data(), None)
+    regression = load_residual_model(NAME).fit(data := training_data())
     noise, prior = (regression.to_dict()[name] for name in ("noise", "prior"))
     queries = training_data(5, seed=3).points
 
@@ -111,14 +109,11 @@ def test_it_is_the_posterior_of_a_gaussian_process_with_a_linear_kernel() -> Non
 
 
 @pytest.mark.usefixtures("installed")
-def test_settings_accept_it_and_it_adds_its_lagged_inputs() -> None:
+def test_settings_accept_it() -> None:
     assert NAME in residual_names()
     assert "own_residual" not in sys.modules, "names are known without imports"
     LearningSettings(**tomllib.loads(SETTINGS)["learning"])
     assert "own_residual" not in sys.modules
-    assert fit_residual(NAME, steps()).history_inputs.lagged_inputs == "previous_error"
-    assert fit_residual(NAME, steps(), "previous_step").history_inputs.lagged_inputs == "previous_step"
-    assert fit_residual(NAME, steps(), "auto").history_inputs.lagged_inputs in ("previous_error", "previous_step")
     assert fit_residual("auto", steps()).kind != NAME, "it does not declare itself a candidate"
 
 
@@ -141,10 +136,10 @@ def test_a_run_uses_it_and_the_report_includes_it(tmp_path: Path) -> None:
     folder.mkdir()
     run_experiment(Setup(LossyHopper(), Plants(plant), TARGETS, LearningSettings(NAME, 1, tolerance=0.0)), folder)
     saved = json.loads((folder / "models" / "iteration_1.json").read_text())
-    assert (saved["kind"], saved["lagged_inputs"]) == (NAME, "previous_error")
+    assert saved["kind"] == NAME
     page = Page(report_of(folder))
     check_alone(page)
-    assert f"Deployment 1 began with the residual '{NAME} with previous error'" in page.text
+    assert f"Deployment 1 began with the residual '{NAME}'" in page.text
     assert "a linear function, fitted to actual − nominal of 40 earlier steps" in page.text
     assert "leave-one-out RMSE" in page.text
     assert (folder / "figures" / "left_out.pdf").is_file()
@@ -164,9 +159,7 @@ def test_without_its_package_a_model_file_is_refused_in_one_line() -> None:
 def test_a_file_cannot_import_code(packages: Path, path: str) -> None:
     (packages / "own_residual.py").write_text("raise SystemExit('imported')")
     with pytest.raises(InputError, match="unknown"):
-        residual_from_dict(
-            {"kind": path, "regressions": [{}], "command_size": 1, "lagged_inputs": "none", "forgetting_time": None}
-        )
+        residual_from_dict({"kind": path, "regressions": [{}], "command_size": 1, "forgetting_time": None})
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stepgap.learning.polynomial import CONSTANT, LINEAR, PRIOR_COUNT, PRIOR_STD, QUADRATIC, Polynomial, fit_polynomial
+from stepgap.learning.polynomial import CONSTANT, LINEAR, PRIOR_COUNT, PRIOR_STD, QUADRATIC, Polynomial
 from stepgap.learning.polynomial import NOISE_SCALE as RELATIVE_NOISE_SCALE
 from stepgap.learning.regression import TrainingData
 from stepgap.step import Array
@@ -26,7 +26,7 @@ def data(size: int = 30, seed: int = 0) -> tuple[Array, Array]:
 
 
 def fit(degree: int, points: Array, values: Array) -> Polynomial:
-    return fit_polynomial(TrainingData(points, values, CENTRE, SCALE, VALUE_SCALE), degree)
+    return Polynomial(TrainingData(points, values, CENTRE, SCALE, VALUE_SCALE), degree)
 
 
 def fitted(degree: int, size: int = 30) -> Polynomial:

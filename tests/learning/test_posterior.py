@@ -10,7 +10,7 @@ import pytest
 
 from stepgap.gauss.features import Features
 from stepgap.gauss.weights import Weights
-from stepgap.learning.beliefs import unknown_belief
+from stepgap.learning.first_beliefs import unknown_belief
 from stepgap.learning.polynomial import LINEAR
 from stepgap.learning.posterior import (
     NOISE_ROUNDS,
@@ -47,7 +47,7 @@ def posterior(data: TrainingData, base: Regression | None = None, side: Sequence
 
 def regressions() -> dict[str, Posterior]:
     data = training_data(12)
-    linear = LINEAR.fit(training_data(8, seed=3), None)
+    linear = LINEAR.fit(training_data(8, seed=3))
     # the third input, such as a lagged one, is none of the features
     fewer = Features.drawn(INPUTS - 1, 2, 5, 2.0, np.random.default_rng(0))
     weights = prior(fewer.count)
@@ -100,7 +100,7 @@ def test_where_nothing_is_uncertain_the_gradient_of_the_deviation_is_zero() -> N
 @pytest.mark.parametrize("with_base", [False, True])
 def test_appending_is_what_weights_learn(with_base: bool) -> None:
     data, more = training_data(6), training_data(5, seed=4)
-    base = LINEAR.fit(training_data(8, seed=3), None) if with_base else None
+    base = LINEAR.fit(training_data(8, seed=3)) if with_base else None
     grown = posterior(data, base)
     for point, value in zip(more.points, more.values, strict=True):
         grown = grown.append(point, float(value))
@@ -139,7 +139,7 @@ def noise_of(data: TrainingData, base: Regression | None, rounds: int) -> float:
 @pytest.mark.parametrize("with_base", [False, True])
 def test_left_out_is_a_fit_to_the_others(blocks: list[slice], with_base: bool) -> None:
     """Whatever several beliefs, which were not told of all values equally, have made of them."""
-    data, base = training_data(12), LINEAR.fit(training_data(8, seed=3), None) if with_base else None
+    data, base = training_data(12), LINEAR.fit(training_data(8, seed=3)) if with_base else None
     noise, last = (noise_of(data, base, rounds) for rounds in (NOISE_ROUNDS - 1, NOISE_ROUNDS))
     assert last == pytest.approx(noise, rel=0.1)
     found = posterior(data, base, (0.8, -0.6, 0.3)).left_out(blocks)
@@ -152,17 +152,17 @@ def test_left_out_is_a_fit_to_the_others(blocks: list[slice], with_base: bool) -
 
 def test_its_fit_is_about_a_robot_of_which_nothing_is_known() -> None:
     """It follows the data, is sure where they are, and its intervals hold."""
-    regression, others = POSTERIOR.fit(training_data(40), None), training_data(300, seed=5)
+    regression, others = POSTERIOR.fit(training_data(40)), training_data(300, seed=5)
     mean, std = regression.predict(others.points)
     error = others.values - mean
     assert np.sqrt(np.mean(error**2)) < 1.5 * 0.05 * VALUE_SCALE
     assert 0.9 < np.mean(np.abs(error) < 1.96 * std) <= 1.0
-    few = POSTERIOR.fit(training_data(2), None)
+    few = POSTERIOR.fit(training_data(2))
     assert (few.std(others.points) >= regression.std(others.points)).all()
 
 
 def test_many_values_have_waves_besides() -> None:
-    few, many = (POSTERIOR.fit(training_data(count), None) for count in (20, 120))
+    few, many = (POSTERIOR.fit(training_data(count)) for count in (20, 120))
     for regression, waves in ((few, False), (many, True)):
         assert isinstance(regression, Posterior)
         assert (regression.features.waves > 0) == waves

@@ -2,19 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from stepgap.gauss.features import Features
 from stepgap.gauss.monomials import monomials
-from stepgap.learning.beliefs import Beliefs, Family, Observed, unknown
+from stepgap.learning.beliefs import Beliefs, Observed
+from stepgap.learning.first_beliefs import Family, unknown
 from stepgap.learning.observations import Observations
-from stepgap.learning.polynomial import QUADRATIC, Moments, fit_polynomial
-from stepgap.learning.prior import DEGREE, PRIOR, Prior, fit_prior
-from stepgap.learning.residual import HistoryInputs
-from stepgap.learning.residual_fit import fit_residual, residual_from_dict
+from stepgap.learning.prior import DEGREE, Prior, fit_prior
 from stepgap.step import Array, ContextQuantity, Quantity, StepSpace
 
 SPACE = StepSpace(
@@ -194,55 +191,7 @@ def acting_otherwise(steps: Observations) -> Observations:
     return replace(steps, error=steps.error + 0.8 * steps.command / 15.0 * SPACE.state_scale)
 
 
-@pytest.fixture
-def saved() -> dict[str, Any]:
-    """A residual of a former version: a quadratic polynomial with a prior, which its file has."""
-    known = robot(MEAN, 4, np.random.default_rng(8))
-    quadratic = fit_residual("quadratic", known)
-    regressions = []
-    for number, regression in enumerate(quadratic.regressions):
-        data = known.training_data(HistoryInputs(), number)
-        weak = fit_polynomial(data, DEGREE).prior
-        narrow = Moments(weak.information * 100, weak.projection + 0.01, weak.squares + 1.0, 4.0)
-        regressions.append({**regression.to_dict(), "prior": narrow.to_dict()})
-    return {**quadratic.to_dict(), "kind": "prior", "regressions": regressions}
-
-
-def test_a_residual_of_a_former_version_is_read_with_its_prior(saved: dict[str, Any]) -> None:
-    restored, known = residual_from_dict(saved), robot(MEAN, 4, np.random.default_rng(8))
-    assert restored.kind == "prior"
-    assert residual_from_dict(restored.to_dict()).to_dict() == restored.to_dict()
-    inputs = np.hstack([known.state, known.command])
-    for number, regression in enumerate(restored.regressions):
-        prior = Moments.from_dict(saved["regressions"][number]["prior"])
-        expected = fit_polynomial(known.training_data(HistoryInputs(), number), DEGREE, prior)
-        np.testing.assert_array_equal(regression.mean(inputs), expected.mean(inputs))
-        np.testing.assert_array_equal(regression.std(inputs), expected.std(inputs))
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("information", [[1.0, 2.0], [2.0, 1.0]]),
-        ("projection", [1.0]),
-        ("squares", -1.0),
-        ("degrees_of_freedom", 2.0),
-    ],
-)
-def test_a_damaged_prior_of_a_saved_polynomial_is_refused(saved: dict[str, Any], key: str, value: object) -> None:
-    saved["regressions"][1]["prior"][key] = value
-    with pytest.raises(ValueError, match=key if key != "projection" else "information"):
-        residual_from_dict(saved)
-
-
 def test_too_few_robots_have_no_prior() -> None:
     rng = np.random.default_rng(0)
     with pytest.raises(ValueError, match="at least 5"):
         fit_prior([robot(MEAN, 30, rng)] * 4)
-
-
-def test_without_a_prior_the_model_is_quadratic() -> None:
-    known = robot(MEAN, 8, np.random.default_rng(1)).training_data(HistoryInputs(), 0)
-    np.testing.assert_array_equal(
-        PRIOR.fit(known, None).mean(known.points), QUADRATIC.fit(known, None).mean(known.points)
-    )

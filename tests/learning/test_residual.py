@@ -1,6 +1,6 @@
 import json
 from math import inf
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from stepgap.base.settings_file import InputError
 from stepgap.gauss.gaussian_process_fit import Basis, fit_gaussian_process, fit_like_fitrgp
 from stepgap.learning.entry_points import residual_models
 from stepgap.learning.observations import Observations
-from stepgap.learning.residual import LAGGED_INPUTS, HistoryInputs, LaggedInputs, Residual, join_points, no_residual
+from stepgap.learning.residual import HistoryInputs, Residual, join_points, no_residual
 from stepgap.learning.residual_fit import fit_residual, held_out_score, residual_from_dict
 from stepgap.learning.zero import NONE, Zero
 from stepgap.step import Array, Quantity, StepSpace
@@ -27,9 +27,8 @@ def steps(size: int = 40, seed: int = 0) -> Observations:
     generator = np.random.default_rng(seed)
     state = np.array([0.2, 0.58]) + SCALE[:2] * generator.uniform(-1, 1, (size, 2))
     command = SCALE[2:] * generator.uniform(-1, 1, (size, 2))
-    history = np.hstack([generator.uniform(-0.3, 0.3, (size, 6)), np.arange(float(size))[:, None]])
     drag, sag = 0.05 - 0.1 * state[:, 0] + 0.001 * command[:, 0], 0.01 * np.sin(command[:, 1] / 10)
-    error = np.stack([drag + 0.01 * history[:, 0], sag], axis=1)
+    error, history = np.stack([drag, sag], axis=1), np.arange(float(size))[:, None]
     return Observations(SPACE, state, command, error + [0.004, 0.001] * generator.standard_normal((size, 2)), history)
 
 
@@ -44,23 +43,21 @@ def points(observations: Observations) -> Array:
 
 
 QUERIES = steps(6, seed=1)
-CASES = [(kind, "none", inf) for kind in FITTED]
-CASES += [(kind, "previous_step", 30.0) for kind in FITTED]
-CASES += [("gp", "previous_error", inf)]
+CASES = [(kind, forgetting_time) for kind in FITTED for forgetting_time in (inf, 30.0)]
 
 
 @pytest.fixture(scope="module", params=CASES, ids=lambda case: "-".join(map(str, case)))
 def residual(request: pytest.FixtureRequest) -> Residual:
     """A residual of every kind; one with history inputs is conditioned on the histories of the queries, one each."""
-    kind, lagged_inputs, forgetting_time = request.param
+    kind, forgetting_time = request.param
     assert QUERIES.history is not None
-    return fit_residual(kind, steps(), lagged_inputs, forgetting_time).conditioned_on(QUERIES.history)
+    return fit_residual(kind, steps(), forgetting_time).conditioned_on(QUERIES.history)
 
 
 class TestEveryResidual:
     def test_shapes_follow_the_points(self, residual: Residual) -> None:
         assert residual.sizes == (2, 2)
-        residual = residual.conditioned_on(np.zeros(7))
+        residual = residual.conditioned_on(np.zeros(1))
         for leading in ((), (3,), (2, 0), (2, 3)):
             point = np.broadcast_to([0.2, 0.58, 0.0, 0.0], (*leading, 4))
             assert residual.mean(point).shape == (*leading, 2)
@@ -99,7 +96,7 @@ class TestEveryResidual:
         assert more.history is not None
         assert QUERIES.history is not None
         for point, error, history in zip(points(more), more.error, more.history, strict=True):
-            grown = grown.conditioned_on(history + 40 * np.eye(7)[-1]).append(point, error)
+            grown = grown.conditioned_on(history + 40).append(point, error)
         refitted = residual_from_dict(grown.to_dict())
         for found, wanted in zip(grown.regressions, refitted.regressions, strict=True):
             assert type(found) is type(wanted)
@@ -166,10 +163,7 @@ def test_fitrgp_uses_no_scales_and_reports_plug_in_deviations() -> None:
 
 @pytest.mark.parametrize("kind", ["gp", "gp_on_linear", "auto"])
 def test_predicts_steps_it_was_not_fitted_to(kind: str) -> None:
-    residual = fit_residual(kind, steps(150), "previous_error")
-    new = steps(200, seed=2)
-    assert new.history is not None
-    given = residual.conditioned_on(new.history)
+    given, new = fit_residual(kind, steps(150)), steps(200, seed=2)
     rest = new.error - given.mean(points(new))
     assert np.all(np.sqrt(np.mean(rest**2, axis=0)) < 1.25 * np.array([0.004, 0.001]))
     covered = np.mean(np.abs(rest) < 1.96 * given.std(points(new), include_noise=True), axis=0)
@@ -181,13 +175,6 @@ def test_one_step_is_enough(kind: str) -> None:
     residual = fit_residual(kind, steps(1))
     assert np.isfinite(residual.mean(points(QUERIES))).all()
     assert (residual.std(points(QUERIES), include_noise=True) > 0).all()
-
-
-@pytest.mark.parametrize("kind", ["gp", "gp_on_linear"])
-def test_a_fit_that_starts_from_another_has_the_same_result(kind: str) -> None:
-    alone = fit_residual(kind, steps(60))
-    warm = fit_residual(kind, steps(60), start=fit_residual(kind, part(steps(60), slice(0, 40))))
-    np.testing.assert_allclose(warm.mean(points(QUERIES)), alone.mean(points(QUERIES)), atol=1e-3)
 
 
 class TestChoice:
@@ -224,53 +211,36 @@ class TestChoice:
     def test_a_residual_without_held_out_predictions_has_no_score(self) -> None:
         assert held_out_score(fit_residual("gp", steps(1)), steps(1)) == -inf
 
-    @pytest.mark.parametrize(("weight", "wanted"), [(0.0, {"none"}), (0.5, {"previous_error", "previous_step"})])
-    def test_lagged_inputs_are_chosen_where_they_help(self, weight: float, wanted: set[str]) -> None:
-        observations = steps(90)
-        history = observations.history
-        assert history is not None
-        error = observations.error + weight * SCALE[:2] * history[:, :2]
-        shuffled = history if weight else np.random.default_rng(3).permuted(history, axis=0)
-        data = Observations(SPACE, observations.state, observations.command, error, shuffled)
-        assert fit_residual("linear", data, "auto").history_inputs.lagged_inputs in wanted
-
 
 class TestHistoryInputs:
     def test_inputs_are_those_of_the_setting(self) -> None:
-        history = np.arange(7.0)
-        assert HistoryInputs().of(history, 2).tolist() == []
-        assert HistoryInputs("previous_error").of(history, 2).tolist() == [0, 1]
-        assert HistoryInputs("previous_step").of(history, 2).tolist() == [0, 1, 2, 3, 4, 5]
-        assert HistoryInputs("previous_error", forgetting_time=3.0).of(history, 2).tolist() == [0, 1, 2]
+        history = np.arange(3.0)
+        assert HistoryInputs(context_inputs=2).of(history).tolist() == [1, 2]
+        assert HistoryInputs(2.0, context_inputs=2).of(history + 1).tolist() == [2, 3, 0.5]
 
     def test_a_residual_with_history_inputs_requires_the_history(self) -> None:
-        residual = fit_residual("linear", steps(), "previous_error")
+        residual = fit_residual("linear", steps(), 30.0)
         with pytest.raises(ValueError, match="condition it on the history"):
             residual.mean(points(QUERIES))
 
     def test_conditioned_it_is_a_function_of_state_and_command(self) -> None:
         """Each history gives the slice of the whole function there."""
-        residual = fit_residual("gp", steps(), "previous_error")
+        residual = fit_residual("gp", steps(), 30.0)
         assert QUERIES.history is not None
         together = residual.conditioned_on(QUERIES.history).mean(points(QUERIES))
         for row, (point, history) in enumerate(zip(points(QUERIES), QUERIES.history, strict=True)):
             np.testing.assert_allclose(residual.conditioned_on(history).mean(point), together[row], rtol=1e-12)
-        assert not np.allclose(residual.conditioned_on(np.zeros(7)).mean(points(QUERIES)), together)
+        assert not np.allclose(residual.conditioned_on(np.full(1, 40.0)).mean(points(QUERIES)), together)
 
-    @pytest.mark.parametrize(
-        ("lagged_inputs", "forgetting_time"), [("next_error", inf), ("none", 0.0), ("none", float("nan"))]
-    )
-    def test_invalid_history_inputs_are_refused(self, lagged_inputs: Any, forgetting_time: float) -> None:
+    @pytest.mark.parametrize("forgetting_time", [0.0, float("nan")])
+    def test_invalid_history_inputs_are_refused(self, forgetting_time: float) -> None:
         with pytest.raises(ValueError, match=r"= .*, but it must be"):
-            HistoryInputs(lagged_inputs, forgetting_time)
+            HistoryInputs(forgetting_time)
 
-    @pytest.mark.parametrize("lagged_inputs", get_args(LaggedInputs)[1:])
-    def test_lagged_inputs_need_histories(self, lagged_inputs: LaggedInputs) -> None:
+    def test_without_histories_the_steps_count_from_zero(self) -> None:
         data = steps()
         bare = Observations(SPACE, data.state, data.command, data.error)
-        with pytest.raises(ValueError, match="need the history"):
-            fit_residual("linear", bare, lagged_inputs)
-        assert fit_residual("linear", bare, forgetting_time=10.0).history_inputs == HistoryInputs(forgetting_time=10.0)
+        assert fit_residual("linear", bare, 10.0).to_dict() == fit_residual("linear", data, 10.0).to_dict()
 
 
 class TestForgettingTime:
@@ -287,7 +257,7 @@ class TestForgettingTime:
     @pytest.mark.parametrize("kind", ["constant", "linear", "quadratic", "gp", "gp_on_linear"])
     def test_old_steps_count_less(self, kind: str) -> None:
         observations, middle = self.drifting(), np.array([0.2, 0.58, 0.0, 0.0])
-        now, after = SCALE[:2] * 0.1, 240 * np.eye(7)[-1]
+        now, after = SCALE[:2] * 0.1, np.full(1, 240.0)
         for_ever = fit_residual(kind, observations).conditioned_on(after).mean(middle)
         fading = fit_residual(kind, observations, forgetting_time=30.0).conditioned_on(after).mean(middle)
         assert np.all(np.abs(fading - now) < 0.45 * np.abs(for_ever - now))
@@ -296,7 +266,7 @@ class TestForgettingTime:
         kinds: tuple[str, ...] = ("linear", "gp")
         for kind in kinds:
             for_ever, long = fit_residual(kind, steps()), fit_residual(kind, steps(), forgetting_time=1e5)
-            found = long.conditioned_on(40 * np.eye(7)[-1]).mean(points(QUERIES))
+            found = long.conditioned_on(np.full(1, 40.0)).mean(points(QUERIES))
             np.testing.assert_allclose(found, for_ever.mean(points(QUERIES)), atol=2e-5)
 
 
@@ -307,7 +277,7 @@ def test_join_broadcasts_leading_axes() -> None:
 
 class TestRefused:
     def test_the_error_of_an_unknown_kind_lists_the_known_ones(self) -> None:
-        names = "constant, fitrgp, gp, gp_on_linear, linear, none, posterior, prior, quadratic$"
+        names = "constant, fitrgp, gp, gp_on_linear, linear, none, posterior, quadratic$"
         with pytest.raises(InputError, match=f"^residual 'neural': unknown; the residuals installed here are {names}"):
             fit_residual("neural", steps())
         with pytest.raises(InputError, match=r"^residual 'gp_on_line': unknown; did you mean gp_on_linear\?"):
@@ -335,8 +305,7 @@ class TestRefused:
             ({"command_size": True}, "^command_size is true, but it must be an integer from 1"),
             ({"command_size": 0}, "^command_size is 0, but it must be an integer from 1"),
             ({"command_size": 3}, "must have 5 inputs"),
-            ({"lagged_inputs": "future"}, "^lagged_inputs = 'future', but"),
-            ({"lagged_inputs": "previous_error"}, "must have 6 inputs"),
+            ({"lagged_inputs": "previous_error"}, "^lagged_inputs = 'previous_error': models with inputs of the step"),
             ({"forgetting_time": 0.0}, "^forgetting_time = 0.0, but"),
             ({"forgetting_time": "long"}, "^forgetting_time must be"),
         ],
@@ -346,7 +315,7 @@ class TestRefused:
         with pytest.raises(ValueError, match=named):
             residual_from_dict({**saved, **change})
 
-    @pytest.mark.parametrize("key", ["kind", "lagged_inputs", "forgetting_time", "command_size", "regressions"])
+    @pytest.mark.parametrize("key", ["kind", "forgetting_time", "command_size", "regressions"])
     def test_a_missing_entry_is_named(self, key: str) -> None:
         saved = fit_residual("gp", steps(5)).to_dict()
         del saved[key]
@@ -364,7 +333,3 @@ class TestRefused:
         for regressions in ((Zero(4), Zero(3)), (Zero(3), Zero(3)), ()):
             with pytest.raises(ValueError, match="inputs"):
                 Residual(NONE, regressions, 2)
-
-
-def test_lagged_inputs_have_names() -> None:
-    assert LAGGED_INPUTS == ("none", "previous_error", "previous_step")

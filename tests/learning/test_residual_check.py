@@ -67,7 +67,7 @@ class Told(BatchRegression):
 
 
 def model_of(**answers: Answer) -> ResidualModel:
-    def fit(data: TrainingData, start: Regression | None) -> Regression:
+    def fit(data: TrainingData) -> Regression:
         return Told(data, answers)
 
     return ResidualModel("told", "what it is told", fit, lambda saved: Told(TrainingData.from_dict(saved), answers))
@@ -105,7 +105,7 @@ def test_a_fit_that_fails_or_makes_no_regression_names_the_model() -> None:
     with pytest.raises(ResidualError, match=r"residual 'told': OSError: .*No space left"):
         fit_residual(replace(model_of(), fit=no_space), steps())
     with pytest.raises(ResidualError, match="residual 'told': made None; it must make a Regression"):
-        fit_residual(replace(model_of(), fit=lambda data, start: None), steps())  # pyright: ignore[reportArgumentType]
+        fit_residual(replace(model_of(), fit=lambda data: None), steps())  # pyright: ignore[reportArgumentType]
 
 
 def test_what_cannot_be_saved_or_read_names_the_model(packages: Path) -> None:
@@ -151,7 +151,7 @@ def test_a_model_that_cannot_be_loaded_is_refused_before_the_first_deployment(pa
 
 def test_a_model_that_cannot_be_used_is_left_out_of_comparisons(packages: Path) -> None:
     code = "from stepgap.learning.regression import ResidualModel\n"
-    code += "FAILS = ResidualModel('fails', '', lambda data, start: None, lambda saved: None, candidate=False)"
+    code += "FAILS = ResidualModel('fails', '', lambda data: None, lambda saved: None, candidate=False)"
     install(packages, "broken", code, missing="broken:NONE", fails="broken:FAILS")
     with pytest.warns(StepGapWarning, match="left out: residual 'missing': broken:NONE of broken cannot be imported"):
         names = [model.name for model in residual_models()]

@@ -27,10 +27,9 @@ def test_they_are_sorted_from_simple_to_complex() -> None:
         "constant",
         "linear",
         "quadratic",
-        "prior",
         "gp",
         "posterior",
         "gp_on_linear",
         "fitrgp",
     ]
-    assert [name for name, model in MODELS.items() if not model.candidate] == ["prior", "fitrgp"]
+    assert [name for name, model in MODELS.items() if not model.candidate] == ["fitrgp"]

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from stepgap.gauss.exact_gaussian_process import condition
+from stepgap.gauss.gaussian_process import condition
 from stepgap.learning.entry_points import load_residual_model
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.residual import Residual, no_residual

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from stepgap.gauss.exact_gaussian_process import condition
+from stepgap.gauss.gaussian_process import condition
 from stepgap.learning.beliefs import Beliefs, Observed
 from stepgap.learning.entry_points import load_residual_model
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
@@ -208,7 +208,7 @@ def test_the_formulas_of_the_page_predict_what_was_learned(kind: str) -> None:
     found = regression("quadratic" if kind == "many steps" else kind, 0.2, rng)
     if kind == "many steps":  # so many that what is believed has waves
         points = CENTRE + SCALE * rng.uniform(-1, 1, (110, 4))
-        found = POSTERIOR.fit(TrainingData(points, np.sin(points[:, 0]), CENTRE, SCALE, 0.2), None)
+        found = POSTERIOR.fit(TrainingData(points, np.sin(points[:, 0]), CENTRE, SCALE, 0.2))
         assert found.to_dict()["features"]["shifts"]
     if isinstance(found, GaussianProcessRegression):
         process = condition(found.points, found.values, SCALE, found.process.hyper_parameters)

@@ -99,7 +99,6 @@ def test_nothing_is_claimed_that_did_not_happen(name: str, text_of) -> None:
     for claim in ("the paper", "yaw", "periodic", "Triangles", "cut by limits", " fell", "exploratory", "1.0 times"):
         assert claim not in text, claim
     assert not re.search(r"−0(\.0+)?(?![\d.])", text), "zero has no sign"
-    assert ("one of the step before" in text) == (kind.learning.lagged_inputs not in ("none", "auto"))
     assert ("with the learned correction" in text) == (kind.learning.iterations > 0)
 
 

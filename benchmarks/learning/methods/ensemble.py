@@ -18,7 +18,7 @@ from benchmarks.learning.trial import Trial
 from stepgap.base.blas import one_blas_thread
 from stepgap.learning.observations import observe
 from stepgap.learning.polynomial import NOISE_SCALE
-from stepgap.learning.regression import BatchRegression, Regression, ResidualModel, TrainingData
+from stepgap.learning.regression import BatchRegression, ResidualModel, TrainingData
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
@@ -157,7 +157,7 @@ def _trained(points: Array, values: Array, seed: int) -> Network:
     return Network(tuple(layers), unseen)
 
 
-def _fit(data: TrainingData, start: Regression | None) -> Ensemble:
+def _fit(data: TrainingData) -> Ensemble:
     return Ensemble(data)
 
 

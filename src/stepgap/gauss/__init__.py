@@ -4,6 +4,6 @@
 of their weights, and what a value says of them. `linear_regression` is least squares, with leave-one-out residuals.
 
 The Gaussian process of the paper consists of `kernel`, `covariance`, `cholesky` and `least_squares` (the mathematics),
-`gaussian_process` (the interface), `exact_gaussian_process` (for hundreds of values), `sparse_gaussian_process` (for
-thousands), `evidence` and `gaussian_process_fit` (their hyper-parameters).
+`gaussian_process` (exact, or with inducing points for thousands of values), `evidence` and `gaussian_process_fit` (its
+hyper-parameters).
 """

@@ -4,16 +4,14 @@ Equations marked RW are those of Rasmussen and Williams, Gaussian Processes for 
 """
 
 import math
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple, final
 
 import numpy as np
-from scipy.linalg import get_lapack_funcs
 from scipy.spatial.distance import pdist
 from scipy.special import wrightomega
 
-from stepgap.gauss.cholesky import factorise
+from stepgap.gauss.cholesky import factorise, inverse_triangle, solve_transposed
 from stepgap.gauss.covariance import covariance_matrix, evidence_gradient
 from stepgap.gauss.gaussian_process import HyperParameters
 from stepgap.gauss.kernel import MATERN_52, Kernel
@@ -25,8 +23,6 @@ PRIOR_LENGTH_SCALE, PRIOR_NOISE_RATIO, PRIOR_SLOPE_RATIO = 3.0, 0.5, 1.0
 
 PRIOR_SIGNAL = 0.25
 """Median of the prior of the signal, in value scales."""
-
-(_potri,) = get_lapack_funcs(("potri",), dtype=np.float64)
 
 
 class LogParameters(NamedTuple):
@@ -74,110 +70,18 @@ class LogPrior(NamedTuple):
     by_log_signal: float
 
 
-class Criterion(ABC):
-    """A criterion by which hyper-parameters are estimated: the sum of a log density of the values and a log prior."""
-
-    @abstractmethod
-    def degrees_of_freedom(self, size: int) -> int:
-        """Degrees of freedom that N values leave to the signal."""
-
-    @abstractmethod
-    def signal(self, quadratic_form: float, size: int) -> float:
-        """Best signal_std, for the quadratic form of `LeastSquares` and N values."""
-
-    @abstractmethod
-    def log_density(self, solved: LeastSquares, signal: float) -> float:
-        """Log density of the values, for a standard deviation of the signal."""
-
-    @abstractmethod
-    def alpha(self, solved: LeastSquares, signal: float) -> Array:
-        """The columns `alpha` with which `evidence_gradient` gives the gradient of `log_density`; shape (N, 2)."""
-
-    @abstractmethod
-    def log_prior(self, parameters: LogParameters, signal: float) -> LogPrior:
-        """Log density of the priors."""
-
-
-@final
-@dataclass(frozen=True)
-class MaximumLikelihood(Criterion):
-    """Maximum likelihood, with the most likely β (RW Eq. 2.30)."""
-
-    def degrees_of_freedom(self, size: int) -> int:
-        """Degrees of freedom that N values leave to the signal: N."""
-        return size
-
-    def signal(self, quadratic_form: float, size: int) -> float:
-        """Most likely signal_std, for the quadratic form of `LeastSquares` and N values."""
-        return math.sqrt(quadratic_form / size)
-
-    def log_density(self, solved: LeastSquares, signal: float) -> float:
-        """Log density of the values at the most likely β."""
-        return solved.log_likelihood(signal)
-
-    def alpha(self, solved: LeastSquares, signal: float) -> Array:
-        """The columns K⁻¹ values and 0; shape (N, 2)."""
-        weights = solved.weights / signal
-        return np.stack([weights, np.zeros(len(weights))], axis=1)
-
-    def log_prior(self, parameters: LogParameters, signal: float) -> LogPrior:  # noqa: ARG002
-        """Zero: there are no priors."""
-        return LogPrior(0.0, np.zeros(len(parameters.vector)), 0.0)
-
-
-@final
-@dataclass(frozen=True)
-class MaximumAPosteriori(Criterion):
-    """Maximum a posteriori under the priors of `fit_hyper_parameters`, with β integrated out (RW Eq. 2.45).
-
-    Attributes:
-        value_scale: Scale of the signal's prior.
-    """
-
-    value_scale: float
-
-    def degrees_of_freedom(self, size: int) -> int:
-        """Degrees of freedom that N values leave to the signal: N − 1, because β takes one."""
-        return size - 1
-
-    def signal(self, quadratic_form: float, size: int) -> float:
-        """Most probable signal_std s, for the quadratic form of `LeastSquares` and N values.
-
-        With log s ~ N(log m, 1) it is the root of quadratic_form/s² = degrees of freedom + log(s/m).
-        """
-        median, twice = PRIOR_SIGNAL * self.value_scale, 2.0 * self.degrees_of_freedom(size)
-        omega = float(wrightomega(np.log(2 * quadratic_form / median**2) + twice)) if quadratic_form > 0 else 0.0
-        return median * math.exp(0.5 * (omega - twice))
-
-    def log_density(self, solved: LeastSquares, signal: float) -> float:
-        """Log density of the differences of the values, which do not depend on β."""
-        return solved.log_evidence(signal)
-
-    def alpha(self, solved: LeastSquares, signal: float) -> Array:
-        """The columns K⁻¹ values and K⁻¹1 / √(1ᵀK⁻¹1); shape (N, 2)."""
-        K_inv_1 = solved.factor.solve_transposed(solved.basis)
-        return np.stack([solved.weights / signal, K_inv_1 / math.sqrt(K_inv_1.sum())], axis=1)
-
-    def log_prior(self, parameters: LogParameters, signal: float) -> LogPrior:
-        """Log density of independent normal distributions of all logarithms, each with the standard deviation 1."""
-        length_scales = [PRIOR_LENGTH_SCALE] * len(parameters.length_scale)
-        medians = [*length_scales, PRIOR_NOISE_RATIO, PRIOR_SLOPE_RATIO][: len(parameters.vector)]
-        deviation = parameters.vector - np.log(medians)
-        of_signal = math.log(signal / (PRIOR_SIGNAL * self.value_scale))
-        return LogPrior(-0.5 * float(deviation @ deviation) - 0.5 * of_signal**2, -deviation, -of_signal)
-
-
 @final
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """How well hyper-parameters explain data, by a criterion.
+    """How well hyper-parameters explain data: by their likelihood, or by their posterior under weak priors.
 
     The signal is not among the `LogParameters`: for given ones the best signal has a closed form.
 
     Attributes:
         points: In input scales; shape (N, d).
         values: Shape (N,).
-        criterion: What is maximised.
+        value_scale: Scale of the signal's prior, with which β is integrated out (RW Eq. 2.45). None: no priors, and
+            the most likely β (RW Eq. 2.30).
         length_scales: Number of length scales: d, or 1 if it is common to all inputs.
         least_noise: Lower bound of the noise's standard deviation.
         last_length_scale: Length scale of the last input, where it is not searched.
@@ -186,33 +90,31 @@ class Evidence:
 
     points: Array
     values: Array
-    criterion: Criterion
+    value_scale: float | None
     length_scales: int
     least_noise: float
     last_length_scale: float | None = None
     kernel: Kernel = MATERN_52
 
     def loss(self, parameters: LogParameters) -> tuple[float, LogParameters]:
-        """Negative criterion and its gradient (RW Eqs. 5.8, 5.9)."""
+        """Negative logarithm of what is maximised, and its gradient (RW Eqs. 5.8, 5.9)."""
         squared, linear_features, solved, signal = self._solve(parameters)
-        # K is in units of signal². The signal is the best one for these parameters, where the criterion does not
+        # K is in units of signal². The signal is the best one for these parameters, where the loss does not
         # change with it to first order, so its gradient is that at a fixed signal, but for the exception below.
-        criterion, alpha = self.criterion, self.criterion.alpha(solved, signal)
-        K_inv, _ = _potri(solved.factor.base, lower=1)
-        # potri fills the lower triangle in Fortran order: the upper one in C order.
-        dk_dr = self.kernel.radial_derivative(squared)
-        by_length_scale, by_slope, by_noise = evidence_gradient(K_inv.T, alpha, dk_dr, self.points, linear_features)
+        log_density, alpha = self._log_density(solved, signal)
+        K_inv, dk_dr = inverse_triangle(solved.factor), self.kernel.radial_derivative(squared)
+        by_length_scale, by_slope, by_noise = evidence_gradient(K_inv, alpha, dk_dr, self.points, linear_features)
         by_ratio = float(np.exp(2 * parameters.noise_ratio)) * by_noise
         # This part is zero except where the noise is at its lower bound: there the signal follows from the ratio.
-        prior = criterion.log_prior(parameters, signal)
-        by_ratio += criterion.degrees_of_freedom(len(self.values)) - solved.quadratic_form / signal**2
+        prior = self._log_prior(parameters, signal)
+        by_ratio += self.degrees_of_freedom - solved.quadratic_form / signal**2
         by_ratio -= prior.by_log_signal
         gradient = LogParameters(
             np.exp(-2 * parameters.length_scale) * by_length_scale.reshape(self.length_scales, -1).sum(axis=1),
             by_ratio,
             None if parameters.slope_ratio is None else by_slope,
         )
-        loss = -criterion.log_density(solved, signal) - prior.value
+        loss = -log_density - prior.value
         return loss, gradient.with_vector(-gradient.vector - prior.gradient)
 
     def hyper_parameters(self, parameters: LogParameters) -> HyperParameters:
@@ -229,5 +131,39 @@ class Evidence:
         linear_features = (self.points - self.points[0]) * slope
         matrix = covariance_matrix(self.kernel.covariance(squared), linear_features, ratio**2)
         solved = fit_least_squares(factorise(matrix), self.values)
-        signal = self.criterion.signal(solved.quadratic_form, len(self.values))
+        signal = self.best_signal(solved.quadratic_form)
         return squared, linear_features, solved, max(signal, self.least_noise / ratio)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Degrees of freedom that the values leave to the signal; one less where β is integrated out."""
+        return len(self.values) if self.value_scale is None else len(self.values) - 1
+
+    def best_signal(self, quadratic_form: float) -> float:
+        """Most probable signal_std s, for the quadratic form of `LeastSquares`.
+
+        With log s ~ N(log m, 1) it is the root of quadratic_form/s² = degrees of freedom + log(s/m).
+        """
+        if self.value_scale is None:
+            return math.sqrt(quadratic_form / self.degrees_of_freedom)
+        median, twice = PRIOR_SIGNAL * self.value_scale, 2.0 * self.degrees_of_freedom
+        omega = float(wrightomega(np.log(2 * quadratic_form / median**2) + twice)) if quadratic_form > 0 else 0.0
+        return median * math.exp(0.5 * (omega - twice))
+
+    def _log_density(self, solved: LeastSquares, signal: float) -> tuple[float, Array]:
+        """Log density of the values, and the columns `alpha` (N, 2) by which `evidence_gradient` gives its gradient."""
+        weights = solved.weights / signal
+        if self.value_scale is None:
+            return solved.log_likelihood(signal), np.stack([weights, np.zeros(len(weights))], axis=1)
+        K_inv_1 = solve_transposed(solved.factor, solved.basis)
+        return solved.log_evidence(signal), np.stack([weights, K_inv_1 / math.sqrt(K_inv_1.sum())], axis=1)
+
+    def _log_prior(self, parameters: LogParameters, signal: float) -> LogPrior:
+        """Log density of independent normal distributions of all logarithms, each with the standard deviation 1."""
+        if self.value_scale is None:
+            return LogPrior(0.0, np.zeros(len(parameters.vector)), 0.0)
+        length_scales = [PRIOR_LENGTH_SCALE] * len(parameters.length_scale)
+        medians = [*length_scales, PRIOR_NOISE_RATIO, PRIOR_SLOPE_RATIO][: len(parameters.vector)]
+        deviation = parameters.vector - np.log(medians)
+        of_signal = math.log(signal / (PRIOR_SIGNAL * self.value_scale))
+        return LogPrior(-0.5 * float(deviation @ deviation) - 0.5 * of_signal**2, -deviation, -of_signal)

@@ -8,25 +8,36 @@ The model is value = β + slopes · point + f(point) + noise:
   points, each input divided by `input_scale · length_scale`.
 - The noise is independent, with the standard deviation noise_std.
 
-All parts are estimated jointly. Variances and covariances in this module are divided by signal_std²; their unit is
-written [signal²]. Equations marked RW are those of Rasmussen and Williams, Gaussian Processes for Machine Learning
-(2006).
+All parts are estimated jointly. An `ExactGaussianProcess` knows f at all N points. For many, a `SparseGaussianProcess`
+has the best approximation of its posterior that depends on f at M inducing points only (Titsias, Variational Learning
+of Inducing Variables in Sparse Gaussian Processes, 2009, Eqs. 6, 10); if these are all points, both are the same.
+
+Variances and covariances in this module are divided by signal_std²; their unit is written [signal²]. Equations marked
+RW are those of Rasmussen and Williams, Gaussian Processes for Machine Learning (2006).
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, Self, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.base.json_data import number, numbers
 from stepgap.base.ranges import require
-from stepgap.gauss.covariance import Covariance
-from stepgap.gauss.kernel import Kernel
+from stepgap.gauss.cholesky import factorise, solve, solve_transposed
+from stepgap.gauss.covariance import Covariance, covariance_matrix
+from stepgap.gauss.kernel import MATERN_52, Kernel
+from stepgap.gauss.least_squares import LeastSquares, fit_least_squares
 from stepgap.step import Array
+
+LARGEST_SAVED = 6000
+"""Largest number of points of a saved exact process that is read; the memory grows with its square."""
+
+LARGEST_INDUCING = 1000
+"""Largest number of inducing points of a saved process that is read."""
 
 
 @final
@@ -94,10 +105,9 @@ class LeftOut(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GaussianProcess(ABC):
-    """A Gaussian process conditioned on data.
+    """A Gaussian process conditioned on data; everything else follows from its fields.
 
-    Immutable: `append` returns a new one. Query points have shape (…, d) and the units of `points`; where one is not
-    finite, the result is NaN.
+    Query points have shape (…, d) and the units of `points`; where one is not finite, the result is NaN.
 
     Attributes:
         points: Inputs; shape (N, d).
@@ -119,20 +129,19 @@ class GaussianProcess(ABC):
         """β, the constant of the mean; without slopes, the prediction far from all data [unit of the values]."""
 
     @abstractmethod
-    def append(self, point: ArrayLike, value: float) -> "GaussianProcess":
-        """The process conditioned on one more point (d,) and value, with the same hyper-parameters."""
-
-    @abstractmethod
-    def leave_one_out(self) -> LeftOut:
-        """Predicts each value from all others, from which β is estimated, too."""
-
-    @abstractmethod
     def leave_out(self, blocks: Sequence[slice]) -> LeftOut:
-        """Predicts each value from the values outside its block, as `leave_one_out` does for single values.
+        """Predicts each value from the values outside its block, from which β is estimated, too.
 
         Args:
-            blocks: Consecutive parts of the values. A block with all values leaves no data for the prediction.
+            blocks: Consecutive parts of the values. A block with all values leaves no data for the prediction: the mean
+                is NaN and the standard deviation infinite.
         """
+
+    def append(self, point: ArrayLike, value: float) -> Self:
+        """The process conditioned on one more point (d,) and value, with the same hyper-parameters."""
+        new_point, new_value, _ = checked_data(np.asarray(point, float)[None], np.asarray([value]), self.input_scale)
+        points, values = np.concatenate([self.points, new_point]), np.concatenate([self.values, new_value])
+        return replace(self, points=points, values=values)
 
     def mean(self, point: ArrayLike) -> Array:
         """Expected value; shape (…) [unit of the values] (RW Eq. 2.38)."""
@@ -162,7 +171,8 @@ class GaussianProcess(ABC):
             point: Shape (…, d).
             include_noise: False: of β + slopes · point + f. True: of a new noisy value, as MATLAB's `predict` returns.
         """
-        return self.hyper_parameters.std(self.covariance.blockwise(self._variance, point), include_noise)
+        variance = self.covariance.blockwise(lambda query: self._variances(query)[0], point)
+        return self.hyper_parameters.std(variance, include_noise)
 
     def kriging_std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """Standard deviation with the uncertainty of the estimated β (universal kriging, RW Eq. 2.42); shape (…).
@@ -171,23 +181,24 @@ class GaussianProcess(ABC):
             point: Shape (…, d).
             include_noise: False: of β + slopes · point + f. True: of a new noisy value.
         """
-        return self.hyper_parameters.std(self.covariance.blockwise(self._kriging_variance, point), include_noise)
+        variance = self.covariance.blockwise(lambda query: np.add(*self._variances(query)), point)
+        return self.hyper_parameters.std(variance, include_noise)
 
     def std_gradient(self, point: ArrayLike) -> Array:
         """∂std/∂point without noise; shape (…, d) [unit of the values per unit of each input].
 
         At points without uncertainty the standard deviation has a kink; zero is returned there.
         """
-        half = self.covariance.blockwise(self._half_variance_gradient, point)
+        half = self.covariance.blockwise(lambda query: self._half_variance_gradient(query, kriging=False), point)
         return self.hyper_parameters.std_gradient(half, self.std(point))
 
     def kriging_std_gradient(self, point: ArrayLike) -> Array:
         """∂kriging_std/∂point without noise, as `std_gradient`; shape (…, d)."""
-        half = self.covariance.blockwise(self._half_kriging_variance_gradient, point)
+        half = self.covariance.blockwise(lambda query: self._half_variance_gradient(query, kriging=True), point)
         return self.hyper_parameters.std_gradient(half, self.kriging_std(point))
 
     def to_dict(self) -> dict[str, Any]:
-        """Kernel, data and hyper-parameters for JSON, which define the process."""
+        """What defines the process, for JSON; `process_from_dict` reads it."""
         return {
             "kernel": self.kernel.name,
             "input_scale": self.input_scale.tolist(),
@@ -201,7 +212,7 @@ class GaussianProcess(ABC):
 
     @property
     def _centres(self) -> Array:
-        """Points at which f has weights in the prediction: all data here, fewer in a sparse process; shape (M, d)."""
+        """Points at which f has weights in the prediction; shape (M, d)."""
         return self.points
 
     @cached_property
@@ -209,36 +220,276 @@ class GaussianProcess(ABC):
         """Covariance of queries and the centres."""
         return self.hyper_parameters.covariance(self.kernel, self._centres, self.input_scale)
 
-    @cached_property
-    def weights(self) -> tuple[Array, Array]:
-        """Weights in the mean: of the covariances with the centres (M,) and of the linear features (d,)."""
-        return self._solve_weights()
-
+    @property
     @abstractmethod
-    def _solve_weights(self) -> tuple[Array, Array]:
+    def weights(self) -> tuple[Array, Array]:
         """Weights in the mean: of the covariances with the centres (M,) and of the linear features (d,).
 
         Their unit is that of the values.
         """
 
     @abstractmethod
-    def _variance(self, query: Array) -> Array:
-        """Variance with β taken as known [signal²]; shape (Q,)."""
+    def _variances(self, query: Array) -> tuple[Array, Array]:
+        """Variance with β taken as known, and what the uncertainty of β adds [signal²]; shapes (Q,)."""
 
     @abstractmethod
-    def _kriging_variance(self, query: Array) -> Array:
-        """Variance that includes the uncertainty of β [signal²]; shape (Q,)."""
-
-    @abstractmethod
-    def _half_variance_gradient(self, query: Array) -> Array:
-        """½ ∂_variance/∂query [signal²]; shape (Q, d)."""
-
-    @abstractmethod
-    def _half_kriging_variance_gradient(self, query: Array) -> Array:
-        """½ ∂_kriging_variance/∂query [signal²]; shape (Q, d)."""
+    def _half_variance_gradient(self, query: Array, *, kriging: bool) -> Array:
+        """½ ∂variance/∂query [signal²], with or without what the uncertainty of β adds; shape (Q, d)."""
 
 
-def checked_data(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -> tuple[Array, Array, Array]:
+@final
+@dataclass(frozen=True, eq=False)
+class ExactGaussianProcess(GaussianProcess):
+    """A Gaussian process that knows f at all points; created by `condition`."""
+
+    @cached_property
+    def least_squares(self) -> LeastSquares:
+        """β and the weights of the data, with K / signal² = L Lᵀ."""
+        covariance = self.covariance
+        correlation, noise = covariance.correlation_of_centres(), self.hyper_parameters.noise_variance
+        matrix = covariance_matrix(correlation, covariance.centre_features, noise)
+        return fit_least_squares(factorise(matrix), self.values)
+
+    @property
+    def coefficient(self) -> float:
+        """β by generalised least squares [unit of the values]."""
+        return self.least_squares.coefficient
+
+    @cached_property
+    def weights(self) -> tuple[Array, Array]:
+        """Weights in the mean: of the covariances with the points (N,) and of the linear features (d,)."""
+        weights = self.least_squares.weights
+        return weights, self.covariance.centre_features.T @ weights
+
+    def leave_out(self, blocks: Sequence[slice]) -> LeftOut:
+        """Predictions of each value from those outside its block.
+
+        RW Eq. 5.12, for blocks, for the variance at the β of the others; with K⁻¹ − K⁻¹1 1ᵀK⁻¹ / 1ᵀK⁻¹1 for K⁻¹, as β
+        is estimated without the block, too, for the mean and the variance of universal kriging.
+        """
+        solved, values = self.least_squares, self.values
+        mean, variance, kriging_variance = (np.full(len(values), each) for each in (np.nan, np.inf, np.inf))
+        whitened = solve(solved.factor, np.eye(len(values)))
+        basis = solved.basis / np.linalg.norm(solved.basis)
+        without_basis = np.subtract(whitened, np.outer(basis, basis @ whitened), order="F")
+        for block in blocks:
+            if len(values[block]) < len(values):
+                variance[block] = np.linalg.inv(whitened[:, block].T @ whitened[:, block]).diagonal()
+                covariance = np.linalg.inv(without_basis[:, block].T @ without_basis[:, block])
+                mean[block] = values[block] - covariance @ solved.weights[block]
+                kriging_variance[block] = covariance.diagonal()
+        signal = self.hyper_parameters.signal_std
+        return LeftOut(mean, signal * np.sqrt(variance), signal * np.sqrt(kriging_variance))
+
+    def _variances(self, query: Array) -> tuple[Array, Array]:
+        whitened, basis = self._whiten(query), self.least_squares.basis
+        from_constant = (1 - basis @ whitened) ** 2 / (basis @ basis)
+        return self.covariance.prior_variance(query) - (whitened**2).sum(axis=0), from_constant
+
+    def _half_variance_gradient(self, query: Array, *, kriging: bool) -> Array:
+        covariance, solved, whitened = self.covariance, self.least_squares, self._whiten(query)
+        if kriging:
+            basis = solved.basis
+            whitened = whitened + np.outer(basis, (1 - basis @ whitened) / (basis @ basis))
+        weights = solve_transposed(solved.factor, whitened).T
+        linear = covariance.linear_features(query) - weights @ covariance.centre_features
+        return linear * covariance.slope_scale - covariance.cross_covariance_gradient(query, weights)
+
+    def _whiten(self, query: Array) -> Array:
+        """L⁻¹ (covariance of data and queries / signal²); shape (N, Q)."""
+        covariance = self.covariance
+        cross = covariance.cross_covariance(query) + covariance.linear_features(query) @ covariance.centre_features.T
+        return solve(self.least_squares.factor, cross.T)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class SparseGaussianProcess(GaussianProcess):
+    """A Gaussian process that knows f at inducing points; created by `condition_sparse`.
+
+    With the features φ = (L⁻¹k, linear features, 1) of a point, where k is its covariance with the inducing points and
+    L Lᵀ that of these among each other, it is a linear regression on φ (RW Sec. 2.1) with the precision
+    A = diag(1, …, 1, 0) + Σφφᵀ/ν, where ν is the variance of the noise [signal²]. A query costs M² instead of N².
+
+    Attributes:
+        inducing: Inducing points; shape (M, d).
+    """
+
+    inducing: Array
+
+    @cached_property
+    def inducing_factor(self) -> Array:
+        """L, the Cholesky factor of the covariance of the inducing points / signal²; shape (M, M)."""
+        correlation, nothing = self.covariance.correlation_of_centres(), np.zeros((len(self.inducing), 0))
+        return factorise(covariance_matrix(correlation, nothing, 0.0))
+
+    @cached_property
+    def weight_factor(self) -> Array:
+        """Cholesky factor of A; shape (F, F) with F = M + d + 1."""
+        features = self._features(self.points)
+        precision = features @ features.T / self.hyper_parameters.noise_variance
+        precision[np.diag_indices(len(precision) - 1)] += 1
+        return factorise(np.ascontiguousarray(precision))
+
+    @cached_property
+    def weight_mean(self) -> Array:
+        """A⁻¹ Σφ·value/ν, the expected weights of the features; shape (F,) [unit of the values]."""
+        moment = self._features(self.points) @ self.values / self.hyper_parameters.noise_variance
+        return solve_transposed(self.weight_factor, solve(self.weight_factor, moment))
+
+    @property
+    def coefficient(self) -> float:
+        """β [unit of the values]."""
+        return float(self.weight_mean[-1])
+
+    @cached_property
+    def weights(self) -> tuple[Array, Array]:
+        """Weights in the mean: of the covariances with the inducing points (M,) and of the linear features (d,)."""
+        size = len(self.inducing)
+        return solve_transposed(self.inducing_factor, self.weight_mean[:size]), self.weight_mean[size:-1]
+
+    def leave_out(self, blocks: Sequence[slice]) -> LeftOut:
+        """Predictions of each value from those outside its block, at the same inducing points.
+
+        With H = φᵀA⁻¹φ/ν of a block, its errors are (1 − H)⁻¹ times those with it, and the variance of its values, less
+        that of f given the inducing points, is H (1 − H)⁻¹ ν = ((1 − H)⁻¹ − 1) ν.
+        """
+        noise, count = self.hyper_parameters.noise_variance, len(self.values)
+        features = self._features(self.points)
+        whitened, error = solve(self.weight_factor, features), self.values - features.T @ self.weight_mean
+        mean, growth, kriging_growth = (np.full(count, each) for each in (np.nan, np.inf, np.inf))
+        for block in blocks:
+            if len(self.values[block]) < count:
+                inside = whitened[:, block]
+                growth[block] = _left_out(inside[:-1], noise).diagonal()
+                kriging = _left_out(inside, noise)
+                kriging_growth[block] = kriging.diagonal()
+                mean[block] = self.values[block] - kriging @ error[block]
+        conditional = self._conditional_variance(features)
+        variances = (conditional + noise * (each - 1) for each in (growth, kriging_growth))
+        return LeftOut(mean, *(self.hyper_parameters.std(each, include_noise=True) for each in variances))
+
+    def to_dict(self) -> dict[str, Any]:
+        """What defines the process, for JSON; `process_from_dict` reads it."""
+        return {"inducing": self.inducing.tolist(), **super().to_dict()}
+
+    @property
+    def _centres(self) -> Array:
+        return self.inducing
+
+    def _variances(self, query: Array) -> tuple[Array, Array]:
+        features = self._features(query)
+        # The last feature is the constant, which the factor eliminates last: without it, β is treated as exact.
+        squares = solve(self.weight_factor, features) ** 2
+        return self._conditional_variance(features) + squares[:-1].sum(axis=0), squares[-1]
+
+    def _half_variance_gradient(self, query: Array, *, kriging: bool) -> Array:
+        covariance, size, features = self.covariance, len(self.inducing), self._features(query)
+        whitened = solve(self.weight_factor, features)
+        if not kriging:
+            whitened[-1] = 0
+        response = solve_transposed(self.weight_factor, whitened)
+        weights = solve_transposed(self.inducing_factor, features[:size] - response[:size]).T
+        linear = response[size:-1].T * covariance.slope_scale
+        return linear - covariance.cross_covariance_gradient(query, weights)
+
+    def _features(self, query: Array) -> Array:
+        """φ of queries (Q, d); shape (F, Q)."""
+        covariance = self.covariance
+        whitened = solve(self.inducing_factor, covariance.cross_covariance(query).T)
+        return np.concatenate([whitened, covariance.linear_features(query).T, np.ones((1, len(query)))])
+
+    def _conditional_variance(self, features: Array) -> Array:
+        """Variance of f given f at the inducing points [signal²]; shape (Q,)."""
+        return np.maximum(1 - (features[: len(self.inducing)] ** 2).sum(axis=0), 0)
+
+
+def condition(
+    points: ArrayLike,
+    values: ArrayLike,
+    input_scale: ArrayLike,
+    hyper_parameters: HyperParameters,
+    kernel: Kernel = MATERN_52,
+) -> ExactGaussianProcess:
+    """Conditions a Gaussian process on the data, at fixed hyper-parameters.
+
+    Args:
+        points: Shape (N, d), N ≥ 1.
+        values: Shape (N,).
+        input_scale: Fixed size of each input, not taken from the data; shape (d,).
+        hyper_parameters: Where `noise_std` is too small to distinguish the points in double
+            precision, the least variance that suffices is added to the noise.
+        kernel: Covariance of f.
+    """
+    points, values, input_scale = checked_data(points, values, input_scale, hyper_parameters)
+    process = ExactGaussianProcess(points, values, input_scale, hyper_parameters, kernel)
+    _ = process.weights  # data whose covariance is singular are refused here
+    return process
+
+
+def condition_sparse(
+    points: ArrayLike,
+    values: ArrayLike,
+    input_scale: ArrayLike,
+    hyper_parameters: HyperParameters,
+    inducing: ArrayLike,
+    kernel: Kernel = MATERN_52,
+) -> SparseGaussianProcess:
+    """Conditions a sparse Gaussian process on the data, at fixed hyper-parameters and inducing points.
+
+    Args:
+        points: Shape (N, d), N ≥ 1.
+        values: Shape (N,).
+        input_scale: Fixed size of each input, not taken from the data; shape (d,).
+        hyper_parameters: `noise_std` must be positive.
+        inducing: Shape (M, d), M ≥ 1.
+        kernel: Covariance of f.
+    """
+    points, values, input_scale = checked_data(points, values, input_scale, hyper_parameters)
+    noise_std = hyper_parameters.noise_std
+    require(noise_std > 0, "noise_std", noise_std, "be positive for a sparse process")
+    inducing = np.array(inducing, float)
+    sized = inducing.ndim == 2 and len(inducing) > 0 and inducing.shape[1] == len(input_scale)
+    require(sized, "inducing.shape", inducing.shape, f"be (M, {len(input_scale)}) with M ≥ 1")
+    require(np.isfinite(inducing).all(), "inducing", inducing, "be finite")
+    process = SparseGaussianProcess(points, values, input_scale, hyper_parameters, kernel, inducing)
+    _ = process.weights  # as above
+    return process
+
+
+def process_from_dict(data: Mapping[str, Any], kernel: Kernel = MATERN_52) -> GaussianProcess:
+    """Restores the process, exact or sparse, that `to_dict` saved.
+
+    Raises:
+        ValueError: A key is missing, its value is not finite numbers of the right size and sign, or the data are of
+            another kernel.
+    """
+    name = data.get("kernel", kernel.name)  # which former versions did not write
+    require(name == kernel.name, "kernel", name, f"be {kernel.name!r}")
+    points, values = numbers(data, "points", 2), numbers(data, "values", 1)
+    input_scale = numbers(data, "input_scale", 1)
+    stds = (number(data, name) for name in ("signal_std", "noise_std", "slope_std"))
+    hyper_parameters = HyperParameters(numbers(data, "length_scale", 1), *stds)
+    if "inducing" not in data:
+        rule = f"have at most {LARGEST_SAVED} rows without inducing points"
+        require(len(points) <= LARGEST_SAVED, "points.shape", points.shape, rule)
+        return condition(points, values, input_scale, hyper_parameters, kernel)
+    inducing = numbers(data, "inducing", 2)
+    rule = f"have at most {LARGEST_INDUCING} rows"
+    require(len(inducing) <= LARGEST_INDUCING, "inducing.shape", inducing.shape, rule)
+    return condition_sparse(points, values, input_scale, hyper_parameters, inducing, kernel)
+
+
+def _left_out(whitened: Array, noise: float) -> Array:
+    """(1 − H)⁻¹ for H = whitenedᵀ whitened / noise; shape (F, k) to (k, k)."""
+    kept = np.eye(whitened.shape[1]) - whitened.T @ whitened / noise
+    np.fill_diagonal(kept, np.maximum(kept.diagonal(), np.finfo(float).eps))
+    return np.linalg.inv(kept)
+
+
+def checked_data(
+    points: ArrayLike, values: ArrayLike, input_scale: ArrayLike, hyper_parameters: HyperParameters | None = None
+) -> tuple[Array, Array, Array]:
     """Copies of the data; raises ValueError, which names the argument, if a shape or a number is wrong."""
     points, values, input_scale = np.array(points, float), np.array(values, float), np.array(input_scale, float)
     require(input_scale.ndim == 1 and input_scale.size > 0, "input_scale.shape", input_scale.shape, "be (d,)")
@@ -248,30 +499,10 @@ def checked_data(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -
     require(np.isfinite(points).all(), "points", points, "be finite")
     require(values.shape == points.shape[:1], "values.shape", values.shape, f"be ({len(points)},)")
     require(np.isfinite(values).all(), "values", values, "be finite")
+    if hyper_parameters is not None:
+        shape = hyper_parameters.length_scale.shape
+        require(shape == input_scale.shape, "length_scale.shape", shape, f"be that of input_scale, {input_scale.shape}")
     return points, values, input_scale
-
-
-def check_sizes(hyper_parameters: HyperParameters, input_scale: Array) -> None:
-    """Raises ValueError unless there is one length scale for each input."""
-    shape = hyper_parameters.length_scale.shape
-    require(shape == input_scale.shape, "length_scale.shape", shape, f"be that of input_scale, {input_scale.shape}")
-
-
-def check_kernel(data: Mapping[str, Any], kernel: Kernel) -> None:
-    """Raises ValueError if the data name another kernel; those of former versions name none."""
-    name = data.get("kernel", kernel.name)
-    require(name == kernel.name, "kernel", name, f"be {kernel.name!r}")
-
-
-def saved_data(data: Mapping[str, Any]) -> tuple[Array, Array, Array]:
-    """Points, values and input scales of a saved process; raises ValueError, which names the wrong key."""
-    return numbers(data, "points", 2), numbers(data, "values", 1), numbers(data, "input_scale", 1)
-
-
-def saved_hyper_parameters(data: Mapping[str, Any]) -> HyperParameters:
-    """Hyper-parameters of a saved process; raises ValueError, which names the wrong key."""
-    length_scale = numbers(data, "length_scale", 1)
-    return HyperParameters(length_scale, *(number(data, name) for name in ("signal_std", "noise_std", "slope_std")))
 
 
 def _positive(array: ArrayLike) -> bool:

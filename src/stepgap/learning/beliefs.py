@@ -27,34 +27,16 @@ from typing import Final, NamedTuple, Self, final
 import numpy as np
 
 from stepgap.gauss.features import Features
-from stepgap.gauss.monomials import number_of_monomials
 from stepgap.gauss.student import log_student
-from stepgap.gauss.weights import Predicted, Weights
+from stepgap.gauss.weights import Predicted
 from stepgap.learning.belief import Belief, Kind
+from stepgap.learning.first_beliefs import PERIODIC_STD, RATES, Family, first_beliefs
 from stepgap.step import Array
 
-RATES: Final = (0.0, 0.1)
-"""Random walk of constant and periodic part in a step, of two beliefs that are otherwise equal [noise deviations]."""
-PERIODIC_STD: Final = 0.3
-"""Prior standard deviation of the periodic part [noise deviations]."""
-ERROR_BEFORE_STD, COMMAND_BEFORE_STD = 0.05, 0.03
-"""Prior standard deviations of the weights of the step before: of its error, and of its command [half ranges]."""
-WAVE_STD: Final = 0.06
-"""Prior standard deviation of the part that no quadratic has [half ranges]."""
-UNKNOWN_STDS: Final = ((0.3, 0.08), (0.6, 0.6))
-"""Prior standard deviations of the weights of robots of which nothing is known: up to degree 1, and of degree 2."""
-UNKNOWN_NOISE, NOMINAL_NOISE = 0.03, 0.1
-"""Expected standard deviation of their noise, and of that of a nominal map that is right [half ranges]."""
-RIGHT_STD: Final = 1e-3
-"""Prior standard deviation of the weights where a map is right [half ranges]."""
-EXPECTED_NOISE_COUNT: Final = 8.0
-"""Number of steps that an expected noise is worth."""
 RUN_COUNT: Final = 50.0
 """Number of steps that the noise of an earlier run is worth at most."""
 RUN_FAR, RUN_TRUST = 4.0, 0.01
 """A step of it whose error is further off than so many deviations counts so much."""
-RIVAL: Final = 0.02
-"""Probability of each rival of what is expected of a robot, before its first step."""
 CHANGED_PART: Final = 0.25
 """Part of the covariance between robots by which a robot changes."""
 HAZARD, RETURN_HAZARD, FIRST_HAZARD = 3e-4, 1e-3, 3e-3
@@ -83,28 +65,9 @@ PROBES, RECENT = 12, 4
 """Numbers of these points and steps."""
 MOST, YOUNG = 10, 3
 """Number of beliefs that are kept, and the age up to which a belief is kept besides: it could not yet speak."""
-MOST_MONOMIALS: Final = 150
-"""With more monomials of degree 2 beliefs are about degree 1: no deployment tells so many weights apart."""
-WAVES, WAVE_LENGTH, LEAST_FOR_WAVES = 30, 1.0, 100
-"""Number and length scale [half ranges] of the waves among the features, and number of steps that must be known before
-a deployment for it to have them: with fewer they only make the map less sure where the robot has not been."""
 REPORTED_ODDS, SUDDEN = 30.0, 10
 """A change is reported from these odds on, within this number of steps from its beginning: a belief that wins later is
 a better model, not a change."""
-
-
-class Family(NamedTuple):
-    """What robots of a kind have in common: distributions of the weights of the monomials, in half ranges.
-
-    Attributes:
-        mean: Shape (n, d_φ).
-        covariance: Shape (n, d_φ, d_φ).
-        noise_std: Of a step's error; shape (n,).
-    """
-
-    mean: Array
-    covariance: Array
-    noise_std: Array
 
 
 class Observed(NamedTuple):
@@ -199,29 +162,12 @@ class Beliefs:
             families: Priors over robots, equally probable ones.
             fitted: Noise of a fitted residual, whose remaining error is believed about; shape (n,) [half ranges].
         """
-        n, _ = sizes
-        count, zero = features.monomials, np.zeros((n, features.monomials))
-        nothing_known = [unknown(features, n, stds) for stds in UNKNOWN_STDS]
-        right = np.tile(RIGHT_STD**2 * np.eye(count), (n, 1, 1))
-        expected: list[tuple[Kind, Family]] = [("family", each) for each in families]
-        if fitted is not None:
-            expected = [("fitted", Family(zero, right, fitted))]
-        rivals: list[tuple[Kind, Family]] = [("unknown", each) for each in nothing_known]
-        nominal: list[tuple[Kind, Family]] = [("nominal", Family(zero, right, np.full(n, NOMINAL_NOISE)))]
-        groups = [(1 - 2 * RIVAL, expected), (2 * RIVAL, rivals)] if expected else [(1 - 2 * RIVAL, rivals)]
-        if fitted is None:
-            groups.append((RIVAL, nominal))
-        beliefs = [
-            _belief(kind, family, log(share / len(group) / len(RATES)), rate, features, sizes)
-            for share, group in groups
-            for kind, family in group
-            for rate in RATES
-        ]
+        beliefs = first_beliefs(features, sizes, families, fitted)
         size = beliefs[0].weights.mean.shape[1]
         between_robots = beliefs[0] if fitted is None else beliefs[len(RATES)]
         change = CHANGED_PART * between_robots.weights.covariance
         before = np.zeros(sum(sizes))
-        return cls(features, tuple(beliefs), change, before, None, WRONG_MEASUREMENTS, np.empty((0, size)))
+        return cls(features, beliefs, change, before, None, WRONG_MEASUREMENTS, np.empty((0, size)))
 
     def with_runs(self, runs: Sequence[Sequence[tuple[Observed, bool]]]) -> "Beliefs":
         """The beliefs with earlier runs as further ones, which have half of the probability.
@@ -405,32 +351,6 @@ class Beliefs:
         return np.hstack([self.features(self.probes), np.zeros((PROBES, 2 + len(self.before)))])
 
 
-def features_of(inputs: int, steps: int) -> Features:
-    """Features of beliefs about errors that depend on a number of inputs, before a deployment with `steps` known."""
-    degree = 2 if number_of_monomials(inputs, 2) <= MOST_MONOMIALS else 1
-    waves = WAVES if steps >= LEAST_FOR_WAVES else 0
-    return Features.drawn(inputs, degree, waves, WAVE_LENGTH, np.random.default_rng(0))
-
-
-def unknown_belief(features: Features) -> Belief:
-    """A belief about one coordinate of a robot of which nothing is known, without what was before a step."""
-    family = unknown(features, 1)
-    size = features.count
-    covariance = WAVE_STD**2 * np.eye(size)[None]
-    covariance[:, : features.monomials, : features.monomials] = family.covariance
-    freedom = np.full(1, EXPECTED_NOISE_COUNT)
-    weights = Weights(np.zeros((1, size)), np.sqrt(covariance))
-    return Belief("unknown", weights, freedom, (freedom - 2) * family.noise_std**2, 0.0)
-
-
-def unknown(features: Features, coordinates: int, stds: tuple[float, float] = UNKNOWN_STDS[0]) -> Family:
-    """The weights of robots of which nothing is known, with standard deviations up to degree 1 and of degree 2."""
-    linear = np.arange(features.monomials) <= features.inputs
-    covariance = np.diag(np.where(linear, *stds) ** 2)
-    zero = np.zeros((coordinates, features.monomials))
-    return Family(zero, np.tile(covariance, (coordinates, 1, 1)), np.full(coordinates, UNKNOWN_NOISE))
-
-
 class _Elsewhere(NamedTuple):
     """A step from where the one before was predicted to end: how probable that is, features, error, its variance."""
 
@@ -533,20 +453,3 @@ def _agree(one: Belief, of_one: Predicted, other: Belief, of_other: Predicted) -
     near = np.abs(of_one.mean - of_other.mean) < SAME_MEAN * np.sqrt(of_other.variance)
     alike = np.abs(np.log(of_one.variance / of_other.variance)) < SAME_SPREAD
     return bool(near.all() and alike.all())
-
-
-def _belief(
-    kind: Kind, family: Family, log_weight: float, rate: float, features: Features, sizes: tuple[int, int]
-) -> Belief:
-    """A belief before the first step."""
-    n, m = sizes
-    count, size = features.monomials, features.count + 2 + n + m
-    mean, covariance = np.zeros((n, size)), np.zeros((n, size, size))
-    mean[:, :count], covariance[:, :count, :count] = family.mean, family.covariance
-    for coordinate, noise in enumerate(family.noise_std):
-        parts = [(features.waves, WAVE_STD), (2, PERIODIC_STD * noise), (n, ERROR_BEFORE_STD), (m, COMMAND_BEFORE_STD)]
-        stds = np.concatenate([np.full(number, std) for number, std in parts])
-        covariance[coordinate, range(count, size), range(count, size)] = stds**2
-    freedom = np.full(n, EXPECTED_NOISE_COUNT)
-    weights = Weights.of_moments(mean, covariance)
-    return Belief(kind, weights, freedom, (freedom - 2) * family.noise_std**2, log_weight, rate)

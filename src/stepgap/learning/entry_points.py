@@ -5,7 +5,7 @@ import warnings
 from stepgap.base.errors import InputError, StepGapWarning
 from stepgap.base.plugins import load_plugin, plugin_names
 from stepgap.learning.regression import ResidualModel
-from stepgap.learning.settings import RESIDUALS
+from stepgap.learning.settings import AUTO, RESIDUALS
 
 
 def residual_names() -> tuple[str, ...]:
@@ -24,6 +24,11 @@ def load_residual_model(name: str) -> ResidualModel:
     if model.name != name:
         raise InputError(f"residual '{name}': its model has the name '{model.name}'; both names must be the same")
     return model
+
+
+def names_by_complexity() -> tuple[str, ...]:
+    """Names of all installed residual models that can be used, from simple to complex; then `auto`."""
+    return (*(model.name for model in residual_models()), AUTO)
 
 
 def residual_models() -> list[ResidualModel]:

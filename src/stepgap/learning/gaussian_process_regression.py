@@ -4,13 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.gauss.gaussian_process import GaussianProcess
-from stepgap.gauss.gaussian_process_fit import EXACT_SIZE, Basis, fit_like_fitrgp, hyper_parameters_like_fitrgp
+from stepgap.gauss.gaussian_process import GaussianProcess, process_from_dict
+from stepgap.gauss.gaussian_process_fit import Basis, fit_gaussian_process, fit_like_fitrgp
 from stepgap.gauss.kernel import MATERN_52, Kernel
-from stepgap.gauss.sparse_gaussian_process import condition_as_needed, fit_process, process_from_dict
 from stepgap.learning.regression import Parameter, Prediction, Regression, ResidualModel, TrainingData
 from stepgap.step import Array
 
@@ -65,12 +63,11 @@ class GaussianProcessRegression(Regression):
 
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
         """Predictions, with noise, of each value from those outside its block (RW Eq. 5.12 for blocks)."""
-        single = len(blocks) == len(self.values)
-        found = self.process.leave_one_out() if single else self.process.leave_out(blocks)
+        found = self.process.leave_out(blocks)
         return Prediction(found.mean, found.std if self.plug_in else found.kriging_std)
 
     def append(self, point: ArrayLike, value: float) -> "GaussianProcessRegression":
-        """Conditions the process on one more value, in O(N²); in O(M³) if sparse."""
+        """Conditions the process on one more value."""
         return replace(self, process=self.process.append(point, value))
 
     def to_dict(self) -> dict[str, Any]:
@@ -103,18 +100,17 @@ def gaussian_process_model(
 ) -> ResidualModel:
     """Creates a residual model that is a Gaussian process with this basis and kernel; see `ResidualModel`."""
 
-    def fit(data: TrainingData, start: Regression | None) -> Regression:
+    def fit(data: TrainingData) -> Regression:
         scale = data.scale.copy()
         if data.timed:
             scale[-1] = TIME_SCALE
-        process = fit_process(
+        process = fit_gaussian_process(
             data.points,
             data.values,
             scale,
             data.value_scale,
             basis=basis,
             kernel=kernel,
-            start=start.process.hyper_parameters if isinstance(start, GaussianProcessRegression) else None,
             last_length_scale=1 / TIME_SCALE if data.timed else None,
         )
         return GaussianProcessRegression(process)
@@ -125,11 +121,8 @@ def gaussian_process_model(
     return ResidualModel(name, description, fit, from_dict, candidate=candidate, complexity=complexity)
 
 
-def _fit_like_fitrgp(data: TrainingData, start: Regression | None) -> Regression:
-    if len(data.values) <= EXACT_SIZE:
-        return GaussianProcessRegression(fit_like_fitrgp(data.points, data.values), plug_in=True)
-    found, raw_units = hyper_parameters_like_fitrgp(data.points, data.values), np.ones(data.points.shape[1])
-    return GaussianProcessRegression(condition_as_needed(data.points, data.values, raw_units, found), plug_in=True)
+def _fit_like_fitrgp(data: TrainingData) -> Regression:
+    return GaussianProcessRegression(fit_like_fitrgp(data.points, data.values), plug_in=True)
 
 
 def _fitrgp_from_dict(saved: Mapping[str, Any]) -> Regression:

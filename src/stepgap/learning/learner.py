@@ -9,14 +9,14 @@ from typing import Final, Self, final
 import numpy as np
 
 from stepgap.learning.alarm import Alarm
-from stepgap.learning.beliefs import Beliefs, Observed, features_of
+from stepgap.learning.beliefs import Beliefs, Observed
 from stepgap.learning.believed import believed, believed_after, observed, planning_map
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.entry_points import load_residual_model
+from stepgap.learning.first_beliefs import features_of
 from stepgap.learning.observations import (
     context_inputs_of,
     error_of,
-    history_after,
     next_history,
     observe,
 )
@@ -49,7 +49,7 @@ class Learner:
         known: All steps known.
         residual: The fitted residual about whose remaining error is believed; zero for the residual `posterior`.
         beliefs: What is believed; None where nothing is learned during this deployment but by `residual`.
-        history: History of the next step, as `observations` defines it; shape (2n + m + 1 + q,).
+        history: History of the next step, as `observations` defines it; shape (1 + q,).
         alarms: Of the steps of this deployment.
     """
 
@@ -102,7 +102,7 @@ class Learner:
         """Returns the learner before a deployment of which residual and beliefs are known; the others as of `start`."""
         if beliefs and settings.residual == POSTERIOR.name:
             residual = no_residual(*residual.sizes)  # they say the same
-        history = next_history(known, nominal, iteration)
+        history = next_history(known, nominal.space, iteration)
         return cls(nominal, settings, iteration, known, residual, beliefs, history)
 
     def redeployed(self, known: Steps, priors: Sequence[Prior] = ()) -> "Learner":
@@ -171,8 +171,7 @@ class Learner:
     def _after(self, logged: LoggedStep) -> "Learner":
         record, known = logged.record, self.known + [logged]  # noqa: RUF005 they share memory
         error = error_of(record, self.nominal)
-        history = history_after(record, error, self.nominal.space, len(known))
-        learner = replace(self, known=known, history=history)
+        learner = replace(self, known=known, history=next_history(known, self.nominal.space, self.iteration))
         known_error = bool(np.isfinite(error).all())
         residual = self.residual.conditioned_on(self.history)
         if known_error and residual.kind != "none":
@@ -227,7 +226,7 @@ def _fitted(nominal: StepMap, known: Steps, settings: LearningSettings, *, belie
     name = settings.residual if len(seen) else "none"
     if name != settings.residual != AUTO:
         load_residual_model(settings.residual)  # if it cannot be loaded, no robot moves
-    return fit_residual(name, seen, settings.lagged_inputs, settings.forgetting_time)
+    return fit_residual(name, seen, settings.forgetting_time)
 
 
 def _begun(nominal: StepMap, known: Steps, residual: Residual, priors: Sequence[Prior]) -> Beliefs:

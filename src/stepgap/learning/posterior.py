@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from stepgap.base.json_data import LARGEST_NUMBER, as_object, integer, number, numbers
 from stepgap.base.ranges import require
 from stepgap.gauss.features import Features
-from stepgap.learning.beliefs import features_of, unknown_belief
+from stepgap.learning.first_beliefs import features_of, unknown_belief
 from stepgap.learning.regression import BatchRegression, Parameter, Prediction, Regression, ResidualModel, TrainingData
 from stepgap.step import Array
 
@@ -221,7 +221,7 @@ def features_from_dict(saved: Mapping[str, Any]) -> Features:
     return features
 
 
-def _fit(data: TrainingData, start: Regression | None) -> Posterior:
+def _fit(data: TrainingData) -> Posterior:
     """Conditions the weights of a robot of which nothing is known on the data, with the noise that these show."""
     inputs = len(data.scale) - data.timed
     features = features_of(inputs, len(data.values))

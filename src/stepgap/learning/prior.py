@@ -11,17 +11,15 @@ competes with beliefs that it is not, and loses if it predicts worse.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.gauss.features import Features
 from stepgap.gauss.monomials import monomials, number_of_monomials
-from stepgap.learning.beliefs import Family, unknown
+from stepgap.learning.first_beliefs import Family, unknown
 from stepgap.learning.observations import Observations
-from stepgap.learning.polynomial import QUADRATIC, fit_polynomial
-from stepgap.learning.regression import ResidualModel
 from stepgap.step import Array, StepSpace
 
 DEGREE = 2
@@ -139,13 +137,3 @@ def _fitted(basis: Sequence[Array], values: Sequence[Array]) -> CoordinatePrior:
         mean = weights.mean(axis=0)
         covariance = ((weights - mean).T @ (weights - mean) + sum(spreads) + LEAST_SPREAD * np.eye(size)) / count
     return CoordinatePrior(mean, covariance, float(np.sqrt(np.median(noise))))
-
-
-PRIOR: Final = ResidualModel(
-    "prior",
-    "a quadratic polynomial with a prior learned from other robots",
-    lambda data, start: fit_polynomial(data, DEGREE),
-    QUADRATIC.from_dict,
-    complexity=4,
-)
-"""The residual `prior` of former versions, whose model files have the prior; without one, it is `quadratic`."""

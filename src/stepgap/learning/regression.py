@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 
 from stepgap.base.json_data import boolean, number, numbers
 from stepgap.base.ranges import require
-from stepgap.learning.settings import LaggedInputs
 from stepgap.step import Array
 
 
@@ -225,10 +224,8 @@ class ResidualModel:
     Attributes:
         name: Name in settings, files and reports; that of its entry point.
         description: Description of the regression for the report, such as "a quadratic polynomial".
-        fit: Fits the regression of one state coordinate. Its arguments are the data, at least one value, and None or a
-            regression of this model fitted to fewer data, from which a search for hyper-parameters may start.
+        fit: Fits the regression of one state coordinate to data with at least one value.
         from_dict: Restores the regression that `Regression.to_dict` saved; its ValueError names the wrong key.
-        lagged_inputs: Inputs from the step before that it always has; settings may add others.
         candidate: Whether `auto` may choose it.
         complexity: Rank from simple to complex: 0 none, 1 constant, 2 linear, 3 quadratic, 4 quadratic with a prior, 5
             to 7 Gaussian processes.
@@ -237,8 +234,7 @@ class ResidualModel:
 
     name: str
     description: str
-    fit: Callable[[TrainingData, Regression | None], Regression]
+    fit: Callable[[TrainingData], Regression]
     from_dict: Callable[[Mapping[str, Any]], Regression]
-    lagged_inputs: LaggedInputs = "none"
     candidate: bool = False
     complexity: int = 10

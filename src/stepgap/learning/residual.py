@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from stepgap.base.ranges import require
 from stepgap.learning.regression import Regression, ResidualModel
 from stepgap.learning.residual_check import ResidualError
-from stepgap.learning.settings import LAGGED_INPUTS, LaggedInputs
 from stepgap.learning.zero import NONE, Zero
 from stepgap.step import Array
 
@@ -18,22 +17,18 @@ from stepgap.step import Array
 @final
 @dataclass(frozen=True)
 class HistoryInputs:
-    """Inputs of a residual besides state and command: they depend on earlier steps.
+    """Inputs of a residual besides state and command.
 
     Attributes:
-        lagged_inputs: Which quantities of the step before are inputs.
         forgetting_time: Number of steps T in which the influence of a step falls to 1/e: polynomials weight it by
             exp(−age/T), and a Gaussian process has the time as an input with length scale T; inf: it never falls.
         context_inputs: Number of context inputs at the end of the history, all of which are inputs.
     """
 
-    lagged_inputs: LaggedInputs = "none"
     forgetting_time: float = inf
     context_inputs: int = 0
 
     def __post_init__(self) -> None:
-        names = ", ".join(LAGGED_INPUTS)
-        require(self.lagged_inputs in LAGGED_INPUTS, "lagged_inputs", self.lagged_inputs, f"be one of {names}")
         require(
             self.forgetting_time > 0, "forgetting_time", self.forgetting_time, "be a positive number of steps, or inf"
         )
@@ -43,17 +38,15 @@ class HistoryInputs:
         """Whether the last input is the time, in forgetting times."""
         return isfinite(self.forgetting_time)
 
-    def of(self, history: Array, state_size: int) -> Array:
-        """Selects the inputs from a history; (…, 2n + m + 1 + q) to (…, c).
+    @property
+    def count(self) -> int:
+        """Number of these inputs, c."""
+        return self.context_inputs + self.timed
 
-        The columns of a history are, as in `observations`, error (n), requested command (m), state (n), number of steps
-        before (1) and context inputs (q). The time is the last input, if it is one.
-        """
-        steps = history.shape[-1] - self.context_inputs - 1
-        used = {"none": 0, "previous_error": state_size, "previous_step": steps}[self.lagged_inputs]
-        time = history[..., steps : steps + 1] / self.forgetting_time
-        parts = [history[..., :used], history[..., steps + 1 :], time if self.timed else time[..., :0]]
-        return np.concatenate(parts, axis=-1)
+    def of(self, history: Array) -> Array:
+        """The inputs from a history, as `observations` defines it; (…, 1 + q) to (…, c). The time is the last one."""
+        time = history[..., :1] / self.forgetting_time
+        return np.concatenate([history[..., 1:], time[..., : int(self.timed)]], axis=-1)
 
 
 @final
@@ -87,7 +80,7 @@ class Residual:
             if not isinstance(regression, Regression):
                 raise ResidualError(f"residual '{self.kind}': made {regression!r:.40}; it must make a Regression")
         n, m = self.sizes
-        c = self.history_inputs.of(np.zeros(2 * n + m + 1 + self.history_inputs.context_inputs), n).size
+        c = self.history_inputs.count
         inputs = sorted({regression.inputs for regression in self.regressions})
         if m < 1 or inputs != [n + m + c]:
             raise ValueError(
@@ -105,17 +98,11 @@ class Residual:
         """Name of the model."""
         return self.model.name
 
-    @property
-    def name(self) -> str:
-        """Name of the model and, if there are any, of its lagged inputs."""
-        lagged = self.history_inputs.lagged_inputs.replace("_", " ")
-        return self.kind if lagged == "none" else f"{self.kind} with {lagged}"
-
     def conditioned_on(self, history: Array) -> "Residual":
-        """Returns the residual of the step with this history (2n + m + 1,), a function of state and command."""
+        """Returns the residual of the step with this history (1 + q,), a function of state and command."""
         if self.history_inputs == HistoryInputs():
             return self
-        return replace(self, history_values=self.history_inputs.of(np.asarray(history, float), len(self.regressions)))
+        return replace(self, history_values=self.history_inputs.of(np.asarray(history, float)))
 
     def mean(self, point: ArrayLike) -> Array:
         """Expected residual; shape (…, n) [units of the state]."""
@@ -168,7 +155,6 @@ class Residual:
         return {
             "kind": self.kind,
             "command_size": self.command_size,
-            "lagged_inputs": self.history_inputs.lagged_inputs,
             "forgetting_time": self.history_inputs.forgetting_time if self.history_inputs.timed else None,
             **({"context_inputs": count} if count else {}),
             "regressions": [regression.to_dict() for regression in self.regressions],

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf
-from typing import Final, Literal, get_args, get_type_hints
+from typing import Final, get_type_hints
 
 from stepgap.base.plugins import plugin_names, suggestion
 from stepgap.base.ranges import require
@@ -12,6 +12,8 @@ from stepgap.base.settings_file import FORMER_NAME, as_type
 RESIDUALS: Final = "stepgap.residuals"
 """Entry points of this group are residual models; their names are those of the setting `residual`."""
 
+_LAGGED: Final = "gone, since beliefs know error and command of the step before; leave it out"
+
 GONE: Final[Mapping[str, str]] = {
     "learning.monitor": "gone, since beliefs compete by how probable they make the steps of the robot; leave it out",
     "learning.remove_yaw_dependence": "gone, since beliefs know what returns with the yaw; leave it out, or set "
@@ -19,17 +21,13 @@ GONE: Final[Mapping[str, str]] = {
     "learning.reject_outliers": "gone, since a step counts as far as it was probably not disturbed; leave it out",
     "learning.feature_map": "gone, since feature maps did not lower the error; leave it out, and for a state of many "
     'numbers try learning.residual = "gp_on_linear"',
+    "learning.lagged_inputs": _LAGGED,
+    "learning.features": _LAGGED,
 }
 """Dotted names of the settings of former versions, with what to write now, for users; recorded runs may have them."""
 
 AUTO: Final = "auto"
 """Name of the residual that selects the installed candidate with the best predictions."""
-
-LaggedInputs = Literal["none", "previous_error", "previous_step"]
-"""Quantities of the step before that are inputs: none, its error, or its error, requested command and state."""
-
-LAGGED_INPUTS: tuple[LaggedInputs, ...] = get_args(LaggedInputs)
-"""All values of `LaggedInputs`."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +41,6 @@ class LearningSettings:
             steps were known before.
         tolerance: Redeploying stops when the tracking error has not fallen by this fraction of the
             best so far; judged from the second redeployment on.
-        lagged_inputs: Quantities of the step before that are inputs, too; with `auto`, those that predict best if a
-            test of all known steps finds that the step before helps, else none.
         forgetting_time: Number of steps in which the influence of a step falls to 1/e; for a Gaussian process, length
             scale of the time; inf: it never falls.
         early_stop: Whether redeploying stops before `iterations` when the error no longer falls.
@@ -58,7 +54,6 @@ class LearningSettings:
     residual: str = "posterior"
     iterations: int = 4
     tolerance: float = field(default=0.01, metadata={FORMER_NAME: "least_gain"})
-    lagged_inputs: LaggedInputs | Literal["auto"] = field(default=AUTO, metadata={FORMER_NAME: "features"})
     forgetting_time: float = field(default=inf, metadata={FORMER_NAME: "memory"})
     early_stop: bool = True
     drift: bool = True
@@ -71,8 +66,6 @@ class LearningSettings:
         _require_name("residual", self.residual, (AUTO, *plugin_names(RESIDUALS)))
         require(0 <= self.iterations <= 1000, "iterations", self.iterations, "lie between 0 and 1000")
         require(0 <= self.tolerance < 1, "tolerance", self.tolerance, "be at least 0 and less than 1")
-        lags = (*LAGGED_INPUTS, "auto")
-        require(self.lagged_inputs in lags, "lagged_inputs", self.lagged_inputs, f"be one of {', '.join(lags)}")
         require(
             self.forgetting_time > 0, "forgetting_time", self.forgetting_time, "be a positive number of steps, or inf"
         )

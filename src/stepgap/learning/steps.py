@@ -168,11 +168,6 @@ class Steps:
         """Numbers of the deployments in it, in ascending order."""
         return np.unique(self.iteration).tolist()
 
-    @property
-    def has_earlier_runs(self) -> bool:
-        """Whether it has steps from before the run, which a warm start adds."""
-        return bool(np.any(self.iteration < 0))
-
     def of_iteration(self, iteration: int) -> Self:
         """The steps of one deployment."""
         return self.selected(self.iteration == iteration)

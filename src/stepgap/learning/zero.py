@@ -72,7 +72,7 @@ class Zero(Regression):
         return {"inputs": self.size, "noise_std": self.noise}
 
 
-def _fit(data: TrainingData, start: Regression | None) -> Zero:
+def _fit(data: TrainingData) -> Zero:
     prior = PRIOR_COUNT * (NOISE_SCALE * data.value_scale) ** 2
     degrees_of_freedom = PRIOR_COUNT + len(data.values)
     squares = prior + float(data.values @ data.values)

@@ -77,15 +77,10 @@ class Analysis:
 
 
 def input_quantities(space: StepSpace, history_inputs: HistoryInputs) -> list[Quantity]:
-    """Names and units of a residual's inputs; those of the previous step are normalised by half their range."""
-    previous = [Quantity(f"previous_error_of_{each.name}", "half ranges", -1, 1) for each in space.state]
-    if history_inputs.lagged_inputs == "previous_step":
-        previous += [Quantity(f"previous_{each.name}", "half ranges", -1, 1) for each in (*space.command, *space.state)]
-    elif history_inputs.lagged_inputs == "none":
-        previous = []
+    """Names and units of a residual's inputs."""
     found = [Quantity(each.name, f"{each.input_scale:g} {each.unit}", -1, 1) for each in space.context_inputs]
     time = [Quantity("time", "forgetting times", -1, 1)] if history_inputs.timed else []
-    return [*space.state, *space.command, *previous, *found[: history_inputs.context_inputs], *time]
+    return [*space.state, *space.command, *found[: history_inputs.context_inputs], *time]
 
 
 def centre_of(learned: LearnedResidual, gait: object) -> Array:

@@ -8,7 +8,7 @@ from stepgap.control.limit_cycle import FixedPoint
 from stepgap.records.text import between, decimal, in_scale, trimmed, with_unit
 from stepgap.report.html import table
 from stepgap.report.measured_loop import MeasuredLoop
-from stepgap.report.reference_gait import MapGait, Multipliers, ReferenceGait
+from stepgap.report.reference_gait import MapGait, ReferenceGait
 from stepgap.step import Array, StepSpace
 
 
@@ -60,7 +60,6 @@ def gait_table(gait: ReferenceGait) -> str:
     heads = [with_unit(each) for each in state]
     for each in gait.maps:
         heads += [f"{each.name} {name}" for name in [*command, "open-loop |λ|"]]
-        heads += ["95 % interval of the largest", "closed-loop |λ|, 95 % interval"] if each.multipliers else []
     rows = [
         [
             *(trimmed(in_scale(value, one)) for value, one in zip(target[tracked], state, strict=True)),
@@ -68,10 +67,9 @@ def gait_table(gait: ReferenceGait) -> str:
         ]
         for row, target in enumerate(gait.targets)
     ]
-    closed = ", and closed loop, with the step controller" if gait.has_closed_loop else ""
     caption = (
         "Limit cycle at each target: the constant command that holds it, and the magnitudes |λ| of its Floquet "
-        f"multipliers: open loop, at this constant command{closed}"
+        "multipliers: open loop, at this constant command"
     )
     return table(caption, heads, rows)
 
@@ -83,10 +81,8 @@ def gait_sentences(gait: ReferenceGait) -> list[str]:
         held = [point for point in each.points if point is not None and point.held]
         found.append(
             f"{each.name.capitalize()} map: {len(held)} of {_count(each)} held by a constant command within "
-            f"its bounds, up to the noise of one step.{_open_loop(each, held) if held else ''}"
+            f"its bounds, up to the noise of one step.{_open_loop(held) if held else ''}"
         )
-        if each.multipliers:
-            found += _closed_loop(each.name, each.multipliers)
     if gait.more:
         found.append(f"The other {gait.more} targets are left out.")
     return found
@@ -98,33 +94,15 @@ def _count(gait: MapGait) -> str:
     return f"{count} target{'s are' if count > 1 else ' is'}"
 
 
-def _open_loop(gait: MapGait, held: Sequence[FixedPoint]) -> str:
+def _open_loop(held: Sequence[FixedPoint]) -> str:
     """Sentence on the stability at constant commands."""
-    start = " Without the step controller, at this constant command (open loop), an error of the state"
-    if gait.multipliers is None:
-        known = [point for point in held if np.isfinite(point.floquet_multipliers).all()]
-        stable = sum(point.stable for point in known)
-        unknown = f", and at {len(held) - len(known)} it is not known" if len(known) < len(held) else ""
-        return f"{start} decays at {stable} of them and grows at {len(known) - stable}{unknown}, by the map."
-    counted = _counted(gait.multipliers.open_loop)
-    return f"{start} {counted}, within 95 % intervals that hold if the learned model is of the right kind."
-
-
-def _closed_loop(name: str, multipliers: Multipliers) -> list[str]:
-    if not np.isfinite(multipliers.closed_loop).any():
-        return []
-    return [
-        f"With the step controller of the {name} map (closed loop), an error {_counted(multipliers.closed_loop)}, for "
-        "maps that differ from it as much as the recorded steps permit (95 % intervals)."
-    ]
-
-
-def _counted(quantiles: Array) -> str:
-    """Phrase on how many held targets have multipliers below and above 1."""
-    verdicts = [_verdict(row[[0, 2]]) for row in quantiles if np.isfinite(row).all()]
-    decays, grows, open_ = (verdicts.count(verdict) for verdict in ("decays", "grows", "not decided"))
-    undecided = f", and at {open_} of them it is not decided" if open_ else ""
-    return f"decays at {decays} of them and grows at {grows}{undecided}"
+    known = [point for point in held if np.isfinite(point.floquet_multipliers).all()]
+    stable = sum(point.stable for point in known)
+    unknown = f", and at {len(held) - len(known)} it is not known" if len(known) < len(held) else ""
+    return (
+        " Without the step controller, at this constant command (open loop), an error of the state decays at "
+        f"{stable} of them and grows at {len(known) - stable}{unknown}, by the map."
+    )
 
 
 def _verdict(ends: Array) -> str:
@@ -133,14 +111,13 @@ def _verdict(ends: Array) -> str:
 
 
 def _cells(gait: MapGait, row: int, space: StepSpace) -> list[str]:
-    """Cells of a map at one target: command, multipliers and their intervals."""
+    """Cells of a map at one target: command and multipliers."""
     point, size = gait.points[row], len(space.command)
-    intervals = [gait.multipliers.open_loop, gait.multipliers.closed_loop] if gait.multipliers else []
     if point is None:
-        return [*["–"] * size, "no step", *["–"] * len(intervals)]
+        return [*["–"] * size, "no step"]
     multipliers = ", ".join(decimal(abs(value)) for value in point.floquet_multipliers) if point.held else "not held"
     command = (in_scale(value, one) for value, one in zip(point.command, space.command, strict=True))
-    return [*command, multipliers, *(_interval(quantiles[row, [0, 2]]) for quantiles in intervals)]
+    return [*command, multipliers]
 
 
 def _interval(ends: Array) -> str:

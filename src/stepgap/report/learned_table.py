@@ -30,7 +30,7 @@ def learned_sentences(analysis: Analysis) -> list[str]:
     run, learned = analysis.run, analysis.learned
     if isinstance(learned, Missing):
         return [f"There is no model to describe: {learned.reason}."]
-    name = f"the residual '{learned.residual.name}'"
+    name = f"the residual '{learned.residual.kind}'"
     model = f"Deployment {learned.iteration} began with {name}"
     if learned.iteration > run.shown_iterations[-1]:
         model = f"Deployment {learned.iteration - 1} learned while it ran. A further deployment would begin with {name}"

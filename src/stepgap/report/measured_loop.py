@@ -17,7 +17,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from stepgap.control.closed_loop import largest_multiplier
 from stepgap.control.reference import same_target
 from stepgap.learning.steps import Steps
 from stepgap.step import Array
@@ -69,11 +68,16 @@ def measured_loop(steps: Steps) -> MeasuredLoop | None:
     matrix = _fitted(errors, used)
     offsets = _visit_means(errors[:, 1:] - errors[:, :-1] @ matrix.T, used)
     noise = (errors[:, 1:] - errors[:, :-1] @ matrix.T - offsets)[used] * np.sqrt(count / degrees_of_freedom)
-    found = largest_multiplier(matrix)
-    drawn = largest_multiplier(_fitted(_continued(errors, used, matrix, offsets, noise), used))
+    found = _largest_multiplier(matrix)
+    drawn = _largest_multiplier(_fitted(_continued(errors, used, matrix, offsets, noise), used))
     low, high = np.percentile(drawn, [2.5, 97.5])
     ends = np.maximum([2 * found - high, 2 * found - low], 0.0)
     return MeasuredLoop(steps.iterations[0], count, float(max(2 * found - drawn.mean(), 0.0)), ends)
+
+
+def _largest_multiplier(matrix: Array) -> Array:
+    """Largest magnitude of the eigenvalues of matrices (…, n, n), the Floquet multipliers; shape (…)."""
+    return np.abs(np.linalg.eigvals(matrix)).max(axis=-1)
 
 
 def _visits(steps: Steps) -> list[Array]:

@@ -8,16 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.base.errors import InputError
-from stepgap.control.closed_loop import largest_multiplier, step_controller_gain
 from stepgap.control.gauss_newton import REACHED
-from stepgap.control.limit_cycle import FixedPoint, ReachableSet, fixed_point, reachable_set
-from stepgap.control.reach import SMALL_PART, CommandEffect, command_effect, reached_in_one_step, whole_states
+from stepgap.control.limit_cycle import FixedPoint, ReachableSet, fixed_point, reachable_set, reached_in_one_step
+from stepgap.control.reach import SMALL_PART, CommandEffect, command_effect, whole_states
 from stepgap.control.reference import distinct_rows, same_target
 from stepgap.experiment.run import Run
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.gradient_samples import gradient_samples
 from stepgap.learning.observations import next_history
-from stepgap.learning.residual import join_points
 from stepgap.records.missing import Missing
 from stepgap.records.text import in_words
 from stepgap.report.learned_residual import LearnedResidual, steps_before
@@ -25,25 +22,6 @@ from stepgap.step import Array, StepFailed, StepMap, StepSpace
 
 MOST_GAITS: Final = 40
 """Largest number of targets whose limit cycles are computed."""
-
-GRADIENTS: Final = 400
-"""Number of gradients of the learned residual that are drawn for an interval."""
-
-
-@dataclass(frozen=True, eq=False)
-class Multipliers:
-    """Largest magnitudes of the Floquet multipliers that the data of the learned residual leave possible.
-
-    Each row belongs to a target and has the 2.5, 50 and 97.5 % quantiles, NaN where the target is not held.
-
-    Attributes:
-        open_loop: At the constant command of the limit cycle; shape (k, 3).
-        closed_loop: With the step controller of the corrected map, if the gradient of the robot's map is not that of
-            the corrected map but another possible one; shape (k, 3).
-    """
-
-    open_loop: Array
-    closed_loop: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +34,6 @@ class MapGait:
         reachable: One-step reachable set from `ReferenceGait.centre`.
         changes: Whether one step leads from one target to the next one, by `ReferenceGait.changes`; shape (c,).
         effect: Effect of the commands at the points, in `ReferenceGait.unit`; None if no command makes a step.
-        multipliers: Their possible magnitudes by the uncertainty of the map; None for the nominal map, which has none.
     """
 
     name: str
@@ -64,7 +41,6 @@ class MapGait:
     reachable: ReachableSet
     changes: NDArray[np.bool_]
     effect: CommandEffect | None
-    multipliers: Multipliers | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,11 +78,6 @@ class ReferenceGait:
         (row, *_) = np.flatnonzero(same_target(self.targets, self.centre))
         return self.maps[-1].points[row]
 
-    @property
-    def has_closed_loop(self) -> bool:
-        """Whether there is a corrected map, with whose step controller the closed loop was computed."""
-        return any(each.multipliers for each in self.maps)
-
 
 def reference_gait(run: Run, nominal: StepMap, learned: LearnedResidual | Missing) -> ReferenceGait:
     """Computes the limit cycles at the targets of the last deployment.
@@ -128,7 +99,7 @@ def reference_gait(run: Run, nominal: StepMap, learned: LearnedResidual | Missin
     centre = central_target(targets, nominal.space.state_scale)
     maps = {"nominal": nominal}
     if isinstance(learned, LearnedResidual):
-        before = next_history(steps_before(run, learned.iteration), nominal, learned.iteration)
+        before = next_history(steps_before(run, learned.iteration), nominal.space, learned.iteration)
         maps["corrected"] = CorrectedMap(nominal, learned.residual.conditioned_on(before))
     unit, has_floor = effect_unit(run)
     changes = _changes(steps.target)
@@ -182,12 +153,9 @@ def _gait(name: str, step_map: StepMap, targets: Array, centre: Array, changes: 
         except StepFailed:
             point = None
         points.append(point)
-    possible = _multipliers(step_map, points) if isinstance(step_map, CorrectedMap) else None
     reached = reached_in_one_step(step_map, whole_states(step_map, changes[:, 0]), changes[:, 1])
     (start,) = whole_states(step_map, centre[None])
-    return MapGait(
-        name, tuple(points), reachable_set(step_map, start), reached, _effect(step_map, points, unit), possible
-    )
+    return MapGait(name, tuple(points), reachable_set(step_map, start), reached, _effect(step_map, points, unit))
 
 
 def _effect(step_map: StepMap, points: Sequence[FixedPoint | None], unit: Array) -> CommandEffect | None:
@@ -195,19 +163,3 @@ def _effect(step_map: StepMap, points: Sequence[FixedPoint | None], unit: Array)
     found = [step_map.jacobian(point.state, point.command) for point in points if point is not None]
     known = [jacobian for jacobian in found if np.isfinite(jacobian).all()]
     return command_effect(step_map.space, np.median(known, axis=0), unit) if known else None
-
-
-def _multipliers(step_map: CorrectedMap, points: Sequence[FixedPoint | None]) -> Multipliers:
-    """Multipliers for gradients of the residual drawn from its posterior, with a fixed seed."""
-    space, rng = step_map.space, np.random.default_rng(0)
-    scale = np.concatenate([space.state_scale, space.command_scale])
-    found = np.full((2, len(points), 3), np.nan)
-    for row, point in enumerate(points):
-        if point is not None and point.held:
-            at = join_points(point.state, point.command)
-            learned = gradient_samples(step_map.residual, at, scale, GRADIENTS, rng)
-            jacobians = step_map.nominal.jacobian(point.state, point.command) + learned
-            gain = step_controller_gain(step_map, point)
-            drawn = largest_multiplier(jacobians), largest_multiplier(jacobians, gain)
-            found[:, row] = np.percentile(drawn, [2.5, 50, 97.5], axis=1).T
-    return Multipliers(*found)

@@ -5,12 +5,12 @@ import numpy as np
 from stepgap.control.settings import ALL_RULES
 from stepgap.export.controller.portable_controller import PortableController
 from stepgap.gauss.features import Features
-from stepgap.gauss.gaussian_process import HyperParameters
-from stepgap.gauss.sparse_gaussian_process import condition_sparse
-from stepgap.learning.beliefs import Beliefs, Family, Observed
+from stepgap.gauss.gaussian_process import HyperParameters, condition_sparse
+from stepgap.learning.beliefs import Beliefs, Observed
 from stepgap.learning.entry_points import load_residual_model
+from stepgap.learning.first_beliefs import Family
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
-from stepgap.learning.polynomial import fit_polynomial
+from stepgap.learning.polynomial import Polynomial
 from stepgap.learning.posterior import POSTERIOR
 from stepgap.learning.regression import Regression, TrainingData
 from stepgap.learning.residual import Residual, no_residual
@@ -50,9 +50,9 @@ def regression(kind: str, scale: float, rng: np.random.Generator) -> Regression:
     points = CENTRE + SCALE * rng.uniform(-1, 1, (40, 4))
     values = 0.1 * scale * (np.sin(3 * (points - CENTRE) / SCALE).sum(axis=1) + 0.1 * rng.normal(size=40))
     if kind == "quadratic":
-        return fit_polynomial(TrainingData(points, values, CENTRE, SCALE, scale), 2)
+        return Polynomial(TrainingData(points, values, CENTRE, SCALE, scale), 2)
     if kind == "posterior":
-        return POSTERIOR.fit(TrainingData(points, values, CENTRE, SCALE, scale), None)
+        return POSTERIOR.fit(TrainingData(points, values, CENTRE, SCALE, scale))
     slope_std = 0.05 * scale if kind == "gp_on_linear" else 0.0
     found = HyperParameters(np.array([0.9, 1.3, 2.0, 0.7]), 0.2 * scale, 0.02 * scale, slope_std)
     process = condition_sparse(points, values, SCALE, found, points[:15])

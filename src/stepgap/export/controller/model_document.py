@@ -15,9 +15,9 @@ from stepgap.base.errors import InputError
 from stepgap.control.cautious_controller import FAILURE_RADIUS, RISK
 from stepgap.control.goal import CAUTION
 from stepgap.export.controller.portable_controller import PortableController
+from stepgap.gauss.gaussian_process import SparseGaussianProcess
 from stepgap.gauss.kernel import MATERN_52, SQUARED_EXPONENTIAL
 from stepgap.gauss.monomials import monomials
-from stepgap.gauss.sparse_gaussian_process import SparseGaussianProcess
 from stepgap.learning import beliefs as rules
 from stepgap.learning.beliefs import Beliefs
 from stepgap.learning.beliefs_data import beliefs_from_dict, beliefs_to_dict
@@ -80,7 +80,7 @@ def model_document(controller: PortableController) -> dict[str, Any]:
             "failure_radius": FAILURE_RADIUS,
         },
         "failures": controller.failures.tolist(),
-        "approximations": [str(each) for each in controller.approximations],
+        "approximations": list(controller.approximations),
         "notes": list(controller.notes),
     }
 
@@ -203,6 +203,6 @@ def _gaussian_process(process: SparseGaussianProcess) -> dict[str, Any]:
         "constant": process.coefficient,
         "weights": weights.tolist(),
         "slopes": (slopes * covariance.slope_scale).tolist(),
-        "centre_factor": process.inducing_factor.assembled().tolist(),
-        "weight_factor": process.posterior.factor.assembled().tolist(),
+        "centre_factor": process.inducing_factor.tolist(),
+        "weight_factor": process.weight_factor.tolist(),
     }

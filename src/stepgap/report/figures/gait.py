@@ -8,16 +8,11 @@ from stepgap.records.missing import Missing
 from stepgap.report.analysis import Analysis
 from stepgap.report.drawing import BLACK, BLUE, GREY, VERMILLION, axis_label, new_figure
 from stepgap.report.figures import RunFigure
+from stepgap.report.plots import clear_frame
 from stepgap.report.reference_gait import ReferenceGait
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from matplotlib.figure import Figure
-
-_CLOSED_LOOP = (
-    " Closed loop: with the step controller of the corrected map. Bars: 95 % intervals of the largest magnitude, from "
-    "the uncertainty of the gradient of the learned model."
-)
-"""Further part of the caption of the limit cycles, if there is a corrected map."""
 
 
 def reference_gait_figure(gait: ReferenceGait) -> "Figure":
@@ -47,12 +42,6 @@ def reference_gait_figure(gait: ReferenceGait) -> "Figure":
         ]
         mark = {"color": look["color"], "marker": look["marker"], "markerfacecolor": "none", "linestyle": ""}
         sizes.plot(*np.array(found).reshape(-1, 2).T, **mark, label=f"open loop, {each.name} map")
-        if each.multipliers:
-            rows = np.arange(1, len(each.points) + 1)
-            sizes.vlines(rows, *each.multipliers.open_loop.T[[0, 2]], color=look["color"], linewidth=0.8)
-            low, middle, high = each.multipliers.closed_loop.T
-            sizes.vlines(rows, low, high, color=BLACK, linewidth=0.8)
-            sizes.plot(rows, middle, "_", color=BLACK, label=f"closed loop, {each.name} map")
     plane.plot(*gait.targets.T, ".", color=BLACK, label="targets")
     plane.plot(*gait.centre, "s", markersize=7, markerfacecolor="none", color=BLACK, label="start of the step")
     first, second = gait.space.state
@@ -63,7 +52,7 @@ def reference_gait_figure(gait: ReferenceGait) -> "Figure":
     sizes.xaxis.set_major_locator(MaxNLocator(integer=True))
     sizes.set_title("(b) Floquet multipliers", loc="left", fontsize="medium")
     for panel in (plane, sizes):
-        panel.spines[["top", "right"]].set_visible(False)
+        clear_frame(panel)
     figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return figure
 
@@ -80,7 +69,6 @@ def _caption(analysis: Analysis) -> str:
         "nearest to the median of all. (b) Magnitudes of the Floquet multipliers (eigenvalues of the derivative of the "
         "next state with respect to the state) of the limit cycle at each target; below 1, an error decays. Open loop: "
         "at a constant command; the step controller does not need this stability."
-        f"{_CLOSED_LOOP if gait.has_closed_loop else ''}"
     )
 
 

@@ -93,15 +93,13 @@ _CAPTION = (
 
 
 def _caption(analysis: Analysis) -> str:
-    gait, learned, space = analysis.gait, analysis.run.needed(analysis.learned), analysis.run.space
+    gait, space = analysis.gait, analysis.run.space
     at, others = "the median of these steps", ""
     if not isinstance(gait, Missing) and (point := gait.centre_point) is not None:
         what = "the limit cycle of" if point.held else "the step that ends nearest to"
         at = f"{what} the target {gait.centre_named}, the nearest to the median of all"
     if len(space.names) > 2:
         others += f" All other inputs have their values at {at}."
-    if learned.residual.history_inputs.lagged_inputs != "none":
-        others += " Inputs from the step before are zero."
     return _CAPTION.format(others)
 
 
