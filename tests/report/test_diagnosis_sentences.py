@@ -43,9 +43,7 @@ def test_a_command_at_its_bound_is_named(record: Run) -> None:
 
 
 def test_a_state_in_the_wrong_unit_is_named_even_without_a_nominal_map(record: Run) -> None:
-    steps = [
-        replace(one, record=replace(one.record, state=one.record.state * [1, 1000])) for one in steps_of(20, 1)
-    ]
+    steps = [replace(one, record=replace(one.record, state=one.record.state * [1, 1000])) for one in steps_of(20, 1)]
     named, rest = diagnosis_sentences(
         Run(record.folder, space=SPACE, recorded=Steps(SPACE, steps), nominal=Missing("no map"))
     )
