@@ -27,7 +27,7 @@ from false_alarms import DEPLOYMENTS, JOINT_SPEED, OTHER_LIMITS, ROBOT, Trouble,
 
 from stepgap.hardware.ethercat.drive_watch import DriveWatch
 from stepgap.hardware.ethercat.emulator.drive import CONTROLWORD, MODE, TARGET_TORQUE, Drive, DriveSettings
-from stepgap.hardware.ethercat.emulator.faults import Delayed, DriveCondition, Stalled, StatusBits, WrongTorque
+from stepgap.hardware.ethercat.emulator.faults import Fault
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
 from stepgap.hardware.ethercat.pdo import SIGNED_VALUES
 from stepgap.hardware.hopper.ring_rig import emulated_settings
@@ -43,25 +43,25 @@ ENABLING = (0x06, 0x07, 0x0F)
 """Controlwords until a drive is enabled."""
 RING = RingSettings()
 
-FAULTS: dict[str, DriveCondition | Stalled] = {
-    "runs away, +38 N·m": WrongTorque(0, "", offset=2375),
-    "runs away, −38 N·m": WrongTorque(0, "", offset=-2375),
-    "runs away, +10 N·m": WrongTorque(0, "", offset=625),
-    "runs away, hidden": WrongTorque(0, "", offset=2375, is_reported=False),
-    "wrong sign": WrongTorque(0, "", factor=-1.0),
-    "wrong sign, hidden": WrongTorque(0, "", factor=-1.0, is_reported=False),
-    "twice the torque": WrongTorque(0, "", factor=2.0),
-    "half the torque": WrongTorque(0, "", factor=0.5),
-    "dead": WrongTorque(0, ""),
-    "dead, hidden": WrongTorque(0, "", is_reported=False),
-    "keeps its torque": WrongTorque(0, "", is_kept=True),
-    "hangs": Stalled(0, "", 10**6),
-    "ignores commands (bit 12)": StatusBits(0, "", cleared=0x1000),
-    "internal limit (bit 11)": StatusBits(0, "", raised=0x0800),
-    "warning (bit 7)": StatusBits(0, "", raised=0x0080),
-    "torque 3 ms later": Delayed(0, "", torque=3),
-    "torque 6 ms later": Delayed(0, "", torque=6),
-    "encoder 3 ms later": Delayed(0, "", counts=3),
+FAULTS: dict[str, Fault] = {
+    "runs away, +38 N·m": Fault("wrong torque", 0, "drive", offset=2375),
+    "runs away, −38 N·m": Fault("wrong torque", 0, "drive", offset=-2375),
+    "runs away, +10 N·m": Fault("wrong torque", 0, "drive", offset=625),
+    "runs away, hidden": Fault("wrong torque", 0, "drive", offset=2375, is_reported=False),
+    "wrong sign": Fault("wrong torque", 0, "drive", factor=-1.0),
+    "wrong sign, hidden": Fault("wrong torque", 0, "drive", factor=-1.0, is_reported=False),
+    "twice the torque": Fault("wrong torque", 0, "drive", factor=2.0),
+    "half the torque": Fault("wrong torque", 0, "drive", factor=0.5),
+    "dead": Fault("wrong torque", 0, "drive"),
+    "dead, hidden": Fault("wrong torque", 0, "drive", is_reported=False),
+    "keeps its torque": Fault("wrong torque", 0, "drive", is_kept=True),
+    "hangs": Fault("stalled", 0, "drive", cycles=10**6),
+    "ignores commands (bit 12)": Fault("status bits", 0, "drive", cleared=0x1000),
+    "internal limit (bit 11)": Fault("status bits", 0, "drive", raised=0x0800),
+    "warning (bit 7)": Fault("status bits", 0, "drive", raised=0x0080),
+    "torque 3 ms later": Fault("delayed", 0, "drive", torque=3),
+    "torque 6 ms later": Fault("delayed", 0, "drive", torque=6),
+    "encoder 3 ms later": Fault("delayed", 0, "drive", counts=3),
 }
 
 
@@ -74,7 +74,7 @@ class DriveRig(Rig):
         begin: Tick in which it begins.
     """
 
-    def __init__(self, twin: Twin, fault: tuple[int, DriveCondition | Stalled] | None = None, begin: int = 0):
+    def __init__(self, twin: Twin, fault: tuple[int, Fault] | None = None, begin: int = 0):
         self._twin, self._fault, self._begin = twin, fault, begin
         settings = emulated_settings(twin.sensor_model, ROBOT, RING)
         self._motors = tuple(replace(motor, bus_voltage=()) for motor in (settings.motor_1, settings.motor_2))
@@ -127,7 +127,7 @@ class DriveRig(Rig):
         unit = self._motors[0].torque_unit
         most = self._motors[0].most_units
         units = [round(min(max(torque / unit, -most), most)) for torque in torques]
-        if self._fault and self.ticks == self._begin and not isinstance(self._fault[1], Stalled):
+        if self._fault and self.ticks == self._begin and self._fault[1].kind != "stalled":
             self._drives[self._fault[0]].begin(self._fault[1])
         for watch, count in zip(self._watches, units, strict=True):
             watch.command(count)
@@ -149,7 +149,7 @@ class DriveRig(Rig):
 
     def _hangs(self, number: int) -> bool:
         fault = self._fault
-        return bool(fault and isinstance(fault[1], Stalled) and fault[0] == number and self.ticks >= self._begin)
+        return bool(fault and fault[1].kind == "stalled" and fault[0] == number and self.ticks >= self._begin)
 
     def _act(self, controlword: int, units: Sequence[int]) -> None:
         for number, (drive, count) in enumerate(zip(self._drives, units, strict=True)):
@@ -185,7 +185,7 @@ class Outcome(NamedTuple):
     reason: str
 
 
-def outcome_of(fault: DriveCondition | Stalled, seed: int) -> Outcome:
+def outcome_of(fault: Fault, seed: int) -> Outcome:
     """Outcome of a fault of a random drive from a random tick on."""
     rng = np.random.default_rng(seed)
     begin, number = int(rng.uniform(1500, 3500)), int(rng.integers(2))

@@ -13,8 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from stepgap.hardware.commissioning.limp import limp_setup, ticks_of
-from stepgap.hardware.commissioning.limp_rig import FrameCount
+from stepgap.hardware.commissioning.limp import FrameCount, limp_setup, ticks_of
 from stepgap.hardware.hopper.still import still_hopper
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.step import Array

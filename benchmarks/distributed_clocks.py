@@ -13,7 +13,7 @@ from time import perf_counter
 
 import numpy as np
 
-from stepgap.hardware.ethercat.emulator.faults import LostFrames
+from stepgap.hardware.ethercat.emulator.faults import Fault
 from stepgap.rigs.rig import RigFault
 from tests.hardware.ethercat.computed_time import TICK, TimedRig, drifting_clocks, settings_with_sync0, timed_rig
 
@@ -57,7 +57,7 @@ def run(
     rng = np.random.default_rng(seed)
     clocks, late = drifting_clocks(rng), delays(rng, ticks, jitter, outlier, outliers)
     cycles = np.linspace(2000, ticks * frames, lost, endpoint=False)
-    faults, interface = tuple(LostFrames(int(cycle), 2) for cycle in cycles), f"dc{os.getpid()}"
+    faults, interface = tuple(Fault("lost frames", int(cycle), cycles=2) for cycle in cycles), f"dc{os.getpid()}"
     began = perf_counter()
     with timed_rig(interface, clocks, faults, settings_with_sync0(interface, tick, frames)) as timed:
         offsets, apart, fault = drive(timed, late)

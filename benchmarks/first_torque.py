@@ -8,7 +8,7 @@ import argparse
 
 import numpy as np
 
-from stepgap.hardware.hopper.jog_findings import answer_of
+from stepgap.hardware.hopper.jog_trial import answer_of
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from tests.hardware.hopper.test_jog import (
     DISCONNECTED_1,

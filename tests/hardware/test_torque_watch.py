@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stepgap.hardware.torque_watch import MOST_WRONG, TORQUE_SHARE, TorqueWatch
+from stepgap.hardware.bus_rig import MOST_WRONG, TORQUE_SHARE, TorqueWatch
 
 
 def readings_until_wrong(commands, actual, tolerance=50.0, readings=5):

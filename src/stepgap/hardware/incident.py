@@ -13,13 +13,9 @@ from stepgap.plants.ticks.log_description import LogDescription, LogEvent, Range
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLogError, read_description, read_intact_ticks
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.step import Array
 
-AFTERWARDS = 0.5
-"""Time after the incident that is shown [s]."""
-
-MOST_LINES = 60
-"""Largest number of changes that are listed."""
+AFTERWARDS = 0.5  # Time after the incident that is shown [s]
+MOST_LINES = 60  # Largest number of changes that are listed
 
 
 @dataclass(frozen=True)
@@ -139,7 +135,6 @@ def bit_numbers(ticks: TickTable, field: str) -> np.ndarray:
 
 
 def _renamed(ticks: TickTable, field: str, name: Callable[[int], str]) -> list[Occurrence]:
-    """Changes of the name of a number."""
     known = np.isfinite(ticks[field])
     time, texts = ticks["time"][known], [name(int(value)) for value in ticks[field][known]]
     return [
@@ -150,7 +145,6 @@ def _renamed(ticks: TickTable, field: str, name: Callable[[int], str]) -> list[O
 
 
 def _first_bits(ticks: TickTable, field: str, names: Mapping[int, str]) -> list[Occurrence]:
-    """The first tick with each bit."""
     time, numbers = ticks["time"], bit_numbers(ticks, field)
     return [
         Occurrence(
@@ -203,21 +197,16 @@ class Margin:
 
 def margins_of(incident: Incident) -> list[Margin]:
     """Fields with limits, the nearest to its limit first."""
-    found = []
+    found, shown = list[Margin](), incident.shown
+    before = shown["time"] <= incident.time
     for field, limits in incident.description.meaning.ranges.items():
         if field in incident.ticks.units and (limits[0] > -inf or limits[1] < inf):
-            values = _until(incident, field)
+            values = shown[field][before]
+            values = values[np.isfinite(values)]
             if len(values):
                 unit = incident.ticks.units[field]
                 found.append(Margin(field, unit, float(values.min()), float(values.max()), limits))
     return sorted(found, key=lambda margin: -margin.used)
-
-
-def _until(incident: Incident, field: str) -> Array:
-    """Finite values of a field until the incident."""
-    shown = incident.shown
-    values = shown[field][shown["time"] <= incident.time]
-    return values[np.isfinite(values)]
 
 
 def torque_fields(ticks: TickTable) -> list[str]:

@@ -13,11 +13,8 @@ from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.report.drawing import BLACK, BLUE, GREY, LIGHT, SKY, VERMILLION, plain
 from stepgap.step import Array
 
-CURVES = (BLUE, VERMILLION, BLACK, SKY, GREY)
-"""Colours of the fields in a panel."""
-
-NEAR = 0.5
-"""Part of a limit from which on it is drawn."""
+CURVES = (BLUE, VERMILLION, BLACK, SKY, GREY)  # Colours of the fields in a panel
+NEAR = 0.5  # Part of a limit from which on it is drawn
 
 
 def incident_picture(incident: Incident, form: str) -> bytes:
@@ -66,7 +63,6 @@ def _by_unit(ticks: TickTable, fields: list[str]) -> list[list[str]]:
 
 
 def _draw_names(panel: Any, time: Array, ticks: TickTable, field: str, name: Callable[[int], str]) -> None:
-    """The names of the numbers as rows, in the order of the numbers."""
     known = np.isfinite(ticks[field])
     texts = [name(int(number)) for number in ticks[field][known]]
     rows = list(dict.fromkeys(name(int(number)) for number in np.unique(ticks[field][known])))
@@ -77,7 +73,6 @@ def _draw_names(panel: Any, time: Array, ticks: TickTable, field: str, name: Cal
 
 
 def _draw_bits(panel: Any, time: Array, ticks: TickTable, field: str, names: Mapping[int, str]) -> None:
-    """A row for each bit that appears."""
     values = bit_numbers(ticks, field)
     found = [(bit, name) for bit, name in names.items() if bit and (values & bit).any()]
     for row, (bit, _) in enumerate(found):

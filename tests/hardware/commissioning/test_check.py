@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from stepgap.base.errors import InputError
 from stepgap.hardware.commissioning.check import (
     Check,
+    ClockCheck,
     Timing,
     checked,
     describe,
@@ -25,9 +26,8 @@ from stepgap.hardware.commissioning.check import (
     with_watchdog,
     write_check,
 )
-from stepgap.hardware.commissioning.clock_check import ClockCheck
 from stepgap.hardware.commissioning.proof import fingerprint, proof_file
-from stepgap.hardware.commissioning.still_rig import StillRig
+from stepgap.hardware.hopper.still import StillRig
 from stepgap.hardware.realtime.pace import NO_LOCKED_MEMORY, NO_PRIORITY
 from stepgap.rigs.rig import ClockLimits, Finding, RigFault, SensorModel, WatchdogTimes
 

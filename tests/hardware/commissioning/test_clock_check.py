@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stepgap.hardware.commissioning.clock_check import clock_check
+from stepgap.hardware.commissioning.check import clock_check
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import ClockLimits
 

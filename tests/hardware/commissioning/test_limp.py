@@ -5,9 +5,8 @@ from math import inf, nan
 
 import numpy as np
 
-from stepgap.hardware.commissioning.limp import LastTick, describe_devices
-from stepgap.hardware.commissioning.limp_rig import FrameCount, LimpRig
-from stepgap.hardware.commissioning.still_rig import StillRig
+from stepgap.hardware.commissioning.limp import FrameCount, LastTick, LimpRig, describe_devices
+from stepgap.hardware.hopper.still import StillRig
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import SensorModel
 

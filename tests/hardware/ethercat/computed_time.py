@@ -13,15 +13,15 @@ from stepgap.hardware.ethercat.emulator.clock import ClockError, ComputedTime
 from stepgap.hardware.ethercat.emulator.device import EmulatedDevice
 from stepgap.hardware.ethercat.emulator.emulator import emulated
 from stepgap.hardware.ethercat.emulator.faults import Fault
-from stepgap.hardware.ethercat.emulator.machine import Machine
+from stepgap.hardware.ethercat.emulator.ring import Machine
 from stepgap.hardware.ethercat.emulator.ring_settings import RingClocks, RingSettings
 from stepgap.hardware.ethercat.ethercat_rig import EthercatRig
 from stepgap.hardware.hopper.ethercat import RigSettings, hopper_on_ethercat
 from stepgap.hardware.hopper.ring_rig import emulated_settings
 from stepgap.hardware.hopper.still import still_hopper
 from stepgap.hardware.hopper.twin_machine import hopper_devices
-from stepgap.hardware.host_time import HostTime
-from stepgap.hardware.realtime.tick_clock import TickClock
+from stepgap.hardware.bus_rig import HostTime
+from stepgap.hardware.realtime.pace import TickClock
 from stepgap.rigs.rig import Torques
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.tick.sensors import HopperReading, hopper_sensors

@@ -16,9 +16,8 @@ from stepgap.hardware.ethercat.emulator.device import EmulatedDevice
 from stepgap.hardware.ethercat.emulator.emulator import PRIORITY
 from stepgap.hardware.ethercat.emulator.faults import Fault
 from stepgap.hardware.ethercat.emulator.frame import LONGEST_FRAME
-from stepgap.hardware.ethercat.emulator.machine import Machine
 from stepgap.hardware.ethercat.emulator.network import NoNetwork, wire
-from stepgap.hardware.ethercat.emulator.ring import Ring
+from stepgap.hardware.ethercat.emulator.ring import Machine, Ring
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
 from stepgap.hardware.hopper.twin_machine import TwinMachine, hopper_devices
 from stepgap.rigs.rig import RigFault, Torques

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stepgap.hardware.commissioning.clock_check import ClockCheck, clock_check
+from stepgap.hardware.commissioning.check import ClockCheck, clock_check
 from stepgap.hardware.ethercat import bus
 from stepgap.hardware.ethercat.distributed_clocks import DcSettings, Steering, offset_from_grid
 from stepgap.hardware.ethercat.emulator.clock import ClockError
-from stepgap.hardware.ethercat.emulator.faults import Fault, LostFrames
+from stepgap.hardware.ethercat.emulator.faults import Fault
 from stepgap.hardware.ethercat.emulator.network import NoNetwork, wire
-from stepgap.hardware.host_time import HostTime
+from stepgap.hardware.bus_rig import HostTime
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import RigFault
 from tests.hardware.ethercat.computed_time import TICK, TimedRig, drifting_clocks, settings_with_sync0, timed_rig
@@ -165,7 +165,7 @@ def test_drives_fault_when_frames_do_not_follow_their_clock() -> None:
 @on_the_ring
 @pytest.mark.parametrize(
     ("fault", "survives"),
-    [(LostFrames(BRING_UP, 3), True), (LostFrames(BRING_UP, 5), False)],
+    [(Fault("lost frames", BRING_UP, cycles=3), True), (Fault("lost frames", BRING_UP, cycles=5), False)],
     ids=["three lost", "five lost"],
 )
 def test_a_drive_tolerates_a_few_missed_windows(fault: Fault, survives: bool) -> None:
@@ -196,7 +196,7 @@ def test_frames_every_quarter_millisecond_are_in_time(tick: float, frames: int) 
     late = rng.exponential(5e-6, count)
     late[count // 2] = 7e-4
     settings = replace(settings_with_sync0(INTERFACE, tick, frames), reply_timeout=0.1)
-    lost = tuple(LostFrames(BRING_UP + 300 * number, 2) for number in range(2))
+    lost = tuple(Fault("lost frames", BRING_UP + 300 * number, cycles=2) for number in range(2))
     with timed_rig(INTERFACE, drifting_clocks(rng), lost, settings) as timed:
         offsets = run(timed, late)
         assert abs(timed.apart()) < 50  # ns

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from stepgap.hardware.ethercat import ethercat_rig
-from stepgap.hardware.ethercat.drive_watch import BEYOND, MOST_DOUBTS
+from stepgap.hardware.ethercat.drive_watch import BEYOND, MOST_DOUBTS, NO_STO_INPUT
 from stepgap.hardware.ethercat.emulator.drive import DC_LINK_VOLTAGE, DRIVE_INPUTS, DRIVE_TEMPERATURE
-from stepgap.hardware.ethercat.emulator.faults import DriveFault, Fault, FedBus, Heated, OpenedInput, StuckObject
+from stepgap.hardware.ethercat.emulator.faults import Fault
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
 from stepgap.hardware.ethercat.ethercat_rig import EthercatRig
-from stepgap.hardware.ethercat.watched_drives import NO_STO_INPUT
 from stepgap.hardware.hopper.ethercat import RigSettings
 from stepgap.hardware.hopper.ring_rig import emulated_settings
 from stepgap.rigs.rig import RigFault
@@ -41,7 +40,7 @@ def cycles_to_connect() -> int:
 
 def at(fault: Fault) -> Fault:
     """The fault some ticks after the bring-up."""
-    return replace(fault, cycle=cycles_to_connect() + BEFORE)
+    return fault.at(cycles_to_connect() + BEFORE)
 
 
 def seen(rig: EthercatRig) -> dict[str, float]:
@@ -49,32 +48,42 @@ def seen(rig: EthercatRig) -> dict[str, float]:
 
 
 STOPPED: dict[str, tuple[Fault, int, str, dict[str, float]]] = {
-    "STO": (OpenedInput(0, "drive_2"), 1, "the STO input of slave 2 'drive_2' is open", {"motor_2_sto": 1.0}),
+    "STO": (Fault("opened input", 0, "drive_2"), 1, "the STO input of slave 2 'drive_2' is open", {"motor_2_sto": 1.0}),
     "one channel of STO": (
-        OpenedInput(0, "drive_1", 0x2_0000),
+        Fault("opened input", 0, "drive_1", bits=0x2_0000),
         1,
         "the STO input of slave 1 'drive_1' is open",
         {"motor_1_sto": 1.0, "motor_2_sto": 0.0},
     ),
     "STO with a fault": (
-        OpenedInput(0, "drive_1", code=0xFF20),
+        Fault("opened input", 0, "drive_1", code=0xFF20),
         1,
         "the STO input of slave 1 'drive_1' is open",
         {"motor_1_enable": 0.0},
     ),
     "enable": (
-        OpenedInput(0, "drive_1", 0x4_0000),
+        Fault("opened input", 0, "drive_1", bits=0x4_0000),
         1,
         "the enable input of slave 1 'drive_1' is open",
         {"motor_1_enable": 1.0},
     ),
     # 25 to 90 °C at 2 K a tick
-    "temperature": (Heated(0, "drive_1", 2000.0), 33 + BEYOND, "slave 1 'drive_1': its temperature is 9", {}),
+    "temperature": (
+        Fault("heated", 0, "drive_1", rate=2000.0),
+        33 + BEYOND,
+        "slave 1 'drive_1': its temperature is 9",
+        {},
+    ),
     # 480 J charge 0.5 F from 48 to 65 V
-    "overvoltage": (FedBus(0, "drive_2", 50_000.0), 10 + BEYOND, "slave 2 'drive_2': its bus voltage is 6", {}),
-    "undervoltage": (FedBus(0, "drive_2", -150_000.0), 8 + BEYOND, "V, allowed is 30 to 65", {}),
+    "overvoltage": (
+        Fault("fed bus", 0, "drive_2", power=50_000.0),
+        10 + BEYOND,
+        "slave 2 'drive_2': its bus voltage is 6",
+        {},
+    ),
+    "undervoltage": (Fault("fed bus", 0, "drive_2", power=-150_000.0), 8 + BEYOND, "V, allowed is 30 to 65", {}),
     "a voltage of zero": (
-        StuckObject(0, "drive_1", DC_LINK_VOLTAGE, 0),
+        Fault("stuck object", 0, "drive_1", index=DC_LINK_VOLTAGE, value=0),
         BEYOND,
         "slave 1 'drive_1': its bus voltage is 0.0 V, allowed is 30 to 65",
         {"motor_1_bus_voltage": 0.0},
@@ -99,24 +108,24 @@ def test_torque_goes_off_with_its_reason(name: str) -> None:
 
 
 WARNED: dict[str, tuple[Fault, int, str]] = {
-    "heat": (Heated(0, "drive_2", 1000.0), 55 + BEYOND, "slave 2 'drive_2': its temperature is 8"),
+    "heat": (Fault("heated", 0, "drive_2", rate=1000.0), 55 + BEYOND, "slave 2 'drive_2': its temperature is 8"),
     "no temperature": (
-        StuckObject(0, "drive_1", DRIVE_TEMPERATURE, -0x8000),
+        Fault("stuck object", 0, "drive_1", index=DRIVE_TEMPERATURE, value=-0x8000),
         MOST_DOUBTS,
         "its temperature is not plausible",
     ),
     "a wrong temperature": (
-        StuckObject(0, "drive_1", DRIVE_TEMPERATURE, 899),
+        Fault("stuck object", 0, "drive_1", index=DRIVE_TEMPERATURE, value=899),
         MOST_DOUBTS,
         "its temperature is not plausible",
     ),
     "no voltage": (
-        StuckObject(0, "drive_1", DC_LINK_VOLTAGE, 2**32 - 1),
+        Fault("stuck object", 0, "drive_1", index=DC_LINK_VOLTAGE, value=2**32 - 1),
         MOST_DOUBTS,
         "its bus voltage is not plausible",
     ),
     "frozen voltage": (
-        StuckObject(0, "drive_2", DC_LINK_VOLTAGE),
+        Fault("stuck object", 0, "drive_2", index=DC_LINK_VOLTAGE),
         100,
         "slave 2 'drive_2': its bus voltage is frozen at 4",
     ),
@@ -129,7 +138,7 @@ def test_the_robot_is_warned_before_torque_goes_off(name: str) -> None:
     settings = SETTINGS
     if "frozen" in name:
         settings = replace(SETTINGS, motor_2=replace(SETTINGS.motor_2, bus_voltage_frozen_time=0.1))
-    faults = [at(fault)] if "frozen" not in name else [at(FedBus(0, "drive_2", 1.0)), at(fault)]
+    faults = [at(fault)] if "frozen" not in name else [at(Fault("fed bus", 0, "drive_2", power=1.0)), at(fault)]
     with live_ring(*faults) as ring, rig_of(settings) as rig:
         tick = 0
         for tick in range(BEFORE + most + 1):
@@ -147,17 +156,21 @@ def test_the_robot_is_warned_before_torque_goes_off(name: str) -> None:
     ("faults", "settings", "expected"),
     [
         (
-            [OpenedInput(0, "drive_2")],
+            [Fault("opened input", 0, "drive_2")],
             SETTINGS,
             "the STO input of slave 2 'drive_2' is open, so that the drives get no",
         ),
-        ([OpenedInput(0, "drive_1", 0x4_0000)], SETTINGS, "the enable input of slave 1 'drive_1' is open, so that"),
         (
-            [OpenedInput(0, "drive_1", code=0xFF20), DriveFault(1, "drive_2")],
+            [Fault("opened input", 0, "drive_1", bits=0x4_0000)],
+            SETTINGS,
+            "the enable input of slave 1 'drive_1' is open, so that",
+        ),
+        (
+            [Fault("opened input", 0, "drive_1", code=0xFF20), Fault("trip", 1, "drive_2")],
             SETTINGS,
             "the STO input of slave 1 'drive_1' is open, so that the drives get no torque: slave 1 'drive_1' is in",
         ),
-        ([OpenedInput(0, "drive_2")], WITHOUT_VALUES, NO_STO_INPUT),
+        ([Fault("opened input", 0, "drive_2")], WITHOUT_VALUES, NO_STO_INPUT),
     ],
 )
 def test_connecting_with_an_open_input_is_refused(
@@ -195,7 +208,10 @@ def test_values_are_read_with_their_units_and_limits_and_healthy_drives_run_on()
 def test_values_without_limits_give_remarks() -> None:
     none = {"temperature_warning": inf, "temperature_limit": inf, "bus_voltage": (), "sto_bits": (), "enable_bits": ()}
     motors = {name: replace(getattr(SETTINGS, name), **none) for name in ("motor_1", "motor_2")}
-    with live_ring(StuckObject(0, "drive_1", DRIVE_INPUTS, 0)), rig_of(replace(SETTINGS, **motors)) as rig:
+    with (
+        live_ring(Fault("stuck object", 0, "drive_1", index=DRIVE_INPUTS, value=0)),
+        rig_of(replace(SETTINGS, **motors)) as rig,
+    ):
         assert ticks_until_fault(rig, 20) == (20, "")
         assert rig.remarks[0] == NO_STO_INPUT
         assert len(rig.remarks) == 7

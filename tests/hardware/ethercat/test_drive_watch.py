@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stepgap.hardware.bus_rig import MOST_WRONG
 from stepgap.hardware.ethercat.drive_limits import DriveLimits, largest_number
 from stepgap.hardware.ethercat.drive_watch import (
     BEYOND,
@@ -24,7 +25,6 @@ from stepgap.hardware.ethercat.drive_watch import (
     with_value,
 )
 from stepgap.hardware.ethercat.pdo import Entry
-from stepgap.hardware.torque_watch import MOST_WRONG
 
 ENTRIES = {
     "statusword": Entry(0x6041, 0, 16, "statusword"),

@@ -7,17 +7,7 @@ from math import inf, nan
 import pytest
 
 from stepgap.hardware.ethercat.emulator.drive import ELMO_GOLD
-from stepgap.hardware.ethercat.emulator.faults import (
-    DriveFault,
-    DuplicatedFrame,
-    LateFrame,
-    LostFrames,
-    PowerLost,
-    SentEmergency,
-    Silence,
-    Unplugged,
-    WrongMapping,
-)
+from stepgap.hardware.ethercat.emulator.faults import Fault
 from stepgap.hardware.ethercat.emulator.terminals import ANALOG_IDENTITY, COUPLER_IDENTITY, ENCODER_IDENTITY
 from stepgap.hardware.ethercat.ethercat_rig import EthercatRig
 from stepgap.hardware.ethercat.rig_settings import Encoder, Motor, Slave
@@ -143,7 +133,7 @@ def test_a_drive_whose_error_cannot_be_read_does_not_hide_the_fault(monkeypatch:
     def refused(*_: object) -> int:
         raise RigFault("no answer")
 
-    with live_ring(DriveFault(cycles_to_connect() + 3, "drive_2")), rig_of() as rig:
+    with live_ring(Fault("trip", cycles_to_connect() + 3, "drive_2")), rig_of() as rig:
         monkeypatch.setattr(rig._bus, "read_object", refused)
         _, message = ticks_until_fault(rig, 20)
     assert message.startswith("slave 2 'drive_2' no longer accepts torque commands: slave 1 'drive_1' is ")
@@ -200,23 +190,26 @@ def test_a_bus_that_differs_from_the_settings_is_refused(what: str) -> None:
 
 
 def test_a_slave_that_refuses_its_mapping_is_named() -> None:
-    with live_ring(WrongMapping(0, "boom_vertical")), pytest.raises(RigFault, match=r"slave 5 'boom_vertical'.*0x001E"):
+    with (
+        live_ring(Fault("wrong mapping", 0, "boom_vertical")),
+        pytest.raises(RigFault, match=r"slave 5 'boom_vertical'.*0x001E"),
+    ):
         rig_of().connect()
 
 
 @pytest.mark.parametrize(
     ("fault", "survives"),
     [
-        (lambda at: LostFrames(at, 1), True),
-        (lambda at: LostFrames(at, 2), True),
-        (lambda at: LostFrames(at, 3), False),
-        (lambda at: LateFrame(at), True),
-        (lambda at: DuplicatedFrame(at), True),
-        (lambda at: Unplugged(at, "boom_vertical", 2), True),
-        (lambda at: Unplugged(at, "boom_vertical", 5), False),
-        (lambda at: PowerLost(at, "drive_2", 5), False),
-        (lambda at: DriveFault(at, "drive_1"), False),
-        (lambda at: Silence(at, 600), False),
+        (lambda at: Fault("lost frames", at, cycles=1), True),
+        (lambda at: Fault("lost frames", at, cycles=2), True),
+        (lambda at: Fault("lost frames", at, cycles=3), False),
+        (lambda at: Fault("late frame", at), True),
+        (lambda at: Fault("duplicated frame", at), True),
+        (lambda at: Fault("unplugged", at, "boom_vertical", cycles=2), True),
+        (lambda at: Fault("unplugged", at, "boom_vertical", cycles=5), False),
+        (lambda at: Fault("power lost", at, "drive_2", cycles=5), False),
+        (lambda at: Fault("trip", at, "drive_1"), False),
+        (lambda at: Fault("silence", at, ticks=600), False),
     ],
     ids=[
         "one lost",
@@ -255,7 +248,7 @@ def test_errors_within_the_limits_are_tolerated_and_others_stop_the_motors_for_g
 
 def test_a_drives_error_is_reported() -> None:
     when = cycles_to_connect() + 3
-    with live_ring(SentEmergency(when - 1, "drive_1", 0x4210), DriveFault(when, "drive_2", 0x2310)):
+    with live_ring(Fault("emergency", when - 1, "drive_1", code=0x4210), Fault("trip", when, "drive_2", code=0x2310)):
         rig = rig_of()
         rig.connect()
         _, message = ticks_until_fault(rig, 20)

@@ -12,8 +12,7 @@ import pytest
 from stepgap.hardware.ethercat.distributed_clocks import COMPUTER
 from stepgap.hardware.ethercat.emulator.device import EmulatedDevice
 from stepgap.hardware.ethercat.emulator.dictionary import Mapped, Pdos
-from stepgap.hardware.ethercat.emulator.drive import ELMO_GOLD, Drive, DriveSettings
-from stepgap.hardware.ethercat.emulator.drive_layout import DriveLayout
+from stepgap.hardware.ethercat.emulator.drive import ELMO_GOLD, Drive, DriveLayout, DriveSettings
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
 from stepgap.hardware.ethercat.emulator.sii import Identity
 from stepgap.hardware.ethercat.ethercat_rig import EthercatRig

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stepgap.hardware.ethercat.drive_setup import REACTIONS, secure_reactions
+from stepgap.hardware.ethercat.drive_watch import NO_STO_INPUT
 from stepgap.hardware.ethercat.emulator.drive import ABORT_CONNECTION, OPTION_CODES, Drive, DriveSettings
 from stepgap.hardware.ethercat.emulator.frame import Command, decode
 from stepgap.hardware.ethercat.emulator.registers import SYNC_MANAGER
 from stepgap.hardware.ethercat.ethercat_rig import EthercatRig
-from stepgap.hardware.ethercat.reactions import REACTIONS, secure_reactions
 from stepgap.hardware.ethercat.rig_settings import Slave
 from stepgap.hardware.ethercat.startup import LAYOUTS, StartupObject, write_startup
-from stepgap.hardware.ethercat.watched_drives import NO_STO_INPUT
 from stepgap.rigs.rig import MissingObject, RigFault
 from tests.hardware.ethercat.ring_process import Recorder, live_ring
 

@@ -3,7 +3,7 @@
 import pytest
 
 from stepgap.hardware.ethercat import ethercat_rig
-from stepgap.hardware.ethercat.emulator.faults import Stalled
+from stepgap.hardware.ethercat.emulator.faults import Fault
 from stepgap.rigs.rig import RigFault
 from tests.hardware.ethercat.ring_process import LiveRing, live_ring
 from tests.hardware.ethercat.test_ethercat_rig import SETTINGS, cycles_to_connect, rig_of
@@ -44,7 +44,7 @@ def test_the_time_until_the_drives_give_no_torque_is_measured(time_of) -> None:
 
 def test_a_drive_that_ignores_its_watchdog_is_named(time_of) -> None:
     """Its slave controller leaves OP, but its application hangs and remains enabled."""
-    with live_ring(Stalled(cycles_to_connect(), "drive_2", 10_000)) as ring, rig_of() as rig:
+    with live_ring(Fault("stalled", cycles_to_connect(), "drive_2", cycles=10_000)) as ring, rig_of() as rig:
         time_of(ring)
         with pytest.raises(RigFault, match=r"slave 2 'drive_2' accepts torque 1\.10 s after the last frame"):
             rig.watchdog_times()

@@ -1,7 +1,7 @@
 """A machine behind an emulated ring that needs no simulator."""
 
 from stepgap.hardware.ethercat.emulator.device import EmulatedDevice
-from stepgap.hardware.ethercat.emulator.machine import Machine
+from stepgap.hardware.ethercat.emulator.ring import Machine
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
 from stepgap.hardware.hopper.twin_machine import hopper_devices
 from stepgap.rigs.rig import Torques

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
 from stepgap.hardware.hopper.jog import FREQUENCY, LARGEST_TORQUE, MEASURED_TIME, HopperJog, jog_limits
-from stepgap.hardware.hopper.jog_findings import (
+from stepgap.hardware.hopper.jog_trial import (
     MOST_DELAY,
     MOST_DRIVE_DELAY,
     LinkAnswer,
@@ -100,7 +100,7 @@ class HangingTwin(Rig):
 
 def jogged(motor: int, wiring: Wiring = RIGHT, gap: RealityGap = DAMPED, seed: int = 0):
     """Ticks of the trial of a motor, the message, and the true largest speed of a link [rad/s]."""
-    rows, control = [], HopperJog(HopperControl(ROBOT, Gains(), CommandBounds()), motor)
+    rows, control = [], HopperJog.of(HopperControl(ROBOT, Gains(), CommandBounds()), motor)
     board = Board.create(2, 2, 1)
     try:
         with HangingTwin(wiring, gap, seed) as rig:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
-from stepgap.hardware.hopper.direct_ring import DirectRing
 from stepgap.hardware.hopper.ring_rig import RingRig, emulated_settings
+from stepgap.hardware.hopper.ring_simulation import DirectRing
 from stepgap.hardware.hopper.twin_machine import TwinMachine
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.rigs.rig import Rig, RigFault

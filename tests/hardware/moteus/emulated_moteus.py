@@ -15,7 +15,7 @@ from threading import Event, Thread
 
 import can
 
-from stepgap.hardware.ethercat.emulator.machine import Machine
+from stepgap.hardware.ethercat.emulator.ring import Machine
 from stepgap.hardware.hopper.moteus import MoteusSettings
 from stepgap.robots.hopper.tick.sensors import HopperReading
 

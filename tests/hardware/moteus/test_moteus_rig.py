@@ -11,14 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stepgap.hardware.bus_rig import MOST_WRONG
 from stepgap.hardware.hopper.moteus import AuxContact, MoteusSettings, hopper_on_moteus
 from stepgap.hardware.hopper.twin_machine import TwinMachine
 from stepgap.hardware.moteus.can_bus import registers_of
-from stepgap.hardware.moteus.commanded import MOST_LIMITED
-from stepgap.hardware.moteus.joint import JointCommand, Scale
-from stepgap.hardware.moteus.moteus_rig import POSITION_COUNTS, MoteusRig
-from stepgap.hardware.moteus.moteus_settings import AuxEncoder, Controller
-from stepgap.hardware.torque_watch import MOST_WRONG
+from stepgap.hardware.moteus.moteus_rig import MOST_LIMITED, POSITION_COUNTS, MoteusRig
+from stepgap.hardware.moteus.moteus_settings import AuxEncoder, Controller, JointCommand, Scale
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.rigs.rig import Rig, RigFault, Torques
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters

@@ -7,10 +7,10 @@ import pytest
 
 from stepgap.hardware.commissioning.check import Check, Timing, with_watchdog
 from stepgap.hardware.hopper.moteus import MoteusSettings
-from stepgap.hardware.host_time import HostTime
+from stepgap.hardware.bus_rig import HostTime
 from stepgap.hardware.moteus.can_bus import CanBus, stream_of
-from stepgap.hardware.moteus.configuration import check_timeout
 from stepgap.hardware.moteus.moteus_rig import MoteusRig
+from stepgap.hardware.moteus.watchdog import check_timeout
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.parameters import RobotParameters
 from tests.hardware.ethercat.ring_process import Recorder

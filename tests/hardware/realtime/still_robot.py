@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stepgap.hardware.commissioning.still_rig import StillRig
+from stepgap.hardware.hopper.still import StillRig
 from stepgap.hardware.realtime.process import RealtimeSetup
 from stepgap.plants.tick_control import FinishedStep, Order, RobotControl, TickControl, TickFlag
 from stepgap.plants.ticks.log_description import FieldMeaning

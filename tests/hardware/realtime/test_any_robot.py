@@ -9,7 +9,7 @@ from math import inf, isnan, nan
 import numpy as np
 import pytest
 
-from stepgap.hardware.commissioning.still_rig import StillRig
+from stepgap.hardware.hopper.still import StillRig
 from stepgap.hardware.realtime.board import Board, Request, StepEnd
 from stepgap.hardware.realtime.loop import ControlLoop, LoopSettings
 from stepgap.plants.rig_plant import RigPlant

@@ -9,18 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.hardware.ethercat.emulator.faults import (
-    DriveFault,
-    DuplicatedFrame,
-    LateFrame,
-    LostFrames,
-    PowerLost,
-    SentEmergency,
-    Silence,
-    Stalled,
-    Unplugged,
-    WrongMapping,
-)
+from stepgap.hardware.ethercat.emulator.faults import Fault
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
 from stepgap.hardware.hopper.ethercat import hopper_on_ethercat
 from stepgap.hardware.hopper.ring_rig import emulated_settings
@@ -104,17 +93,17 @@ def cycles_to_connect() -> int:
         return ring.look().cycles
 
 
-def at(fault, **changes):
+def at(fault: Fault) -> Fault:
     """The fault while the robot hops."""
-    return replace(fault, cycle=cycles_to_connect() + HOPPING, **changes)
+    return fault.at(cycles_to_connect() + HOPPING)
 
 
 SURVIVED = {
-    "one lost frame": LostFrames(0),
-    "two lost frames": LostFrames(0, cycles=2),
-    "a late frame": LateFrame(0),
-    "a duplicated frame": DuplicatedFrame(0),
-    "an emergency without more": SentEmergency(0, "drive_2"),
+    "one lost frame": Fault("lost frames", 0),
+    "two lost frames": Fault("lost frames", 0, cycles=2),
+    "a late frame": Fault("late frame", 0),
+    "a duplicated frame": Fault("duplicated frame", 0),
+    "an emergency without more": Fault("emergency", 0, "drive_2"),
 }
 
 
@@ -128,12 +117,12 @@ def incident_of(hopping: Deployment, path: Path) -> Incident:
 
 
 STOPPED = {
-    "three lost frames": (LostFrames(0, cycles=3), "3 frames in a row"),
-    "a slave gone and back": (Unplugged(0, "coupler", cycles=20), "3 frames in a row"),
-    "a drive that loses power": (PowerLost(0, "drive_1", cycles=2), "drive_1"),
-    "a drive's fault": (DriveFault(0, "drive_2"), "slave 2 'drive_2' no longer accepts torque commands"),
-    "a mapping error": (WrongMapping(0, "drive_1"), "drive_1"),
-    "a master that stalls past the watchdog": (Silence(0, 600), "drive_1"),
+    "three lost frames": (Fault("lost frames", 0, cycles=3), "3 frames in a row"),
+    "a slave gone and back": (Fault("unplugged", 0, "coupler", cycles=20), "3 frames in a row"),
+    "a drive that loses power": (Fault("power lost", 0, "drive_1", cycles=2), "drive_1"),
+    "a drive's fault": (Fault("trip", 0, "drive_2"), "slave 2 'drive_2' no longer accepts torque commands"),
+    "a mapping error": (Fault("wrong mapping", 0, "drive_1"), "drive_1"),
+    "a master that stalls past the watchdog": (Fault("silence", 0, ticks=600), "drive_1"),
 }
 
 
@@ -170,7 +159,7 @@ def test_torque_is_off_for_good_and_the_log_explains_it_after(name, tmp_path):
 
 def test_an_application_that_hangs_is_detected_by_the_motion():
     """Its slave controller still processes frames, so neither working counter nor statusword shows the fault."""
-    with deployment(at(Stalled(0, "drive_1", cycles=5000))) as (ring, hopping):
+    with deployment(at(Fault("stalled", 0, "drive_1", cycles=5000))) as (ring, hopping):
         assert not hopping.run(HOPPING + 5000)
         check_torques(ring, hopping)
         assert ring.wait(round(WATCHDOG * 1000) + 5).enabled[1] is False

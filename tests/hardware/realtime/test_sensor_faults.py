@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stepgap.hardware.ethercat.emulator.faults import FrozenSensor, NoisySensor, ReportedError, ShiftedSensor
+from stepgap.hardware.ethercat.emulator.faults import Fault
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.step import StepStatus
 from tests.hardware.realtime import test_faults
@@ -19,28 +19,37 @@ DEGREE = 16384 / 360
 YAW_DEGREE = 5000 / 360
 
 AT_ONCE = {
-    "motor 1 jumps by 0.5°": (ShiftedSensor(0, "drive_1", round(DEGREE / 2)), "motor 1 jumped"),
-    "motor 2 jumps by 2°": (ShiftedSensor(0, "drive_2", round(-2 * DEGREE)), "motor 2 jumped"),
-    "motor 1 jumps by 5°": (ShiftedSensor(0, "drive_1", round(5 * DEGREE)), "motor 1 jumped"),
-    "motor 2 jumps by 90°": (ShiftedSensor(0, "drive_2", round(90 * DEGREE)), "motor 2 jumped"),
-    "yaw jumps by 0.5°": (ShiftedSensor(0, "boom_horizontal", round(YAW_DEGREE / 2)), "yaw jumped"),
-    "pitch jumps by 0.5°": (ShiftedSensor(0, "boom_vertical", round(-DEGREE / 2)), "pitch jumped"),
-    "motor 1 is noisy": (NoisySensor(0, "drive_1", 5.0), "motor 1"),
-    "pitch is noisy": (NoisySensor(0, "boom_vertical", 5.0), "pitch"),
-    "force is noisy": (NoisySensor(0, "contact_force", 100.0), "contact in air"),
-    "motor 1 freezes": (FrozenSensor(0, "drive_1"), "motor 1 frozen"),
-    "position 2 freezes, its velocity does not": (FrozenSensor(0, "drive_2", with_velocity=False), "velocity (0x606C)"),
-    "a terminal reports invalid data": (ReportedError(0, "boom_vertical"), "'boom_vertical': its status word"),
-    "the force is over its range": (ReportedError(0, "contact_force", bits=0x0002), "'contact_force': its status word"),
+    "motor 1 jumps by 0.5°": (Fault("shifted", 0, "drive_1", counts=round(DEGREE / 2)), "motor 1 jumped"),
+    "motor 2 jumps by 2°": (Fault("shifted", 0, "drive_2", counts=round(-2 * DEGREE)), "motor 2 jumped"),
+    "motor 1 jumps by 5°": (Fault("shifted", 0, "drive_1", counts=round(5 * DEGREE)), "motor 1 jumped"),
+    "motor 2 jumps by 90°": (Fault("shifted", 0, "drive_2", counts=round(90 * DEGREE)), "motor 2 jumped"),
+    "yaw jumps by 0.5°": (Fault("shifted", 0, "boom_horizontal", counts=round(YAW_DEGREE / 2)), "yaw jumped"),
+    "pitch jumps by 0.5°": (Fault("shifted", 0, "boom_vertical", counts=round(-DEGREE / 2)), "pitch jumped"),
+    "motor 1 is noisy": (Fault("noisy", 0, "drive_1", deviation=5.0), "motor 1"),
+    "pitch is noisy": (Fault("noisy", 0, "boom_vertical", deviation=5.0), "pitch"),
+    "force is noisy": (Fault("noisy", 0, "contact_force", deviation=100.0), "contact in air"),
+    "motor 1 freezes": (Fault("frozen", 0, "drive_1"), "motor 1 frozen"),
+    "position 2 freezes, its velocity does not": (
+        Fault("frozen", 0, "drive_2", with_velocity=False),
+        "velocity (0x606C)",
+    ),
+    "a terminal reports invalid data": (
+        Fault("reported error", 0, "boom_vertical"),
+        "'boom_vertical': its status word",
+    ),
+    "the force is over its range": (
+        Fault("reported error", 0, "contact_force", bits=0x0002),
+        "'contact_force': its status word",
+    ),
 }
 """Faults just after take-off, and a part of the reason; torque must be off within 20 ms."""
 
 WITHIN_A_HOP = {
-    "pitch freezes": (FrozenSensor(0, "boom_vertical"), ASCENT, "pitch frozen"),
-    "pitch freezes in stance": (FrozenSensor(0, "boom_vertical"), STANCE, "foot below ground"),
-    "yaw freezes": (FrozenSensor(0, "boom_horizontal"), ASCENT, "yaw against leg"),
-    "force freezes at zero": (FrozenSensor(0, "contact_force"), ASCENT, "ground without contact"),
-    "force freezes in stance": (FrozenSensor(0, "contact_force"), STANCE, "contact in air"),
+    "pitch freezes": (Fault("frozen", 0, "boom_vertical"), ASCENT, "pitch frozen"),
+    "pitch freezes in stance": (Fault("frozen", 0, "boom_vertical"), STANCE, "foot below ground"),
+    "yaw freezes": (Fault("frozen", 0, "boom_horizontal"), ASCENT, "yaw against leg"),
+    "force freezes at zero": (Fault("frozen", 0, "contact_force"), ASCENT, "ground without contact"),
+    "force freezes in stance": (Fault("frozen", 0, "contact_force"), STANCE, "contact in air"),
 }
 """Faults that only the rest of a hop reveals, the tick in which they begin, and the reason."""
 
@@ -62,7 +71,7 @@ def ticks_to_torque_off(tick, *faults):
         Number of ticks with torque from the first one that shows the fault, largest torque in them [N·m], message, and
         the hops that ended after the fault.
     """
-    begun = [replace(fault, cycle=cycles_to_connect() + tick) for fault in faults]
+    begun = [fault.at(cycles_to_connect() + tick) for fault in faults]
     with deployment(*begun) as (ring, hopping):
         assert hopping.run(tick - 1)
         before = len(hopping.hops)
@@ -87,7 +96,9 @@ def test_torque_is_off_within_20_ms_after(name):
 
 
 def test_torque_is_off_within_20_ms_after_both_motor_encoders_freeze():
-    ticks, torque, message, hops = ticks_to_torque_off(ASCENT, FrozenSensor(0, "drive_1"), FrozenSensor(0, "drive_2"))
+    ticks, torque, message, hops = ticks_to_torque_off(
+        ASCENT, Fault("frozen", 0, "drive_1"), Fault("frozen", 0, "drive_2")
+    )
     assert ticks <= 20
     assert torque < 5.0
     assert "frozen" in message

@@ -1,6 +1,6 @@
 from itertools import product
 
-from stepgap.hardware.realtime.states import MOVING, Signals, next_state
+from stepgap.hardware.realtime.loop import MOVING, Signals, next_state
 from stepgap.plants.ticks.rig_state import RigState
 
 EVERY = [

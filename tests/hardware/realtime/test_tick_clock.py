@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stepgap.hardware.realtime.tick_clock import TickClock
+from stepgap.hardware.realtime.pace import TickClock
 
 TICK = 1e-3
 

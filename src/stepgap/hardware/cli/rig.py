@@ -17,11 +17,8 @@ if TYPE_CHECKING:  # slow imports are made where they are used
 
     from stepgap.rigs.rig import Finding
 
-ETHERCAT = "ethercat"
-"""Name of the rig that `rig.toml` describes."""
-
-LONGEST_DURATION = 86_400.0
-"""Longest duration of a measurement or display [s]."""
+ETHERCAT = "ethercat"  # Name of the rig that `rig.toml` describes
+LONGEST_DURATION = 86_400.0  # Longest duration of a measurement or display [s]
 
 
 def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds: Seconds = 10.0) -> None:
@@ -35,8 +32,7 @@ def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds
     from functools import partial
 
     from stepgap.hardware.commissioning.check import describe, measure, with_findings, with_watchdog, write_check
-    from stepgap.hardware.commissioning.limp import limp_setup
-    from stepgap.hardware.commissioning.limp_rig import FrameCount
+    from stepgap.hardware.commissioning.limp import FrameCount, limp_setup
     from stepgap.hardware.commissioning.proof import fingerprint
     from stepgap.hardware.hopper.still import still_hopper
     from stepgap.rigs.entry_points import load_rig
@@ -93,8 +89,7 @@ def calibrate(
     from functools import partial
 
     from stepgap.experiment.settings import read_experiment
-    from stepgap.hardware.commissioning.limp import limp_setup, ticks_of
-    from stepgap.hardware.commissioning.limp_rig import FrameCount
+    from stepgap.hardware.commissioning.limp import FrameCount, limp_setup, ticks_of
     from stepgap.hardware.hopper import calibrate as verb
     from stepgap.hardware.hopper.ethercat import hopper_on_ethercat, read_rig_settings
     from stepgap.robots.hopper.robot import as_hopper

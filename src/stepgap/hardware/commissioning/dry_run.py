@@ -1,6 +1,6 @@
 """A deployment without torque: it displays sensor values and the torques that the control law would command."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import sleep
@@ -11,60 +11,39 @@ from rich.table import Table
 
 from stepgap.base.errors import InputError
 from stepgap.base.signals import terminated_as_interrupted
-from stepgap.hardware.commissioning.limp import LastTick, describe_devices, ended, limp_setup
-from stepgap.hardware.commissioning.limp_rig import FrameCount
+from stepgap.hardware.commissioning.limp import FrameCount, LastTick, describe_devices, ended, limp_setup
 from stepgap.hardware.realtime.session import Session
 from stepgap.plants.tick_control import RobotControl
-from stepgap.plants.ticks.log_description import LogEvent
+from stepgap.plants.ticks.log_description import LogDescription
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.step import Array
 
-FOLDER = Path("dry-run")
-"""Folder of the tick logs."""
-
-_UPDATE_EVERY = 0.1
-"""Time between two updates of the display [s]."""
-
-DisplayedTick = dict[str, str]
-"""Displayed texts of a tick by their names."""
+FOLDER = Path("dry-run")  # Folder of the tick logs
+_UPDATE_EVERY = 0.1  # Time between two updates of the display [s]
+DisplayedTick = dict[str, str]  # Displayed texts of a tick by their names
 
 
-class WatchedLog:
+class WatchedLog(TickLog):
     """A tick log that also remembers the last tick.
 
     Attributes:
+        last: The last tick with known sensor values.
         count: Number of ticks so far.
         worst: Largest delay of a tick [s].
     """
 
-    def __init__(self, log: TickLog, names: Iterable[str]):
-        self._log, self._last, self.count, self.worst = log, LastTick(names), 0, 0.0
-
-    @property
-    def last(self) -> dict[str, float]:
-        """Fields by name of the last tick with known sensor values; empty before the first."""
-        return self._last.fields
+    def __init__(self, path: Path, units: Mapping[str, str], description: LogDescription):
+        super().__init__(path, units, description)
+        self.last, self.count, self.worst = LastTick(units), 0, 0.0
 
     def append(self, rows: Array) -> None:
         """Adds ticks to the log."""
-        self._log.append(rows)
+        super().append(rows)
+        self.last.append(rows)
         self.count += len(rows)
-        self._last.append(rows)
         self.worst = max([self.worst, *rows[:, -1].tolist()])
-
-    def note(self, event: LogEvent) -> None:
-        """Adds an event to the log."""
-        self._log.note(event)
-
-    def flush(self) -> None:
-        """Flushes the log."""
-        self._log.flush()
-
-    def close(self) -> None:
-        """Closes the log."""
-        self._log.close()
 
 
 class Travelled:
@@ -94,7 +73,7 @@ def dry_run(make_rig: Callable[[], Rig], robot_control: RobotControl, seconds: f
     path, frames, rig = next_path(FOLDER), FrameCount(), make_rig()
     setup = limp_setup(make_rig, robot_control, frames)
     try:
-        log = WatchedLog(TickLog(path, setup.units, setup.described()), setup.units)
+        log = WatchedLog(path, setup.units, setup.described())
     except TickLogError as error:
         raise InputError(str(error)) from None
     wanted, fault = float("inf") if seconds is None else seconds / rig.sensor_model.tick, ""
@@ -123,11 +102,10 @@ def dry_run(make_rig: Callable[[], Rig], robot_control: RobotControl, seconds: f
 def _describer(
     rig: Rig, robot_control: RobotControl, frames: FrameCount
 ) -> Callable[[WatchedLog, Session], DisplayedTick]:
-    """Creates the function that describes the last tick."""
     travelled = Travelled()
 
     def describe(log: WatchedLog, session: Session) -> DisplayedTick:
-        tick = log.last
+        tick = log.last.fields
         if not tick:
             return {"state": session.board.state.name}
         return {

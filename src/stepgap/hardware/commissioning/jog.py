@@ -15,11 +15,8 @@ from stepgap.plants.ticks.tick_log import TickLog, next_path, read_intact_ticks
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import RigFault
 
-JOG = "jog"
-"""Verb of `stepgap rig`, and folder of its logs."""
-
-_LOOK_EVERY = 0.02
-"""Time between two looks at the state of the session [s]."""
+JOG = "jog"  # Verb of `stepgap rig`, and folder of its logs
+_LOOK_EVERY = 0.02  # Time between two looks at the state of the session [s]
 
 
 @contextmanager

@@ -1,25 +1,108 @@
 """A real-time process that reads a robot's bus and gives it no torque."""
 
+# pyright: reportIncompatibleMethodOverride=false
+# (Properties that `_of_rig` makes are no functions to it.)
+
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from ctypes import c_longlong
+from dataclasses import dataclass, field
 from functools import partial
 from math import isfinite
+from multiprocessing import RawValue
 from time import sleep
+from typing import Any
 
 import numpy as np
 
 from stepgap.base.signals import terminated_as_interrupted
-from stepgap.hardware.commissioning.limp_rig import FrameCount, LimpRig
 from stepgap.hardware.realtime.process import RealtimeSetup
 from stepgap.hardware.realtime.session import Session, TickSink
 from stepgap.plants.tick_control import RobotControl
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.rigs.rig import Rig, RigFault
+from stepgap.rigs.limits import RigLimits
+from stepgap.rigs.rig import Finding, Reading, Rig, RigFault, Torques
 from stepgap.step import Array
 
-_CHECK_EVERY = 0.05
-"""Time between two checks whether there are enough ticks [s]."""
+
+@dataclass(frozen=True)
+class FrameCount:
+    """Counts lost frames in the process of the rig, for the process that started it."""
+
+    memory: Any = field(default_factory=lambda: RawValue(c_longlong, 0))
+
+    @property
+    def lost(self) -> int:
+        """Number of lost frames so far."""
+        return self.memory.value
+
+    def count(self) -> None:
+        """Counts one more lost frame."""
+        self.memory.value += 1
+
+
+def _of_rig(name: str) -> property:
+    return property(lambda limp: getattr(limp._rig, name))
+
+
+class LimpRig(Rig):
+    """Reads a rig and always writes zero torque.
+
+    Args:
+        rig: The rig to read.
+        limits: Limits that stop it: those of lost frames, but neither those of pose nor of speed.
+        frames: Counts the lost frames.
+    """
+
+    def __init__(self, rig: Rig, limits: RigLimits, frames: FrameCount):
+        self._rig, self._limits, self._frames = rig, limits, frames
+
+    @property
+    def limits(self) -> RigLimits:
+        """Limits as given."""
+        return self._limits
+
+    # all else is that of the rig; after its warning a limp robot is switched off
+    sensor_model = _of_rig("sensor_model")
+    health = _of_rig("health")
+    diagnostic_units = _of_rig("diagnostic_units")
+    diagnostics = _of_rig("diagnostics")
+    diagnostic_ranges = _of_rig("diagnostic_ranges")
+    diagnostic_names = _of_rig("diagnostic_names")
+    warning = _of_rig("warning")
+    clock_limits = _of_rig("clock_limits")
+    remarks = _of_rig("remarks")
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Those of the rig."""
+        return self._rig.findings()
+
+    def clock_correction(self, slip: float = 0.0) -> float:
+        """That of the rig."""
+        return self._rig.clock_correction(slip)
+
+    def connect(self) -> None:
+        """Connects the rig."""
+        self._rig.connect()
+
+    def read(self) -> Reading:
+        """Reads the rig and counts a lost frame."""
+        try:
+            return self._rig.read()
+        finally:
+            if self._rig.health.frame_lost:
+                self._frames.count()
+
+    def write(self, torques: Torques) -> Torques:
+        """Writes zero torque instead of the given torques."""
+        return self._rig.write((0.0,) * len(torques))
+
+    def close(self) -> None:
+        """Closes the rig."""
+        self._rig.close()
+
+
+_CHECK_EVERY = 0.05  # Time between two checks whether there are enough ticks [s]
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.files import write_whole
 from stepgap.base.settings_file import LARGEST_SETTINGS_FILE
 
-LONGEST_AGE = timedelta(days=7)
-"""Time for which a result is valid."""
+LONGEST_AGE = timedelta(days=7)  # Time for which a result is valid
 
 
 def proof_file(rig_file: Path, verb: str) -> Path:

@@ -4,27 +4,53 @@ import os
 import socket
 from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 from struct import Struct
 from time import monotonic, perf_counter, sleep
 from typing import Any
 
+from stepgap.hardware.bus_rig import COMPUTER, HostTime
 from stepgap.hardware.ethercat.clock_start import clock_difference, start_clocks, synchronise
 from stepgap.hardware.ethercat.distributed_clocks import Steering
-from stepgap.hardware.ethercat.interface import claimed, open_sockets
-from stepgap.hardware.ethercat.pdo import Packing
-from stepgap.hardware.ethercat.pdo_mapping import configure_pdos
+from stepgap.hardware.ethercat.pdo import Packing, configure_pdos
 from stepgap.hardware.ethercat.rig_settings import BusSettings
-from stepgap.hardware.host_time import COMPUTER, HostTime
 from stepgap.rigs.rig import MissingObject, RigFault
 
-_ASSIGN_OUTPUTS, _ASSIGN_INPUTS = 0x1C12, 0x1C13
-"""Objects that hold the PDOs of sync managers 2 and 3."""
 
-STATE_TIMEOUT = 2.0
-"""Timeout of a change of the slaves' states [s]."""
+def claimed(interface: str) -> socket.socket:
+    """Claims an interface for this process, until it closes the returned socket or ends in any way.
 
-REPLY_TIMEOUT = 100_000
-"""Timeout of a frame during bring-up [µs]; SOEM's 2,000 are too short when the computer is busy."""
+    The claim is a name of an abstract Unix socket, which belongs to the network namespace, as the interface does.
+
+    Raises:
+        RigFault: Another process has claimed it.
+    """
+    claim = socket.socket(socket.AF_UNIX)
+    try:
+        claim.bind(f"\0stepgap-master-of-{interface}")
+    except OSError:
+        claim.close()
+        raise RigFault(
+            f"another process is already the master of {interface}; end it first, since a bus can have only one master"
+        ) from None
+    return claim
+
+
+def open_sockets() -> set[int]:
+    """Descriptors of this process that are sockets; pysoem does not report which one it opened."""
+    found = set()
+    for link in Path("/proc/self/fd").iterdir():
+        try:
+            if str(link.readlink()).startswith("socket:"):
+                found.add(int(link.name))
+        except FileNotFoundError:  # the descriptor that lists the folder
+            continue
+    return found
+
+
+_ASSIGN_OUTPUTS, _ASSIGN_INPUTS = 0x1C12, 0x1C13  # Objects that hold the PDOs of sync managers 2 and 3
+STATE_TIMEOUT = 2.0  # Timeout of a change of the slaves' states [s]
+REPLY_TIMEOUT = 100_000  # Timeout of a frame during bring-up [µs]; SOEM's 2,000 are too short when the computer is busy
 
 REQUEST_TIMEOUT, REQUEST_TIMEOUT_IN_OP = 700_000, 20_000
 """Time in which a mailbox must take a request of an SDO transfer [µs], during bring-up and afterwards.
@@ -35,11 +61,8 @@ The second is SOEM's; a busy computer can lose all frames of such a time, and th
 SEARCH_TIME = 1.0
 """Time during which missing slaves are searched for [s]; on a busy computer the frame of a search may be late."""
 
-LEAST_WAIT = 50
-"""Time for which a reply is looked for even if its frame was sent long ago [µs]."""
-
-MOST_SEARCHES = 3
-"""Number of searches of which each found enough slaves, but not the expected ones."""
+LEAST_WAIT = 50  # Time for which a reply is looked for even if its frame was sent long ago [µs]
+MOST_SEARCHES = 3  # Number of searches of which each found enough slaves, but not the expected ones
 
 WATCHDOG_ATTEMPTS, WATCHDOG_PAUSE = 5, 0.1
 """Number of attempts to set a watchdog, since pysoem waits only 4 ms for its registers, and the time between them [s].
@@ -48,11 +71,8 @@ More attempts, or faster ones, would be a risk: SOEM has 16 frame numbers, so th
 for the reply to the 16th frame after it.
 """
 
-_NO_OBJECT = 0x06020000
-"""Abort code of an SDO transfer: there is no such object."""
-
-_NO_ANSWER = 0
-"""State of a slave whose answer was lost."""
+_NO_OBJECT = 0x06020000  # Abort code of an SDO transfer: there is no such object
+_NO_ANSWER = 0  # State of a slave whose answer was lost
 
 _U8, _U16, _U32 = Struct("<B"), Struct("<H"), Struct("<I")
 
@@ -103,7 +123,6 @@ class Bus:
             raise
 
     def _open(self) -> Any:
-        """Opens the master on its interface."""
         master = self._soem.Master()
         master.always_release_gil = True  # an emulated ring may live in this process
         before = open_sockets()
@@ -361,7 +380,6 @@ class Bus:
         raise kind(f"{self.label(number)}: object 0x{index:04X}:{subindex:02X} is refused: {reason}")
 
     def _limit_waiting(self, reply: int, request: int) -> None:
-        """Sets the timeouts of a frame and of a request to a mailbox [µs]."""
         timeouts = self._soem.settings.timeouts
         timeouts.ret, timeouts.tx_mailbox = reply, request
 

@@ -2,14 +2,12 @@
 
 from enum import Enum, auto
 
-STATUSWORD_UNIT = "CiA 402"
-"""Unit of a logged field whose number is a status word."""
+STATUSWORD_UNIT = "CiA 402"  # Unit of a logged field whose number is a status word
 
 WARNING, INTERNAL_LIMIT, FOLLOWS_COMMAND = 0x0080, 0x0800, 0x1000
 """Bits of a status word: the drive warns; a limit inside the drive acts; the drive follows the command value."""
 
-CYCLIC_TORQUE = 10
-"""Mode of operation: cyclic synchronous torque."""
+CYCLIC_TORQUE = 10  # Mode of operation: cyclic synchronous torque
 
 
 class State(Enum):
@@ -51,8 +49,7 @@ MASKED_STATES = {
 }
 """State by statusword under a mask."""
 
-DISABLE_VOLTAGE, QUICK_STOP, SHUTDOWN, _SWITCH_ON, ENABLE, RESET = 0x00, 0x02, 0x06, 0x07, 0x0F, 0x80
-"""Controlwords."""
+DISABLE_VOLTAGE, QUICK_STOP, SHUTDOWN, _SWITCH_ON, ENABLE, RESET = 0x00, 0x02, 0x06, 0x07, 0x0F, 0x80  # Controlwords
 
 CONTROLWORDS = {
     (State.SWITCH_ON_DISABLED, Wanted.ENABLED): SHUTDOWN,

@@ -8,17 +8,10 @@ from stepgap.hardware.ethercat.distributed_clocks import SYNC0_AND_SYNC1, Steeri
 from stepgap.hardware.ethercat.rig_settings import BusSettings, Slave
 from stepgap.rigs.rig import RigFault
 
-START_TIME = 0.15
-"""Time after which SYNC0 of every slave has begun [s]; SOEM lets it begin 0.1 s after its activation."""
-
-LOCK_TIME = 5.0
-"""Longest time in which frames and clocks must be synchronised [s]."""
-
-SYNCHRONOUS = 10_000
-"""Largest difference of a slave's clock from the reference clock before OP [ns]."""
-
-_ATTEMPTS = 5
-"""Number of attempts to activate SYNC0, since a reply may be late on a busy computer."""
+START_TIME = 0.15  # Time after which SYNC0 of every slave has begun [s]; SOEM lets it begin 0.1 s after its activation
+LOCK_TIME = 5.0  # Longest time in which frames and clocks must be synchronised [s]
+SYNCHRONOUS = 10_000  # Largest difference of a slave's clock from the reference clock before OP [ns]
+_ATTEMPTS = 5  # Number of attempts to activate SYNC0, since a reply may be late on a busy computer
 
 _ACTIVATION, _START, _CYCLE, _DIFFERENCE = 0x0981, 0x0990, 0x09A0, 0x092C
 """Registers of a slave controller: of SYNC0, and the mean difference of its clock from the reference clock."""

@@ -9,29 +9,19 @@ from dataclasses import dataclass
 from math import isfinite, nan
 
 from stepgap.base.ranges import require
-from stepgap.hardware.host_time import COMPUTER, HostTime
+from stepgap.hardware.bus_rig import COMPUTER, HostTime
 from stepgap.rigs.rig import ClockLimits
 
-SYNC0_ONLY, SYNC0_AND_SYNC1 = 0x0300, 0x0700
-"""Values of *AssignActivate* of an ESI file: which signals a slave needs."""
-
-LOCKED_FRAMES = 50
-"""Number of consecutive frames within the window until the frames count as synchronised."""
-
-_PHASE_GAIN = 0.05
-"""Share of an offset by which the next frame is shifted."""
-
-_RATE_GAIN = _PHASE_GAIN**2 / 4
-"""Share of an offset by which the interval changes: critical damping with `_PHASE_GAIN`."""
-
-_LARGEST_OFFSET = 0.01
-"""Offset that counts at most [cycles], so that a late tick hardly shifts the ticks after it."""
+SYNC0_ONLY, SYNC0_AND_SYNC1 = 0x0300, 0x0700  # Values of *AssignActivate* of an ESI file: which signals a slave needs
+LOCKED_FRAMES = 50  # Number of consecutive frames within the window until the frames count as synchronised
+_PHASE_GAIN = 0.05  # Share of an offset by which the next frame is shifted
+_RATE_GAIN = _PHASE_GAIN**2 / 4  # Share of an offset by which the interval changes: critical damping with `_PHASE_GAIN`
+_LARGEST_OFFSET = 0.01  # Offset that counts at most [cycles], so that a late tick hardly shifts the ticks after it
 
 _SETTLING, _LARGEST_FIRST_OFFSET = 100, 0.1
 """Number of corrections after the first one in which more counts: by the work of a tick, frames are later than then."""
 
-_LARGEST_RATE = 1e-3
-"""Largest change of the interval between two frames [cycles]; clocks differ by less than 1e-4."""
+_LARGEST_RATE = 1e-3  # Largest change of the interval between two frames [cycles]; clocks differ by less than 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +121,8 @@ class Steering:
         self._tick_ends = True  # with the next frame that returns
         if not self._aligned:
             self._aligned = isfinite(self.offset)
-            self.shift = self._time_to_grid() if self._aligned else 0.0
+            to_grid = -(self.offset + self.host.now() - self._sent_at) % self._cycle if self._aligned else 0.0
+            self.shift = to_grid
             return self.shift
         # A PI law: `_rate` is the drift of the clocks, and an offset counts once, so that after a lost frame only the
         # drift is followed. Both are bounded, because a late frame says nothing of the clocks. A slip is completed to
@@ -163,6 +154,3 @@ class Steering:
         correction = self.correction()
         self._due = self._due + self._cycle + correction if aligned else now + correction
         self.host.pause(max(0.0, self._due - now))
-
-    def _time_to_grid(self) -> float:
-        return -(self.offset + self.host.now() - self._sent_at) % self._cycle

@@ -15,8 +15,7 @@ TEMPERATURES, VOLTAGES = (-40.0, 200.0), (0.0, 1000.0)
 
 _MOST_BITS = 32
 
-JUDGED_BITS = (7, 11, 12)
-"""Numbers of the bits of a status word that are judged, besides those of the state."""
+JUDGED_BITS = (7, 11, 12)  # Numbers of the bits of a status word that are judged, besides those of the state
 
 
 @dataclass(frozen=True, kw_only=True)

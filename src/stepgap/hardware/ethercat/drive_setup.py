@@ -1,13 +1,67 @@
 """What a bus writes to its slaves and drives by SDO before they get torque, and checks of what they answer."""
 
+from dataclasses import dataclass
 from struct import Struct
 
 from stepgap.hardware.ethercat.cia402 import CYCLIC_TORQUE
 from stepgap.hardware.ethercat.pdo import Packing
-from stepgap.hardware.ethercat.reactions import secure_reactions
 from stepgap.hardware.ethercat.rig_settings import BusSettings, Motor
 from stepgap.hardware.ethercat.startup import Objects, StartupObject, write_startup
-from stepgap.rigs.rig import RigFault
+from stepgap.rigs.rig import MissingObject, RigFault
+
+_INT16 = Struct("<h")
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """An option code.
+
+    Attributes:
+        index: Index of the object.
+        name: What it determines.
+        without_torque: Values after which the motor gets no torque; the first one is written.
+    """
+
+    index: int
+    name: str
+    without_torque: tuple[int, ...]
+
+
+REACTIONS = (
+    Reaction(0x6007, "when frames end", (1, 2)),
+    Reaction(0x605A, "after a quick stop", (0,)),
+    Reaction(0x605B, "after a shutdown", (0,)),
+    Reaction(0x605C, "when it is disabled", (0,)),
+    Reaction(0x605E, "after a fault", (0,)),
+)
+"""What a drive does by itself when it is stopped, or when frames end: it must give no torque (CiA 402-2, option codes).
+
+Their factory settings are the vendor's: a drive may slow its motor down along a ramp, which is a torque that nobody
+expects, or continue with the last torque if frames end. 1 and 2 of 0x6007 are *fault signal* and
+*disable voltage*; 0 of the others is *disable drive function*.
+"""
+
+
+def secure_reactions(bus: Objects, number: int) -> list[str]:
+    """Lets a drive switch torque off in each of these cases; returns remarks on the objects that it lacks.
+
+    Raises:
+        RigFault: The drive keeps another value.
+    """
+    remarks = []
+    for reaction in REACTIONS:
+        try:
+            found = bus.read_object(number, reaction.index, _INT16)
+        except MissingObject:
+            remarks.append(
+                f"{bus.label(number)} lacks object 0x{reaction.index:04X}: what it does {reaction.name} "
+                "is the setting of its factory"
+            )
+            continue
+        if found not in reaction.without_torque:
+            write_startup(bus, number, StartupObject(reaction.index, 0, "INT16", reaction.without_torque[0]))
+    return remarks
+
 
 _MODE, _MODE_DISPLAY, _LARGEST_TORQUE, _RATED_TORQUE = 0x6060, 0x6061, 0x6072, 0x6076
 _U16, _U32, _I8 = Struct("<H"), Struct("<I"), Struct("<b")
@@ -51,7 +105,6 @@ def check_modes(bus: Objects, settings: BusSettings) -> None:
 
 
 def _limit_torque(bus: Objects, drive: int, motor: Motor) -> None:
-    """Compares a drive's rated torque with the settings and sets its torque limit."""
     rated = bus.read_object(drive, _RATED_TORQUE, _U32)
     if rated != motor.rated_units:
         raise RigFault(

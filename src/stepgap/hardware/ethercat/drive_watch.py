@@ -1,10 +1,11 @@
 """What a drive reports beside its motion, reading by reading: is it within its limits, and can it be believed?"""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import ceil, inf, nan
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, TypeVar
 
+from stepgap.hardware.bus_rig import MOST_WRONG, TorqueWatch
 from stepgap.hardware.ethercat.cia402 import FOLLOWS_COMMAND, INTERNAL_LIMIT, STATUSWORD_UNIT, WARNING
 from stepgap.hardware.ethercat.drive_limits import (
     BUS_VOLTAGE,
@@ -16,25 +17,19 @@ from stepgap.hardware.ethercat.drive_limits import (
     largest_number,
 )
 from stepgap.hardware.ethercat.pdo import SIGNED_VALUES, Entry
-from stepgap.hardware.torque_watch import MOST_WRONG, TorqueWatch
+from stepgap.hardware.ethercat.rig_settings import BusSettings, Motor
 
 MOTION_UNITS = {"statusword": STATUSWORD_UNIT, "velocity": "drive counts/s", "torque": "rated torque / 1000"}
 """Values of a drive that are logged as they are, with their units."""
 
-BEYOND = 3
-"""Number of plausible readings in a row beyond a limit, after which it counts as exceeded: one may be noise."""
-
-MOST_DOUBTS = 20
-"""Number by which implausible readings must exceed plausible ones, until a value counts as invalid."""
-
-LARGEST_JUMP = 5.0
-"""Largest plausible change of a temperature from one reading to the next [°C]; at least two counts."""
+BEYOND = 3  # Number of plausible readings in a row beyond a limit, after which it counts as exceeded: one may be noise
+MOST_DOUBTS = 20  # Number by which implausible readings must exceed plausible ones, until a value counts as invalid
+LARGEST_JUMP = 5.0  # Largest plausible change of a temperature from one reading to the next [°C]; at least two counts
 
 MOST_WARNED = 20
 """Number of readings in a row with a bit of the status word that warns, after which the robot shall land."""
 
-MOST_SAME = 8
-"""Number of readings in a row in which no value of a drive may change, although the commands do."""
+MOST_SAME = 8  # Number of readings in a row in which no value of a drive may change, although the commands do
 
 ONLY_STO = "it may keep its torque, and then only its STO input stops it"
 """What a person must know of a drive that no longer follows its commands."""
@@ -42,8 +37,7 @@ ONLY_STO = "it may keep its torque, and then only its STO input stops it"
 WARNED_BITS = {WARNING: "warns (bit 7 of its status word)", INTERNAL_LIMIT: "is at an internal limit (bit 11)"}
 """Bits that warn, and what the drive does then."""
 
-INPUT_STATES = {0: "closed", 1: "open"}
-"""Names of the logged numbers of an STO or enable input."""
+INPUT_STATES = {0: "closed", 1: "open"}  # Names of the logged numbers of an STO or enable input
 
 
 @dataclass(frozen=True)
@@ -335,3 +329,96 @@ class DriveWatch:
         """Why the robot should land, or an empty text."""
         found = (*map(warning_of, self._reported, self._tracks), self._obedience.warning)
         return next((f"{self._label}: {text}" for text in found if text), "")
+
+
+_T = TypeVar("_T")
+
+NO_STO_INPUT = "no drive reports its STO input (digital_inputs, sto_bits): an open one is seen only by a drive's state"
+"""Remark on a bus whose messages cannot name its STO inputs."""
+
+TORQUE_NOT_REPORTED = "does not report its torque (0x6077), so that it cannot be compared with the commands"
+"""Remark on a drive."""
+
+
+class WatchedDrives:
+    """Watches what the drives report beside their motion.
+
+    Args:
+        settings: The robot's bus.
+        label: Gives the name of a slave for messages.
+        inputs: Gives the inputs of a slave from the last good frame.
+    """
+
+    def __init__(self, settings: BusSettings, label: Callable[[int], str], inputs: Callable[[int], Mapping[str, int]]):
+        self._inputs, self._watches = inputs, dict[str, tuple[int, DriveWatch]]()
+        self.remarks: list[str] = []
+        """What drives report without a limit, and whether none reports its STO input."""
+        for table, motor in settings.devices.items():
+            if isinstance(motor, Motor):
+                drive, entries = settings.position(motor.slave), settings.input_entries(motor.slave)
+                self._watches[table] = drive, DriveWatch(label(drive), motor, entries, settings.cycle)
+                self.remarks += motor.remarks(label(drive), entries)
+                self.remarks += [] if "torque" in entries else [f"{label(drive)} {TORQUE_NOT_REPORTED}"]
+        self.hint = "" if any(motor.sto_bits for motor in settings.motors) else NO_STO_INPUT
+        """Why messages cannot name an open STO input; empty if they can."""
+        if self.hint:
+            self.remarks.insert(0, self.hint)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Logged values with their units."""
+        return self._of_all(lambda watch: watch.units)
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Limits of logged values; infinite where there is none."""
+        return self._of_all(lambda watch: watch.ranges)
+
+    @property
+    def names(self) -> dict[str, Mapping[int, str]]:
+        """Names of the numbers of logged values."""
+        return self._of_all(lambda watch: watch.names)
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """Logged values in the last reading."""
+        return tuple([value for _, watch in self._watches.values() for value in watch.values])
+
+    @property
+    def warning(self) -> str:
+        """Why the robot should land; empty if there is no reason."""
+        return next((warning for _, watch in self._watches.values() if (warning := watch.warning)), "")
+
+    def restart(self) -> None:
+        """Forgets earlier readings."""
+        for _, watch in self._watches.values():
+            watch.restart()
+
+    def command(self, number: int, units: int) -> None:
+        """Adds the command that was sent to a drive last, in 1/1000 of the rated torque."""
+        for drive, watch in self._watches.values():
+            if drive == number:
+                watch.command(units)
+
+    def update(self) -> str:
+        """Takes the inputs of a good frame; returns why torque must go off, or an empty text."""
+        faults = [watch.update(self._inputs(drive)) for drive, watch in self._watches.values()]
+        return "; ".join(filter(None, faults)) if any(faults) else ""
+
+    def open_inputs(self) -> str:
+        """Names the STO and enable inputs that are open in the last good frame; empty if none is."""
+        found = [watch.open_inputs(self._inputs(drive)) for drive, watch in self._watches.values()]
+        return "; ".join(filter(None, found))
+
+    def describe(self, number: int) -> str:
+        """Describes temperature and bus voltage of a drive in the last good frame; empty if it reports neither."""
+        found = [watch.describe(self._inputs(drive)) for drive, watch in self._watches.values() if drive == number]
+        return ", ".join(filter(None, found))
+
+    def _of_all(self, values: Callable[[DriveWatch], Mapping[str, _T]]) -> dict[str, _T]:
+        """Values of all watches, with the names of the motors before theirs."""
+        return {
+            f"{motor}_{name}": value
+            for motor, (_, watch) in self._watches.items()
+            for name, value in values(watch).items()
+        }

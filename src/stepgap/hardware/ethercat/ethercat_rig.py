@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Mapping
 from itertools import cycle
-from math import isfinite, nan
+from math import nan
 from pathlib import Path
 from struct import Struct
 from time import monotonic, sleep
 
+from stepgap.hardware.bus_rig import COMPUTER, BusRig, HostTime
 from stepgap.hardware.ethercat.bus import STATE_TIMEOUT, Bus
 from stepgap.hardware.ethercat.cia402 import (
     CYCLIC_TORQUE,
@@ -18,25 +19,19 @@ from stepgap.hardware.ethercat.cia402 import (
     state_of,
 )
 from stepgap.hardware.ethercat.drive_setup import check_modes, prepare_slaves
+from stepgap.hardware.ethercat.drive_watch import WatchedDrives
 from stepgap.hardware.ethercat.esi.comparison import compare_with_esi, labelled
 from stepgap.hardware.ethercat.esi.reader import read_esi
 from stepgap.hardware.ethercat.rig_settings import BusSettings, Encoder
 from stepgap.hardware.ethercat.sensor_channels import EncoderChannel, ForceChannel
-from stepgap.hardware.ethercat.watched_drives import WatchedDrives
-from stepgap.hardware.host_time import COMPUTER, HostTime
-from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import (
     CLOCK_DIFFERENCE,
     CLOCK_OFFSET,
     CLOCK_OUTSIDE,
-    HEALTHY,
-    LOST,
     ClockLimits,
     DoubtfulSensor,
     Finding,
-    Health,
     Reading,
-    Rig,
     RigFault,
     SensorModel,
     Torques,
@@ -53,23 +48,17 @@ STATES_EVERY = 50
 """Number of good frames between two checks of the slaves' states, and between two readings of a slave's clock."""
 
 
-WATCHDOG_PATIENCE = 0.1
-"""Time in addition to twice the watchdog's until it counts as missing [s]."""
-
-OPEN_FRAMES = 20
-"""Number of frames in a row with an open STO or enable input, after which drives are not enabled."""
-
-_LAST_FRAMES = 3
-"""Number of frames without torque that are sent at the end, in case one is lost."""
+WATCHDOG_PATIENCE = 0.1  # Time in addition to twice the watchdog's until it counts as missing [s]
+OPEN_FRAMES = 20  # Number of frames in a row with an open STO or enable input, after which drives are not enabled
+_LAST_FRAMES = 3  # Number of frames without torque that are sent at the end, in case one is lost
 
 
-class EthercatRig(Rig):
+class EthercatRig(BusRig):
     """Drives and encoders as `rig.toml` describes them.
 
     Every `write` sends a frame, and the next `read` receives it. If a frame is lost, or a slave did not process it, the
-    reading before is repeated; too many such frames in a row are a fault. Any fault disables the voltage of all drives
-    and is latched for the life of the object: to continue, a person must create a new one. A drive that is in fault at
-    connect is reset once, since connecting is a deliberate act.
+    reading before is repeated; too many such frames in a row are a fault. Any fault disables the voltage of all drives.
+    A drive that is in fault at connect is reset once, since connecting is a deliberate act.
 
     Args:
         settings: The robot's bus, with its limit of lost frames.
@@ -81,8 +70,8 @@ class EthercatRig(Rig):
     def __init__(
         self, settings: BusSettings, sensor_model: SensorModel, host: HostTime = COMPUTER, folder: Path = Path()
     ):
-        self._settings, self._bus, self._sensor_model = settings, Bus(settings, host), sensor_model
-        self._folder = folder
+        super().__init__(settings, sensor_model)
+        self._settings, self._bus, self._folder = settings, Bus(settings, host), folder
         self._motors = settings.motors
         self._drives = tuple(settings.position(motor.slave) for motor in self._motors)
         self._sensors = tuple(
@@ -92,24 +81,9 @@ class EthercatRig(Rig):
         self._watched = WatchedDrives(settings, self._bus.label, self._bus.inputs)
         synchronised = [number for number, slave in enumerate(settings.slaves) if slave.assign_activate]
         self._differences, self._next_clock = dict.fromkeys(synchronised, nan), cycle(synchronised)
-        self._connected, self._fault, self._remarks = False, "", list[str]()
-        self._lost, self._frame_pending, self._good_frames, self._unanswered = 0, False, 0, 0
+        self._connected, self._remarks = False, list[str]()
+        self._frame_pending, self._good_frames, self._unanswered = False, 0, 0
         self._reading = settings.reading((0.0,) * len(self._sensors))
-
-    @property
-    def sensor_model(self) -> SensorModel:
-        """Timing of the sensors and conversion of their counts; zeros and signs are already applied."""
-        return self._sensor_model
-
-    @property
-    def limits(self) -> RigLimits:
-        """Limits from the settings."""
-        return self._settings.budgets
-
-    @property
-    def health(self) -> Health:
-        """Whether the last frame was lost, so that the reading is an older one."""
-        return LOST if self._lost else HEALTHY
 
     @property
     def diagnostic_units(self) -> Mapping[str, str]:
@@ -193,8 +167,7 @@ class EthercatRig(Rig):
         Raises:
             RigFault: The bus differs from the settings, a drive cannot be enabled, or the rig had a fault before.
         """
-        if self._fault:
-            raise RigFault(f"the rig had a fault: {self._fault}; remove its cause, then start again")
+        self._require_no_fault()
         self.close()
         self._bus.connect(self._prepare)
         self._connected = True
@@ -229,7 +202,7 @@ class EthercatRig(Rig):
                 raise self._trip(late)
         else:
             self._lost += 1
-            if self._lost > self._settings.budgets.lost_frames:
+            if self._lost > self._budgets.lost_frames:
                 fault = self._trip(f"{self._lost} frames in a row were lost or not processed by every slave")
                 raise RigFault(f"{fault}: {self._bus.state_report()}")
         return self._reading
@@ -243,8 +216,7 @@ class EthercatRig(Rig):
         self._check_up()
         if self._frame_pending:
             self.read()
-        if not all(map(isfinite, torques)):
-            raise self._trip(f"torques must be finite, not {', '.join(map(str, torques))}")
+        self._require_finite(torques)
         sent = []
         for drive, motor, torque in zip(self._drives, self._motors, torques, strict=True):
             unit, most = motor.torque_unit, motor.most_units
@@ -284,7 +256,7 @@ class EthercatRig(Rig):
         """Switches torque and drives off and brings the slaves to INIT; may be called twice."""
         if self._connected:
             self._connected = False
-            self._voltage_off()
+            self._torque_off()
         self._bus.close()
 
     def _prepare(self) -> None:
@@ -339,7 +311,7 @@ class EthercatRig(Rig):
         self._unanswered = self._unanswered + 1 if in_operation is None else 0
         if in_operation is False:
             fault = self._trip("a slave has left OP")
-        elif self._unanswered > self._settings.budgets.lost_frames:
+        elif self._unanswered > self._budgets.lost_frames:
             fault = self._trip(f"slaves did not report their states to {self._unanswered} requests in a row")
         else:
             return
@@ -359,13 +331,8 @@ class EthercatRig(Rig):
         if self._fault or not self._connected:
             raise RigFault(self._fault or "the rig is not connected")
 
-    def _trip(self, message: str) -> RigFault:
-        """Disables the voltage and latches the fault; returns it to be raised."""
-        self._fault = message
-        self._voltage_off()
-        return RigFault(message)
-
-    def _voltage_off(self) -> None:
+    def _torque_off(self) -> None:
+        """Disables the voltage of all drives."""
         for _ in range(_LAST_FRAMES):
             for drive in self._drives:
                 self._command(drive, 0, DISABLE_VOLTAGE)

@@ -1,19 +1,17 @@
 """Settings of an EtherCAT bus and its devices: the part of `rig.toml` that is the same for every robot."""
 
 import re
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import floor, isfinite
 
 from stepgap.base.ranges import format_value, require
+from stepgap.hardware.bus_rig import BusTiming
 from stepgap.hardware.ethercat.distributed_clocks import SYNC0_AND_SYNC1, SYNC0_ONLY, DcSettings
 from stepgap.hardware.ethercat.drive_limits import DriveLimits
 from stepgap.hardware.ethercat.pdo import Entry, Packing, Pdo, PdoSet
 from stepgap.hardware.ethercat.pdo_sets import PDO_SETS
 from stepgap.hardware.ethercat.startup import StartupObject, require_objects
-from stepgap.rigs.limits import RigLimits
-from stepgap.rigs.rig import Reading
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,7 +235,7 @@ MOTOR_INPUTS = {"position", "statusword"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class BusSettings(ABC):
+class BusSettings(BusTiming):
     """The bus of a robot; each robot adds the tables of its motors, sensors and limits.
 
     Attributes:
@@ -261,20 +259,6 @@ class BusSettings(ABC):
     dc: DcSettings = DcSettings()
 
     @property
-    @abstractmethod
-    def devices(self) -> Mapping[str, RigDevice]:
-        """Motors, encoders and force sensors by the name of their table, in the order of a reading."""
-
-    @property
-    @abstractmethod
-    def budgets(self) -> RigLimits:
-        """Limits of consecutive bad ticks."""
-
-    def reading(self, values: Sequence[float]) -> Reading:
-        """Makes a reading from the values of all devices, in their order."""
-        return tuple(values)
-
-    @property
     def motors(self) -> tuple[Motor, ...]:
         """The motors among the devices, in their order."""
         return tuple(device for device in self.devices.values() if isinstance(device, Motor))
@@ -292,15 +276,8 @@ class BusSettings(ABC):
     def __post_init__(self) -> None:
         named = re.fullmatch(r"[!-.0-~]{1,15}", self.interface)  # SOEM copies the name into 16 bytes without a check
         require(bool(named), "interface", self.interface, "name a network interface, such as 'eth0'")
-        require(1e-4 <= self.tick <= 0.01, "tick", self.tick, "lie between 0.0001 and 0.01")
+        self.check_times()
         require(1 <= self.frames_per_tick <= 10, "frames_per_tick", self.frames_per_tick, "lie between 1 and 10")
-        require(
-            0 < self.reply_timeout < self.watchdog,
-            "reply_timeout",
-            self.reply_timeout,
-            f"be positive and less than watchdog = {self.watchdog}",
-        )
-        require(2 * self.tick <= self.watchdog <= 0.5, "watchdog", self.watchdog, "be at least two ticks, at most 0.5")
         self._check_slaves()
         for table, device in self.devices.items():
             self._check_use(table, device)

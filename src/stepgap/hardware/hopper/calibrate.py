@@ -19,8 +19,7 @@ from stepgap.robots.hopper.model.leg import knee_angle, leg_of
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.tick.sensors import HopperReading
 
-MOST_COUNTS = 4
-"""Largest variation of the encoders of a robot at rest, in counts."""
+MOST_COUNTS = 4  # Largest variation of the encoders of a robot at rest, in counts
 
 SENSORS: Mapping[str, str] = MappingProxyType(
     {
@@ -140,17 +139,13 @@ def replaced_zeros(text: str, zeros: Mapping[str, int]) -> str:
         if header := re.match(r"\s*\[+\s*([^\[\]#]*?)\s*\]", line):
             table = header[1]
             lines.append(line if line.endswith("\n") else f"{line}\n")
-            if table in missing and not _has_zero(text, table):
+            if table in missing and "zero" not in parse_toml(text).get(table, {}):
                 lines.append(f"zero = {missing.pop(table)}\n")
         elif table in missing and (entry := re.fullmatch(r"(\s*zero\s*=\s*)([^#\s]+)(.*)", line, re.DOTALL)):
             lines.append(f"{entry[1]}{missing.pop(table)}{entry[3]}")
         else:
             lines.append(line)
     return "".join(lines)
-
-
-def _has_zero(text: str, table: str) -> bool:
-    return "zero" in parse_toml(text).get(table, {})
 
 
 def write_calibrated(rig_file: Path, out: Path, settings: RigSettings) -> None:

@@ -6,46 +6,26 @@ motions of a limp leg are not at this frequency and do not disturb the measureme
 """
 
 from collections import deque
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isnan, nan, radians, sin, tau
-from typing import TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
-from stepgap.plants.tick_control import (
-    FinishedStep,
-    Mode,
-    Order,
-    RobotControl,
-    TickControl,
-    TickFlag,
-)
-from stepgap.plants.ticks.log_description import FieldMeaning
+from stepgap.plants.tick_control import FinishedStep, Mode, Order, TickFlag
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, Torques
 from stepgap.robots.hopper.tick.hop_control import HopControl, HopperControl
 from stepgap.robots.hopper.tick.limits import SafetyLimits
-from stepgap.step import Array, StepSpace, StepStatus
+from stepgap.robots.hopper.tick.sensors import HopperSensorModel, hopper_sensors
+from stepgap.step import Array, StepStatus
 
-LARGEST_TORQUE = 1.0
-"""Largest torque [N·m]."""
-
-LARGEST_SPEED = 2.0
-"""Speed of a top link at which torque goes off for good [rad/s]."""
-
-FREQUENCY = 20.0
-"""Frequency of the torque [Hz]."""
-
-RISE = 1.0
-"""Rate at which its amplitude rises [N·m/s]."""
-
-ENOUGH = radians(0.2)
-"""Amplitude of a link at which the torque rises no further [rad]."""
-
-MEASURED_TIME = 0.3
-"""Time for which the amplitude is then kept, to measure the answer; a multiple of the period [s]."""
+LARGEST_TORQUE = 1.0  # Largest torque [N·m]
+LARGEST_SPEED = 2.0  # Speed of a top link at which torque goes off for good [rad/s]
+FREQUENCY = 20.0  # Frequency of the torque [Hz]
+RISE = 1.0  # Rate at which its amplitude rises [N·m/s]
+ENOUGH = radians(0.2)  # Amplitude of a link at which the torque rises no further [rad]
+MEASURED_TIME = 0.3  # Time for which the amplitude is then kept, to measure the answer; a multiple of the period [s]
 
 _KEPT_FLAGS = TickFlag.STOPPED | TickFlag.BRAKES | TickFlag.UNREADABLE
 
@@ -69,29 +49,19 @@ def link_angles(alpha_1: Angle, alpha_2: Angle) -> tuple[Angle, Angle]:
     return alpha_1 + alpha_2, alpha_1 - alpha_2
 
 
-class JogControl(TickControl):
-    """Control of a robot of which one motor is tried; a step is its whole trial.
+class JogControl(HopControl):
+    """Control of a robot of which one motor is tried, with its sensors and safety function; a step is the whole trial.
 
     Args:
-        control: Control with `jog_limits`, whose sensors and safety function are used.
         motor: Number of the motor, 1 or 2.
-        tick: Time between two ticks [s].
+        control: Arguments of `HopControl`, of which the limits are those of `jog_limits`.
     """
 
-    def __init__(self, control: HopControl, motor: int, tick: float):
-        self._control, self._motor = control, motor
+    def __init__(self, motor: int, sensor_model: HopperSensorModel, *control: Any):
+        super().__init__(sensor_model, *control)
+        self._motor = motor
         self._began, self._kept_from, self._ended = nan, nan, False
-        self._angles = deque[tuple[float, float]](maxlen=1 + round(1 / (FREQUENCY * tick)))
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Fields of a row of the tick log."""
-        return self._control.units
-
-    @property
-    def motors(self) -> int:
-        """Number of motors."""
-        return self._control.motors
+        self._angles = deque[tuple[float, float]](maxlen=1 + round(1 / (FREQUENCY * sensor_model.tick)))
 
     def tick(
         self,
@@ -106,14 +76,13 @@ class JogControl(TickControl):
         tries = order.mode == Mode.STEP and not self._ended
         torque = self._torque(time) if tries else 0.0
         torques = (torque, 0.0) if self._motor == 1 else (0.0, torque)
-        given, flags = self._control.tick(time, reading, Order(Mode.TORQUE, 1.0, torques), applied, health, age)
+        given, flags = super().tick(time, reading, Order(Mode.TORQUE, 1.0, torques), applied, health, age)
         return given, flags & _KEPT_FLAGS | (TickFlag.STEP_ENDED if tries and self._ended else 0)
 
     def _torque(self, time: float) -> float:
-        """Torque of the motor at a time [N·m]."""
         if isnan(self._began):
             self._began = time
-        motion = self._control.motion
+        motion = self.motion
         self._angles.append(link_angles(motion.alpha_1, motion.alpha_2))
         most = min(RISE * (time - self._began), LARGEST_TORQUE)
         if isnan(self._kept_from) and (most == LARGEST_TORQUE or self._oscillation() >= ENOUGH):
@@ -133,10 +102,6 @@ class JogControl(TickControl):
         now, half, whole = angles[-1], angles[len(angles) // 2], angles[0]
         return max(abs(now[i] - 2 * half[i] + whole[i]) / 4 for i in (0, 1))
 
-    def row(self, applied: Torques) -> Sequence[float]:
-        """The row of the last tick for the log."""
-        return self._control.row(applied)
-
     def finished_step(self) -> FinishedStep:
         """The end of the trial, which has no apex."""
         return FinishedStep(np.full(2, np.nan), np.full(2, np.nan), np.zeros(2))
@@ -151,33 +116,21 @@ class JogControl(TickControl):
         """OK until the safety function stops the robot."""
         return StepStatus.STOPPED if self.stopped else StepStatus.OK
 
-    @property
-    def stopped(self) -> str:
-        """Reasons for which the safety function stopped the robot."""
-        return self._control.stopped
 
-
-@dataclass(frozen=True)
-class HopperJog(RobotControl):
+@dataclass(frozen=True, kw_only=True)
+class HopperJog(HopperControl):
     """Control with which one motor of the hopper is tried.
 
     Attributes:
-        hopping: Control with which it will hop.
         motor: Number of the motor, 1 or 2.
     """
 
-    hopping: HopperControl
     motor: int
 
-    @property
-    def space(self) -> StepSpace:
-        """That of the hopping robot."""
-        return self.hopping.space
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Fields of a row of the tick log."""
-        return self.hopping.units
+    @classmethod
+    def of(cls, hopping: HopperControl, motor: int) -> Self:
+        """The trial of a motor of a robot that will hop with this control."""
+        return cls(**vars(hopping), motor=motor)
 
     @property
     def consent_request(self) -> str:
@@ -187,26 +140,16 @@ class HopperJog(RobotControl):
             "the motor vibrates its link for a second or two. Torque goes off when you release the key."
         )
 
-    def meaning(self, rig: Rig) -> FieldMeaning:
-        """As while it hops, with the limits of the jog."""
-        return self._limited(rig).meaning(rig)
-
     def control(self, rig: Rig) -> JogControl:
         """Creates the control of a rig."""
-        return JogControl(self._limited(rig).control(rig), self.motor, rig.sensor_model.tick)
+        sensors = hopper_sensors(rig.sensor_model)
+        return JogControl(self.motor, sensors, self.robot, self.gains, self.limits_of(rig), self.ground)
 
-    def limp_limits(self, rig: Rig) -> RigLimits:
-        """Limits of a rig whose motors get no torque."""
-        return self.hopping.limp_limits(rig)
+    def limits_of(self, rig: Rig) -> SafetyLimits:
+        """Those with which it hops, within the limits of the jog."""
+        return jog_limits(super().limits_of(rig))
 
     def step_ends(self, ticks: TickTable) -> np.ndarray:
         """There are no steps; shape (0,)."""
         del ticks
         return np.empty(0, int)
-
-    def describe(self, rig: Rig, tick: Mapping[str, float]) -> dict[str, str]:
-        """Description of a logged tick."""
-        return self.hopping.describe(rig, tick)
-
-    def _limited(self, rig: Rig) -> HopperControl:
-        return replace(self.hopping, limits=jog_limits(self.hopping.limits_of(rig)))

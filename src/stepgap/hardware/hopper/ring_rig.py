@@ -7,10 +7,12 @@ from dataclasses import replace
 from stepgap.hardware.ethercat.distributed_clocks import SYNC0_ONLY
 from stepgap.hardware.ethercat.emulator.drive import ELMO_GOLD
 from stepgap.hardware.ethercat.emulator.emulator import emulated
-from stepgap.hardware.ethercat.emulator.machine import Machine
 from stepgap.hardware.ethercat.emulator.network import NoNetwork
+from stepgap.hardware.ethercat.emulator.ring import Machine
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
 from stepgap.hardware.ethercat.emulator.terminals import ANALOG_IDENTITY, COUPLER_IDENTITY, ENCODER_IDENTITY
+from stepgap.hardware.ethercat.pdo import Pdo
+from stepgap.hardware.ethercat.pdo_sets import PDO_SETS
 from stepgap.hardware.ethercat.rig_settings import Encoder, Motor, Slave, WrittenPdo, WrittenPdoSet
 from stepgap.hardware.hopper.ethercat import Contact, RigSettings, hopper_on_ethercat
 from stepgap.rigs.rig import Health, Reading, Rig, RigFault, Torques
@@ -19,8 +21,7 @@ from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.tick.limits import SafetyLimits
 from stepgap.robots.hopper.tick.sensors import HopperSensorModel
 
-INTERFACE = "stepgap0"
-"""Name of the network interface that a master opens."""
+INTERFACE = "stepgap0"  # Name of the network interface that a master opens
 
 PATIENT_REPLY = 0.45
 """Timeout for a frame of a ring in lock-step [s]; its simulated time stands still while a frame is awaited."""
@@ -28,32 +29,19 @@ PATIENT_REPLY = 0.45
 PATIENT_WATCHDOG = 0.5
 """Watchdog time of a ring in lock-step [s], the longest allowed; such a ring counts its own ticks."""
 
+
+def _written(pdo: Pdo, *more: str) -> WrittenPdo:
+    """A PDO as a `rig.toml` describes it, with more entries."""
+    return WrittenPdo(index=pdo.index, entries=(*map(str, pdo.entries), *more))
+
+
+_MOTION, _VELOCITY = PDO_SETS["elmo-cst"].inputs
 _DRIVE_PDOS = WrittenPdoSet(
     name="emulated-drive",
-    outputs=(
-        WrittenPdo(index=0x1602, entries=("0x6071:00:16 target_torque", "0x6040:00:16 controlword")),
-        WrittenPdo(index=0x160B, entries=("0x6060:00:8 mode", "0x0000:00:8")),
-    ),
+    outputs=tuple(map(_written, PDO_SETS["elmo-cst"].outputs)),
     inputs=(
-        WrittenPdo(
-            index=0x1A02,
-            entries=(
-                "0x6064:00:32 position",
-                "0x6077:00:16 torque",
-                "0x6041:00:16 statusword",
-                "0x6061:00:8 mode_display",
-                "0x0000:00:8",
-            ),
-        ),
-        WrittenPdo(
-            index=0x1A11,
-            entries=(
-                "0x606C:00:32 velocity",
-                "0x2100:00:16 temperature",
-                "0x6079:00:32 bus_voltage",
-                "0x60FD:00:32 digital_inputs",
-            ),
-        ),
+        _written(_MOTION),
+        _written(_VELOCITY, "0x2100:00:16 temperature", "0x6079:00:32 bus_voltage", "0x60FD:00:32 digital_inputs"),
     ),
 )
 """The set `elmo-cst`, and what else an emulated drive reports: its temperature is not an object of CiA 402."""

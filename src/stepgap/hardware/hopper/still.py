@@ -1,8 +1,39 @@
 """A hopper that stands still, without hardware; it serves to measure the timing of the computer alone."""
 
-from stepgap.hardware.commissioning.still_rig import StillRig
+from stepgap.rigs.rig import Reading, Rig, SensorModel, Torques
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.tick.sensors import HopperReading, HopperSensorModel
+
+
+class StillRig(Rig):
+    """Returns the same reading at every tick and accepts any torque.
+
+    Args:
+        sensor_model: Timing of the sensors and conversion of their counts.
+        reading: The counts.
+    """
+
+    def __init__(self, sensor_model: SensorModel, reading: Reading):
+        self._sensor_model, self._reading = sensor_model, reading
+
+    @property
+    def sensor_model(self) -> SensorModel:
+        """Timing of the sensors and conversion of their counts."""
+        return self._sensor_model
+
+    def connect(self) -> None:
+        """Does nothing: there is no hardware."""
+
+    def read(self) -> Reading:
+        """Returns the constant reading."""
+        return self._reading
+
+    def write(self, torques: Torques) -> Torques:
+        """Returns the given torques [N·m]; nothing moves."""
+        return torques
+
+    def close(self) -> None:
+        """Does nothing: there is no hardware."""
 
 
 def still_hopper(tick: float) -> StillRig:

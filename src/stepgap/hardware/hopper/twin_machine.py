@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from stepgap.hardware.ethercat.emulator.device import EmulatedDevice
 from stepgap.hardware.ethercat.emulator.drive import Drive, DriveSettings
-from stepgap.hardware.ethercat.emulator.machine import Machine
+from stepgap.hardware.ethercat.emulator.ring import Machine
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
 from stepgap.hardware.ethercat.emulator.terminals import AnalogInput, Coupler, EncoderTerminal
 from stepgap.rigs.rig import Torques

@@ -15,20 +15,11 @@ import moteus
 
 from stepgap.rigs.rig import RigFault
 
-REPLY_REQUIRED = 0x8000
-"""Bit of a CAN identifier that requests a reply of the controller."""
-
-MOST_LATE = 64
-"""Largest number of late frames of earlier exchanges that are discarded before a new one."""
-
-PADDING = b"\x50"
-"""Subframe without content."""
-
-Registers = Mapping[int, float]
-"""Values of a controller by register."""
-
-_Answer = TypeVar("_Answer")
-"""What a frame of a controller contains."""
+REPLY_REQUIRED = 0x8000  # Bit of a CAN identifier that requests a reply of the controller
+MOST_LATE = 64  # Largest number of late frames of earlier exchanges that are discarded before a new one
+PADDING = b"\x50"  # Subframe without content
+Registers = Mapping[int, float]  # Values of a controller by register
+_Answer = TypeVar("_Answer")  # What a frame of a controller contains
 
 
 def registers_of(data: bytes) -> Registers | None:

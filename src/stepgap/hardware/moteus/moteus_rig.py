@@ -1,6 +1,6 @@
 """A robot on moteus controllers as a `Rig`: joint commands out; positions, encoders and forces in."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from math import isfinite, nan
 from time import monotonic
@@ -8,30 +8,71 @@ from time import monotonic
 import moteus
 from moteus import Mode, Register
 
-from stepgap.hardware.host_time import COMPUTER, HostTime
+from stepgap.hardware.bus_rig import COMPUTER, BusRig, HostTime, TorqueWatch
 from stepgap.hardware.moteus.can_bus import CanBus, Registers, registers_of
-from stepgap.hardware.moteus.commanded import LIMITING, CommandedTorques
-from stepgap.hardware.moteus.configuration import check_timeout
-from stepgap.hardware.moteus.joint import JointCommand, JointState
-from stepgap.hardware.moteus.moteus_settings import AuxEncoder, AuxForce, CanDevice, CanSettings, Controller
-from stepgap.hardware.moteus.watchdog import measure_watchdogs, watchdog_query
-from stepgap.rigs.limits import RigLimits
-from stepgap.rigs.rig import HEALTHY, LOST, Health, Reading, Rig, RigFault, SensorModel, Torques, WatchdogTimes
+from stepgap.hardware.moteus.moteus_settings import (
+    AuxEncoder,
+    AuxForce,
+    CanDevice,
+    CanSettings,
+    Controller,
+    JointCommand,
+    JointState,
+)
+from stepgap.hardware.moteus.watchdog import check_timeout, measure_watchdogs, watchdog_query
+from stepgap.rigs.rig import Reading, RigFault, SensorModel, Torques, WatchdogTimes
 
-POSITION_COUNTS = 2**16
-"""Counts per turn in which moteus stores the position of its output."""
+LIMITING = range(96, 104)  # Fault codes of a controller that works, but at a limit
+MOST_LIMITED = 20  # Number of readings in a row at a limit, after which the robot shall land
+TORQUE_READINGS = 5  # Number of readings over which delay and lag of a torque extend
 
-ANALOG_COUNTS = 4096
-"""Counts of a controller's analog-digital converter; finer values are noise."""
 
-REGISTER_MAP = 5
-"""Version of the register map that this rig supports."""
+class CommandedTorques:
+    """Compares reported torques with the commands, and counts readings at a limit.
 
-ANSWER_TIMEOUT = 1.0
-"""Timeout of the first answers of the controllers, and of their getting ready [s]."""
+    Args:
+        motors: The controllers with motors.
+    """
 
-_LAST_FRAMES = 3
-"""Number of stop commands that are sent at the end, in case one is lost."""
+    def __init__(self, motors: Sequence[Controller]):
+        self._motors = motors
+        self._watches = [TorqueWatch(motor.torque_tolerance, TORQUE_READINGS) for motor in motors]
+        self._limited = dict[int, int]()
+
+    def restart(self) -> None:
+        """Forgets commands and readings."""
+        self._limited.clear()
+        for watch in self._watches:
+            watch.restart()
+
+    def command(self, torques: Torques) -> None:
+        """Adds the torques that were sent last [N·m]."""
+        for watch, torque in zip(self._watches, torques, strict=True):
+            watch.command(torque)
+
+    def excess(self, joints: Iterable[JointState]) -> str:
+        """Takes a reading; returns why torque must go off, or an empty text."""
+        for motor, watch, joint in zip(self._motors, self._watches, joints, strict=True):
+            if watch.reading(joint.tau):
+                return f"controller {motor.id}: its torque is {joint.tau:.1f} N·m, commanded were {watch.commanded} N·m"
+        return ""
+
+    def note_fault(self, number: int, code: int) -> None:
+        """Takes the fault code of a controller in a reading; 0 for none."""
+        self._limited[number] = self._limited.get(number, 0) + 1 if code in LIMITING else 0
+
+    @property
+    def warning(self) -> str:
+        """The controller that has been at a limit for `MOST_LIMITED` readings in a row; empty without one."""
+        found = [number for number, count in self._limited.items() if count >= MOST_LIMITED]
+        return f"controller {found[0]} is at one of its limits (fault 96 to 103)" if found else ""
+
+
+POSITION_COUNTS = 2**16  # Counts per turn in which moteus stores the position of its output
+ANALOG_COUNTS = 4096  # Counts of a controller's analog-digital converter; finer values are noise
+REGISTER_MAP = 5  # Version of the register map that this rig supports
+ANSWER_TIMEOUT = 1.0  # Timeout of the first answers of the controllers, and of their getting ready [s]
+_LAST_FRAMES = 3  # Number of stop commands that are sent at the end, in case one is lost
 
 FAULTS = {
     32: "calibration",
@@ -54,8 +95,7 @@ FAULTS = {
 }
 
 ENCODER_POSITION = {1: Register.ENCODER_1_POSITION, 2: Register.ENCODER_2_POSITION}
-ENCODER_VALID = {1: 0x04, 2: 0x10}
-"""Bits of the validity register by encoder source."""
+ENCODER_VALID = {1: 0x04, 2: 0x10}  # Bits of the validity register by encoder source
 
 ANALOG_INPUTS = {1: Register.AUX1_ANALOG_IN1, 2: Register.AUX2_ANALOG_IN1}
 """Register of the first pin by auxiliary port."""
@@ -66,13 +106,13 @@ SUPPLY = {"bus_voltage": (Register.VOLTAGE, "V"), "temperature": (Register.TEMPE
 LIMP = JointCommand(q=0.0, dq=0.0, kp=0.0, kd=0.0, tau=0.0)
 
 
-class MoteusRig(Rig):
+class MoteusRig(BusRig):
     """Controllers as `moteus.toml` describes them, in position mode with gains zero.
 
     `read` queries all controllers and waits for their answers, so that they are of this tick; `write` sends each a
     command that includes the watchdog and the torque limit. If answers are missing in a tick, the reading before is
-    repeated; too many such ticks in a row are a fault. Any fault stops all controllers and is latched for the life of
-    the object. A controller that is in fault at connect is reset once.
+    repeated; too many such ticks in a row are a fault. Any fault stops all controllers. A controller that is in fault
+    at connect is reset once.
 
     Args:
         settings: The robot's bus, with its limit of lost frames.
@@ -81,31 +121,17 @@ class MoteusRig(Rig):
     """
 
     def __init__(self, settings: CanSettings, sensor_model: SensorModel, host: HostTime = COMPUTER):
-        self._settings, self._sensor_model, self._host = settings, sensor_model, host
+        super().__init__(settings, sensor_model)
+        self._settings, self._host = settings, host
         self._motors = settings.motors
         self._controllers = {motor.id: self._controller(motor.id) for motor in self._motors}
         self._sensors = tuple(_sensor(device) for device in settings.devices.values())
         self._bus: CanBus | None = None
-        self._fault, self._lost, self._written = "", 0, False
+        self._written = False
         self._reading = settings.reading((0.0,) * len(self._sensors))
         self._joints = (JointState(0, 0, 0),) * len(self._motors)
         self._commanded = CommandedTorques(self._motors)
         self._supplies, self._remarks = (nan,) * (len(SUPPLY) * len(self._motors)), list[str]()
-
-    @property
-    def sensor_model(self) -> SensorModel:
-        """Timing of the sensors and conversion of their counts; zeros and signs are already applied."""
-        return self._sensor_model
-
-    @property
-    def limits(self) -> RigLimits:
-        """Limits from the settings."""
-        return self._settings.budgets
-
-    @property
-    def health(self) -> Health:
-        """Whether the last answers were lost, so that the reading is an older one."""
-        return LOST if self._lost else HEALTHY
 
     @property
     def joints(self) -> tuple[JointState, ...]:
@@ -142,8 +168,7 @@ class MoteusRig(Rig):
             RigFault: There is no such bus, a controller does not answer, has another firmware, would have torque after
                 a timeout or does not become ready, an encoder does not work, or the rig had a fault before.
         """
-        if self._fault:
-            raise RigFault(f"the rig had a fault: {self._fault}; remove its cause, then start again")
+        self._require_no_fault()
         self.close()
         self._bus = CanBus(self._settings.interface, self._settings.channel)
         try:
@@ -172,7 +197,7 @@ class MoteusRig(Rig):
             self._update_reading(replies)
         else:
             self._lost += 1
-            if self._lost > self._settings.budgets.lost_frames:
+            if self._lost > self._budgets.lost_frames:
                 raise self._trip(f"{self._absent(replies)} did not answer in time for {self._lost} ticks in a row")
         return self._reading
 
@@ -185,8 +210,7 @@ class MoteusRig(Rig):
         bus = self._up()
         if self._written:
             self.read()
-        if not all(map(isfinite, torques)):
-            raise self._trip(f"torques must be finite, not {', '.join(map(str, torques))}")
+        self._require_finite(torques)
         limits = [motor.torque_limit for motor in self._motors]
         sent = tuple(min(max(torque, -most), most) for torque, most in zip(torques, limits, strict=True))
         self._command(bus, [LIMP._replace(tau=torque) for torque in sent])
@@ -304,12 +328,10 @@ class MoteusRig(Rig):
             raise RigFault(self._fault or "the rig is not connected")
         return self._bus
 
-    def _trip(self, message: str) -> RigFault:
-        """Stops all controllers and latches the fault; returns it to be raised."""
-        self._fault = message
+    def _torque_off(self) -> None:
+        """Stops all controllers."""
         if self._bus:
             self._stop(self._bus)
-        return RigFault(message)
 
     def _stop(self, bus: CanBus) -> None:
         for _ in range(_LAST_FRAMES):
@@ -367,7 +389,6 @@ def _force(fraction: float, sensor: AuxForce) -> float:
 
 
 def _register(device: AuxEncoder | AuxForce) -> int:
-    """Register with the value of a sensor."""
     if isinstance(device, AuxEncoder):
         return ENCODER_POSITION[device.source]
     return ANALOG_INPUTS[device.port] + device.pin - 1
@@ -384,7 +405,6 @@ def _sensor(device: CanDevice) -> Callable[[Mapping[int, Registers]], float]:
 
 
 def _state(number: int, registers: Registers) -> str:
-    """Describes mode and fault of a controller."""
     mode, fault = int(registers.get(Register.MODE, -1)), int(registers.get(Register.FAULT, 0))
     name = Mode(mode).name.lower() if mode in set(Mode) else "getting ready" if 2 <= mode <= 4 else str(mode)
     cause = f", fault {fault}: {FAULTS.get(fault, 'see the manual')}" if fault else ""

@@ -1,18 +1,92 @@
 """Settings of a CAN bus and its devices: the part of `moteus.toml` that is the same for every robot."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, isfinite
+from math import inf, isfinite, nan, tau
+from typing import NamedTuple
 
 from stepgap.base.ranges import require
-from stepgap.hardware.moteus.joint import Scale
-from stepgap.rigs.limits import RigLimits
-from stepgap.rigs.rig import Reading
+from stepgap.hardware.bus_rig import BusTiming
 
 
-def _require_id(value: int) -> None:
-    require(1 <= value <= 126, "id", value, "lie between 1 and 126")
+class JointCommand(NamedTuple):
+    """Command of a joint, whose drive gives the torque kp (q − q_now) + kd (dq − dq_now) + tau.
+
+    Attributes:
+        q: Angle [rad].
+        dq: Its rate [rad/s].
+        kp: Stiffness [N·m/rad].
+        kd: Damping [N·m·s/rad].
+        tau: Feedforward torque [N·m].
+    """
+
+    q: float
+    dq: float
+    kp: float
+    kd: float
+    tau: float
+
+
+class JointState(NamedTuple):
+    """State of a joint, as measured by its drive.
+
+    Attributes:
+        q: Angle [rad].
+        dq: Its rate [rad/s].
+        tau: Torque [N·m].
+    """
+
+    q: float
+    dq: float
+    tau: float
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Units of a moteus controller: turns and N·m of its output, and gains as fractions of its configured ones.
+
+    Attributes:
+        gear: Turns of the controller's output per turn of the joint.
+        sign: 1 if output and joint turn in the same direction, else −1.
+        zero: Position of the output at angle zero [turns].
+        servo_kp: The controller's `servo.pid_position.kp` [N·m/turn].
+        servo_kd: The controller's `servo.pid_position.kd` [N·m·s/turn].
+    """
+
+    gear: float
+    sign: int
+    zero: float
+    servo_kp: float
+    servo_kd: float
+
+    def position_command(self, command: JointCommand) -> dict[str, float]:
+        """Converts a command to arguments of `moteus.Controller.make_position`; without stiffness the position is NaN.
+
+        Raises:
+            ValueError: A number is not finite, a gain is negative, or the damping is larger than moteus supports: it
+                limits the scale of kd to that of kp.
+        """
+        if not all(map(isfinite, command)):
+            raise ValueError(f"a joint command must be finite, not {command}")
+        if command.kp < 0 or command.kd < 0:
+            raise ValueError(f"gains must not be negative: {command}")
+        per_turn = tau / self.gear**2
+        kp_scale, kd_scale = command.kp * per_turn / self.servo_kp, command.kd * per_turn / self.servo_kd
+        if kd_scale > kp_scale:
+            raise ValueError(f"kd = {command.kd} must be at most {self.servo_kd / self.servo_kp * command.kp:g} here")
+        turns = self.sign * self.gear / tau
+        return {
+            "position": self.zero + turns * command.q if command.kp else nan,
+            "velocity": turns * command.dq if command.kp else 0.0,
+            "feedforward_torque": self.sign * command.tau / self.gear,
+            "kp_scale": kp_scale,
+            "kd_scale": kd_scale,
+            "ilimit_scale": 0.0,
+        }
+
+    def joint_state(self, position: float, velocity: float, torque: float) -> JointState:
+        """Converts the registers of the controller [turns, turns/s, N·m] to the state of the joint."""
+        angle = self.sign * tau / self.gear
+        return JointState(angle * (position - self.zero), angle * velocity, self.sign * self.gear * torque)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +116,7 @@ class Controller:
 
     def __post_init__(self) -> None:
         require(self.torque_tolerance > 0, "torque_tolerance", self.torque_tolerance, "be positive")
-        _require_id(self.id)
+        require(1 <= self.id <= 126, "id", self.id, "lie between 1 and 126")
         for name in ("torque_limit", "gear", "servo_kp", "servo_kd"):
             value = getattr(self, name)
             require(isfinite(value) and value > 0, name, value, "be positive")
@@ -112,7 +186,7 @@ CanDevice = Controller | AuxEncoder | AuxForce
 
 
 @dataclass(frozen=True, kw_only=True)
-class CanSettings(ABC):
+class CanSettings(BusTiming):
     """The CAN-FD bus of a robot; each robot adds the tables of its controllers, sensors and limits.
 
     Attributes:
@@ -130,20 +204,6 @@ class CanSettings(ABC):
     watchdog: float = 0.05
 
     @property
-    @abstractmethod
-    def devices(self) -> Mapping[str, CanDevice]:
-        """Controllers, encoders and forces by the name of their table, in the order of a reading."""
-
-    @property
-    @abstractmethod
-    def budgets(self) -> RigLimits:
-        """Limits of consecutive bad ticks."""
-
-    def reading(self, values: Sequence[float]) -> Reading:
-        """Makes a reading from the values of all devices, in their order."""
-        return tuple(values)
-
-    @property
     def motors(self) -> tuple[Controller, ...]:
         """The controllers among the devices, in their order."""
         return tuple(device for device in self.devices.values() if isinstance(device, Controller))
@@ -152,14 +212,7 @@ class CanSettings(ABC):
         for name, example in (("channel", "can0"), ("interface", "socketcan")):
             value = getattr(self, name)
             require(bool(value.strip()), name, value, f"be a name, such as '{example}'")
-        require(1e-4 <= self.tick <= 0.01, "tick", self.tick, "lie between 0.0001 and 0.01")
-        require(2 * self.tick <= self.watchdog <= 0.5, "watchdog", self.watchdog, "be at least two ticks, at most 0.5")
-        require(
-            0 < self.reply_timeout < self.watchdog,
-            "reply_timeout",
-            self.reply_timeout,
-            f"be positive and less than watchdog = {self.watchdog}",
-        )
+        self.check_times()
         self._check_ids()
 
     def _check_ids(self) -> None:

@@ -19,8 +19,7 @@ from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_ring import attached_memory, created_memory
 from stepgap.step import StepStatus
 
-LONGEST_MESSAGE = 2048
-"""Largest length of a message [bytes]."""
+LONGEST_MESSAGE = 2048  # Largest length of a message [bytes]
 
 
 class Field(IntEnum):

@@ -24,17 +24,10 @@ from stepgap.rigs.rig import RigFault
 Consent = Callable[[Board], AbstractContextManager[None]]
 """Waits until a person consents to torque; within the block, the consent is on the board."""
 
-KEY = b" "
-"""The space bar."""
-
-NEEDED_PRESSES = 5
-"""Number of presses in a row by which the key is held: the first ones of a terminal come slowly."""
-
-LONGEST_REPEAT = 0.25
-"""Longest time between two of them [s]; terminals repeat a key some 30 times per second."""
-
-_LOOK_EVERY = 0.05
-"""Longest time for which the end of the block is not noticed [s]."""
+KEY = b" "  # The space bar
+NEEDED_PRESSES = 5  # Number of presses in a row by which the key is held: the first ones of a terminal come slowly
+LONGEST_REPEAT = 0.25  # Longest time between two of them [s]; terminals repeat a key some 30 times per second
+_LOOK_EVERY = 0.05  # Longest time for which the end of the block is not noticed [s]
 
 
 @contextmanager
@@ -98,7 +91,6 @@ def _terminal() -> int:
 
 
 def _forget_input(terminal: int) -> None:
-    """Discards what was typed before."""
     import termios  # not available on Windows
 
     termios.tcflush(terminal, termios.TCIFLUSH)

@@ -4,18 +4,63 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite, nan
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
 from stepgap.hardware.realtime.board import Board, Request, StepEnd
-from stepgap.hardware.realtime.pace import Pace
-from stepgap.hardware.realtime.states import MOVING, Signals, next_state
-from stepgap.hardware.realtime.tick_clock import TickClock
+from stepgap.hardware.realtime.pace import Pace, TickClock
 from stepgap.plants.tick_control import FinishedStep, Mode, Order, TickControl, TickFlag
 from stepgap.plants.ticks.log_description import FieldMeaning
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.rigs.rig import DoubtfulSensor, Health, Reading, Rig, RigFault
 from stepgap.step import StepSpace, StepStatus
+
+MOVING = frozenset({RigState.STAND, RigState.STEP, RigState.STOP})
+"""States in which the control laws' torques are written."""
+
+
+class Signals(NamedTuple):
+    """Signals that determine the next state.
+
+    Attributes:
+        connected: The bus is up and the drives accept torque commands.
+        calibrated: The limp robot's sensors have been plausible for long enough.
+        start_requested: A person has requested that the robot takes steps.
+        stop_requested: A person has requested the stop, or the learning process does not respond.
+        stood: The posture for the release is held with full torque.
+        at_rest: The robot has had the time to land.
+        fault: There is a fault.
+    """
+
+    connected: bool = False
+    calibrated: bool = False
+    start_requested: bool = False
+    stop_requested: bool = False
+    stood: bool = False
+    at_rest: bool = False
+    fault: bool = False
+
+
+def next_state(state: RigState, signals: Signals) -> RigState:
+    """The next state: one transition per tick; FAULT can follow on any state and is never left."""
+    if signals.fault or state == RigState.FAULT:
+        return RigState.FAULT
+    if state == RigState.OFF:
+        return RigState.OFF if signals.stop_requested else RigState.CONNECT
+    if state == RigState.STOP:
+        return RigState.OFF if signals.at_rest else RigState.STOP
+    if signals.stop_requested:
+        return RigState.STOP if state in MOVING else RigState.OFF
+    may_continue = {
+        RigState.CONNECT: signals.connected,
+        RigState.CALIBRATE: signals.calibrated,
+        RigState.READY: signals.start_requested,
+        RigState.STAND: signals.stood,
+        RigState.STEP: False,
+    }
+    return RigState(state + 1) if may_continue[state] else state
+
 
 LOOP_UNITS: Mapping[str, str] = MappingProxyType({"took": "s", "state": "", "late": "s"})
 """Fields of a row of the tick log after those of the robot's tick, with their units.
@@ -26,8 +71,7 @@ LOOP_UNITS: Mapping[str, str] = MappingProxyType({"took": "s", "state": "", "lat
 LOOP_MEANING = FieldMeaning(names={"state": {state.value: state.name for state in RigState}})
 """Meaning of the fields in `LOOP_UNITS`."""
 
-ALIVE_EVERY = 64
-"""Number of ticks between two checks whether the learning process is alive."""
+ALIVE_EVERY = 64  # Number of ticks between two checks whether the learning process is alive
 
 _STEP_ENDED, _FAILED, _STOPPED, _BRAKES, _TAKES_COMMAND, _UNREADABLE, _TOUCHDOWN = map(int, TickFlag)
 """Numbers of the flags: of a tick of 12 µs, operations on the enum took 3 µs."""

@@ -17,8 +17,7 @@ from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
 from stepgap.rigs.rig import RigFault
 from stepgap.step import Array, StepRecord, StepSpace, StepStatus
 
-_CHECK_EVERY = 1e-3
-"""Time between two checks whether a step has ended [s]."""
+_CHECK_EVERY = 1e-3  # Time between two checks whether a step has ended [s]
 
 
 class RealtimePlant(Plant):

@@ -13,7 +13,6 @@ from typing import Protocol
 from stepgap.hardware.realtime.board import Board, Request
 from stepgap.hardware.realtime.loop import LoopSettings
 from stepgap.hardware.realtime.process import RealtimeSetup, run_realtime
-from stepgap.hardware.realtime.tick_watch import EXIT_TIME, TickWatch
 from stepgap.plants.ticks.log_description import LogEvent
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLogError
@@ -21,23 +20,54 @@ from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.rigs.rig import RigFault
 from stepgap.step import Array
 
-KEPT_ROWS = 20_000
-"""Largest number of ticks that the reader may be behind without a loss."""
+EXIT_TIME = 5.0  # Longest time from the last tick to the end of the process [s]
 
-DRAIN_EVERY = 0.05
-"""Time between two reads of new ticks [s]."""
 
-FLUSH_EVERY = 20
-"""Number of reads between two flushes; a file that a crash truncates lacks hardly more."""
+class TickWatch:
+    """Measures how long a process has made no tick.
 
-FIRST_TICKS = "the first ticks"
-"""Text of an event that relates the time of the ticks to UTC."""
+    The time is the sum of what the observer has waited between its looks, not that of a clock: a pause of the observer
+    itself, as when the whole computer sleeps, is not a silence of the process.
 
-_LOOK_EVERY = 1e-3
-"""Time between two looks whether the rig is ready [s]."""
+    Args:
+        board: Counts the ticks of the process.
+        settings: Contains the longest times without a tick.
+    """
 
-WATCH_EVERY = 0.05
-"""Time between two looks whether there are ticks [s]."""
+    def __init__(self, board: Board, settings: LoopSettings):
+        self._board, self._settings = board, settings
+        self._ticks, self._silence = 0, 0.0
+
+    def silent(self, waited: float) -> str:
+        """Describes a silence that is too long; empty if it is not.
+
+        Args:
+            waited: Time since the last look [s].
+        """
+        ticks = self._board.ticks
+        self._silence = 0.0 if ticks != self._ticks else self._silence + waited
+        self._ticks = ticks
+        if self._silence <= self._longest():
+            return ""
+        return (
+            f"the real-time process made no tick for {self._silence:.1f} s and was killed; "
+            "the watchdog of the drives switches torque off"
+        )
+
+    def _longest(self) -> float:
+        """Longest silence in the present state [s]."""
+        if not self._ticks:
+            return self._settings.connect_time
+        over = self._board.state in (RigState.OFF, RigState.FAULT)
+        return EXIT_TIME if over else self._settings.tick_silence
+
+
+KEPT_ROWS = 20_000  # Largest number of ticks that the reader may be behind without a loss
+DRAIN_EVERY = 0.05  # Time between two reads of new ticks [s]
+FLUSH_EVERY = 20  # Number of reads between two flushes; a file that a crash truncates lacks hardly more
+FIRST_TICKS = "the first ticks"  # Text of an event that relates the time of the ticks to UTC
+_LOOK_EVERY = 1e-3  # Time between two looks whether the rig is ready [s]
+WATCH_EVERY = 0.05  # Time between two looks whether there are ticks [s]
 
 
 class TickSink(Protocol):

@@ -7,8 +7,7 @@ from stepgap.hardware.ethercat.emulator import registers as reg
 from stepgap.hardware.ethercat.emulator.device import EmulatedDevice
 from stepgap.hardware.ethercat.emulator.faults import Fault
 from stepgap.hardware.ethercat.emulator.frame import BROADCAST, Command, Datagram, Frame, decode, encode
-from stepgap.hardware.ethercat.emulator.machine import Machine
-from stepgap.hardware.ethercat.emulator.ring import Ring
+from stepgap.hardware.ethercat.emulator.ring import Machine, Ring
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
 from stepgap.hardware.ethercat.emulator.sii import INPUT_START, MAILBOX_AREAS, OUTPUT_START
 from stepgap.hardware.hopper.twin_machine import hopper_devices

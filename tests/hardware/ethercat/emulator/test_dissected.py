@@ -4,16 +4,7 @@ from typing import Any
 
 import pytest
 
-from stepgap.hardware.ethercat.emulator.faults import (
-    DriveFault,
-    DuplicatedFrame,
-    LateFrame,
-    LostFrames,
-    PowerLost,
-    SentEmergency,
-    Silence,
-    Unplugged,
-)
+from stepgap.hardware.ethercat.emulator.faults import Fault
 from tests.hardware.ethercat.dissection import Dissected, dissected
 from tests.hardware.ethercat.emulator.bench import DRIVES
 from tests.hardware.ethercat.emulator.kickcat_master import KickcatMaster
@@ -22,14 +13,14 @@ from tests.hardware.ethercat.recording import recording
 from tests.hardware.ethercat.ring_process import INTERFACE, live_ring
 
 FAULTS = (
-    LostFrames(10, 2),
-    LateFrame(14),
-    DuplicatedFrame(18),
-    SentEmergency(20, "drive_2", 0x4210),
-    DriveFault(24, "drive_1", 0x2310),
-    Unplugged(28, "contact_force", 3),
-    PowerLost(34, "boom_vertical", 3),
-    Silence(40, 200),
+    Fault("lost frames", 10, cycles=2),
+    Fault("late frame", 14),
+    Fault("duplicated frame", 18),
+    Fault("emergency", 20, "drive_2", code=0x4210),
+    Fault("trip", 24, "drive_1", code=0x2310),
+    Fault("unplugged", 28, "contact_force", cycles=3),
+    Fault("power lost", 34, "boom_vertical", cycles=3),
+    Fault("silence", 40, ticks=200),
 )
 CYCLES = 60
 A_WHILE = 0.05

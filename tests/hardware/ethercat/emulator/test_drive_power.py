@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stepgap.hardware.ethercat.emulator.drive_power import PowerSettings, PowerStage, next_stage
+from stepgap.hardware.ethercat.emulator.drive import PowerSettings, PowerStage, next_stage
 
 SETTINGS = PowerSettings()
 COLD = PowerStage(SETTINGS.ambient, SETTINGS.voltage)

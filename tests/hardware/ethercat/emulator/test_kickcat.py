@@ -5,7 +5,7 @@ from struct import pack, unpack
 import numpy as np
 import pytest
 
-from stepgap.hardware.ethercat.emulator.faults import LostFrames, PowerLost, Silence, WrongMapping
+from stepgap.hardware.ethercat.emulator.faults import Fault
 from tests.hardware.ethercat.emulator.bench import DRIVE_INPUT, DRIVES, ENCODER_INPUT, ENCODERS, LENGTHS
 from tests.hardware.ethercat.emulator.kickcat_master import WATCHDOG, KickcatMaster
 from tests.hardware.ethercat.ring_process import INTERFACE, live_ring
@@ -84,7 +84,7 @@ def test_what_kickcat_may_not_do_is_refused():
 
 
 def test_kickcat_detects_lost_frames_and_lost_slaves():
-    with live_ring(LostFrames(BEFORE + 1), PowerLost(BEFORE + 3, "contact_force", 2)):
+    with live_ring(Fault("lost frames", BEFORE + 1), Fault("power lost", BEFORE + 3, "contact_force", cycles=2)):
         master = KickcatMaster(INTERFACE)
         master.assign_pdos()
         master.operational()
@@ -99,7 +99,7 @@ def test_kickcat_detects_lost_frames_and_lost_slaves():
 
 def test_the_watchdog_is_as_long_as_kickcat_sets_it():
     ticks = round(WATCHDOG * 1000)
-    with live_ring(Silence(BEFORE + 1, ticks - 1), Silence(BEFORE + 2, ticks + 1)):
+    with live_ring(Fault("silence", BEFORE + 1, ticks=ticks - 1), Fault("silence", BEFORE + 2, ticks=ticks + 1)):
         master = KickcatMaster(INTERFACE)
         master.assign_pdos()
         master.operational()
@@ -112,7 +112,7 @@ def test_the_watchdog_is_as_long_as_kickcat_sets_it():
 
 
 def test_a_wrong_mapping_is_an_error_of_the_state():
-    with live_ring(WrongMapping(0, "drive_2")):
+    with live_ring(Fault("wrong mapping", 0, "drive_2")):
         master = KickcatMaster(INTERFACE)
         master.assign_pdos()
         with pytest.raises(master.kickcat.ErrorAL):

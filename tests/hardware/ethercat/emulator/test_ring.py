@@ -1,5 +1,6 @@
 """The ring frame by frame, with a master of the tests and flywheels whose counts can be computed by hand."""
 
+import re
 from struct import pack, unpack, unpack_from
 
 import pytest
@@ -7,18 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stepgap.hardware.ethercat.emulator import registers as reg
-from stepgap.hardware.ethercat.emulator.faults import (
-    DriveFault,
-    DuplicatedFrame,
-    LateFrame,
-    LostFrames,
-    PowerLost,
-    SentEmergency,
-    Silence,
-    Stalled,
-    Unplugged,
-    WrongMapping,
-)
+from stepgap.hardware.ethercat.emulator.faults import Fault
 from stepgap.hardware.ethercat.emulator.frame import (
     BROADCAST,
     ETHERTYPE,
@@ -260,11 +250,11 @@ def test_a_wrong_length_is_refused(outputs, inputs, code):
 
 
 def test_a_mapping_error_is_scripted_from_the_start_and_later():
-    bench = Bench(WrongMapping(0, "drive_2"))
+    bench = Bench(Fault("wrong mapping", 0, "drive_2"))
     with pytest.raises(AssertionError):
         bench.operational()
     assert bench.status(1) == (0x12, StatusCode.INVALID_INPUTS)
-    bench = Bench(WrongMapping(ENABLING, "boom_vertical")).enabled()
+    bench = Bench(Fault("wrong mapping", ENABLING, "boom_vertical")).enabled()
     bench.cycle()
     assert bench.status(4) == (0x12, StatusCode.INVALID_INPUTS)
 
@@ -343,7 +333,7 @@ def set_watchdog(bench: Bench, ticks: int) -> None:
 
 @pytest.mark.parametrize("limit", [5, 20])
 def test_the_watchdog_ends_torque_without_frames(limit):
-    bench = Bench(Silence(ENABLING + 3, 100)).enabled()
+    bench = Bench(Fault("silence", ENABLING + 3, ticks=100)).enabled()
     set_watchdog(bench, limit)
     for _ in range(3):
         bench.cycle((7, 7))
@@ -359,7 +349,7 @@ def test_the_watchdog_ends_torque_without_frames(limit):
 
 
 def test_a_drive_that_tripped_remains_in_fault_until_acknowledged_and_reset():
-    bench = Bench(Silence(ENABLING, 200)).enabled()
+    bench = Bench(Fault("silence", ENABLING, ticks=200)).enabled()
     bench.cycle((7, 7))
     for drive in DRIVES:
         assert unpack("<HHB5x", bench.mail(drive)) == (0x1000, 0x8130, 1)
@@ -374,7 +364,7 @@ def test_a_drive_that_tripped_remains_in_fault_until_acknowledged_and_reset():
 
 
 def test_the_watchdog_can_be_off():
-    bench = Bench(Silence(ENABLING, 1000)).enabled()
+    bench = Bench(Fault("silence", ENABLING, ticks=1000)).enabled()
     set_watchdog(bench, 0)
     bench.cycle((7, 7))
     assert bench.status(0) == (8, 0)
@@ -385,7 +375,7 @@ def test_the_watchdog_can_be_off():
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_lost_frames_hold_the_torque(count):
-    bench = Bench(LostFrames(ENABLING + 1, count)).enabled()
+    bench = Bench(Fault("lost frames", ENABLING + 1, cycles=count)).enabled()
     bench.cycle((4, 4))
     ticks = len(bench.machine.torques)
     for _ in range(count):
@@ -396,7 +386,7 @@ def test_lost_frames_hold_the_torque(count):
 
 
 def test_a_late_frame_comes_before_the_next():
-    bench = Bench(LateFrame(ENABLING + 1)).enabled()
+    bench = Bench(Fault("late frame", ENABLING + 1)).enabled()
     bench.cycle((4, 4))
     assert bench.cycle((5, 5)) == []
     late, own = bench.cycle((6, 6))
@@ -405,7 +395,7 @@ def test_a_late_frame_comes_before_the_next():
 
 
 def test_a_duplicated_frame_moves_the_machine_once():
-    bench = Bench(DuplicatedFrame(ENABLING)).enabled()
+    bench = Bench(Fault("duplicated frame", ENABLING)).enabled()
     ticks = len(bench.machine.torques)
     first, second = bench.cycle((5, 5))
     assert first == second
@@ -413,7 +403,7 @@ def test_a_duplicated_frame_moves_the_machine_once():
 
 
 def test_a_disconnected_slave_disconnects_those_behind_it_and_comes_back():
-    bench = Bench(Unplugged(ENABLING + 1, "drive_2", 3)).enabled()
+    bench = Bench(Fault("unplugged", ENABLING + 1, "drive_2", cycles=3)).enabled()
     bench.cycle((4, 4))
     answers = [bench.cycle((5, 5))[0] for _ in range(3)]
     assert {answer.counter for answer in answers} == {3}
@@ -425,12 +415,12 @@ def test_a_disconnected_slave_disconnects_those_behind_it_and_comes_back():
 
 
 def test_without_the_first_slave_nothing_comes_back():
-    bench = Bench(Unplugged(ENABLING, "drive_1", 2)).enabled()
+    bench = Bench(Fault("unplugged", ENABLING, "drive_1", cycles=2)).enabled()
     assert [len(bench.cycle()) for _ in range(3)] == [0, 0, 1]
 
 
 def test_a_slave_that_lost_power_is_reset():
-    bench = Bench(PowerLost(ENABLING + 1, "drive_2", 2)).enabled()
+    bench = Bench(Fault("power lost", ENABLING + 1, "drive_2", cycles=2)).enabled()
     bench.cycle((4, 4))
     answers = [bench.cycle((5, 5))[0] for _ in range(3)]
     assert [answer.counter for answer in answers] == [3, 3, COUNTER - 3]
@@ -440,7 +430,7 @@ def test_a_slave_that_lost_power_is_reset():
 
 
 def test_a_stalled_slave_still_counts():
-    bench = Bench(Stalled(ENABLING + 2, "drive_1", 3)).enabled()
+    bench = Bench(Fault("stalled", ENABLING + 2, "drive_1", cycles=3)).enabled()
     bench.cycle((4, 4))
     bench.cycle((4, 4))
     answers = [bench.cycle((5, 5))[0] for _ in range(3)]
@@ -452,7 +442,7 @@ def test_a_stalled_slave_still_counts():
 
 
 def test_a_drive_fault_is_latched_and_reported():
-    bench = Bench(DriveFault(ENABLING + 1, "drive_1", 0x2310)).enabled()
+    bench = Bench(Fault("trip", ENABLING + 1, "drive_1", code=0x2310)).enabled()
     answer = [bench.cycle((4, 4))[0] for _ in range(3)][-1]
     assert drive_input(answer, 0)[2] & 0x4F == 0x08
     assert drive_input(answer, 1)[2] & 0x6F == 0x27
@@ -462,7 +452,7 @@ def test_a_drive_fault_is_latched_and_reported():
 
 
 def test_an_emergency_message_stops_nothing():
-    bench = Bench(SentEmergency(ENABLING, "drive_2", 0x4210)).enabled()
+    bench = Bench(Fault("emergency", ENABLING, "drive_2", code=0x4210)).enabled()
     bench.cycle((4, 4))
     assert unpack("<HHB5x", bench.mail(1)) == (0x1000, 0x4210, 0)
     assert bench.machine.torques[-1] == (4, 4)
@@ -470,7 +460,7 @@ def test_an_emergency_message_stops_nothing():
 
 def test_a_fault_names_a_slave():
     with pytest.raises(ValueError, match="the slaves are drive_1, drive_2"):
-        Bench(DriveFault(1, "drive_3"))
+        Bench(Fault("trip", 1, "drive_3"))
 
 
 # ---- anything may come
@@ -561,3 +551,18 @@ def test_what_comes_back_is_the_frame_changed_only_where_slaves_may(datagrams, p
         assert 0 <= received.counter <= 6 * 3
         passed = received.address - sent.address & 0xFFFF
         assert passed == (6 if sent.command in {1, 2, 3, 7, 8, 9, 13} else 0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "slave", "numbers", "message"),
+    [
+        ("lost frame", "", {}, "there is no fault 'lost frame'; the faults are lost frames, "),
+        ("silence", "", {}, "a fault 'silence' has the numbers ticks, not {}"),
+        ("trip", "drive_1", {"rate": 1}, "a fault 'trip' has the numbers code, not {'rate': 1}"),
+        ("trip", "", {}, "a fault 'trip' is one of a slave, so name it"),
+        ("late frame", "drive_1", {}, "a fault 'late frame' is one of frames"),
+    ],
+)
+def test_a_wrong_fault_is_refused(kind: str, slave: str, numbers: dict[str, int], message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        Fault(kind, 1, slave, **numbers)

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from stepgap.hardware.ethercat.emulator.faults import DriveFault
+from stepgap.hardware.ethercat.emulator.faults import Fault
 from tests.hardware.ethercat.emulator.bench import DRIVES, LENGTHS
 from tests.hardware.ethercat.emulator.soem_master import cycle, enabled, pysoem, soem_master
 from tests.hardware.ethercat.ring_process import INTERFACE, live_ring
@@ -52,7 +52,10 @@ def test_what_soem_may_not_do_is_refused():
 
 
 def test_emergencies_reach_soem_once_each():
-    with live_ring(DriveFault(6, "drive_1", 0x2310), DriveFault(6, "drive_2", 0x7121)), soem_master(INTERFACE) as bus:
+    with (
+        live_ring(Fault("trip", 6, "drive_1", code=0x2310), Fault("trip", 6, "drive_2", code=0x7121)),
+        soem_master(INTERFACE) as bus,
+    ):
         enabled(bus)
         for _ in range(4):
             assert cycle(bus) == bus.expected_wkc

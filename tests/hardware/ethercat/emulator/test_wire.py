@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from stepgap.hardware.ethercat.emulator.emulator import emulated
-from stepgap.hardware.ethercat.emulator.faults import DriveFault, LostFrames, PowerLost, Silence, WrongMapping
-from stepgap.hardware.ethercat.emulator.machine import Machine
+from stepgap.hardware.ethercat.emulator.faults import Fault
 from stepgap.hardware.ethercat.emulator.network import NoNetwork, raw_socket, wire
+from stepgap.hardware.ethercat.emulator.ring import Machine
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
 from stepgap.hardware.hopper.twin_machine import TwinMachine
 from stepgap.robots.hopper.parameters import RobotParameters
@@ -110,7 +110,7 @@ def test_the_ring_moves_the_twin_as_direct_calls_do():
 
 
 def test_a_wrong_mapping_is_refused():
-    with master(RingSettings(faults=(WrongMapping(0, "drive_2"),))) as bus:
+    with master(RingSettings(faults=(Fault("wrong mapping", 0, "drive_2"),))) as bus:
         with pytest.raises(pysoem.SdoError):
             assign(bus.slaves[0], 0x1C12, 0x1607)
         assign(bus.slaves[0], 0x1C12, 0x1602, 0x160B)
@@ -120,7 +120,7 @@ def test_a_wrong_mapping_is_refused():
 
 
 def test_missing_frames_end_torque_and_are_reported():
-    with master(RingSettings(faults=(Silence(10, 200),))) as bus:
+    with master(RingSettings(faults=(Fault("silence", 10, ticks=200),))) as bus:
         enabled(bus)
         for _ in range(8):
             cycle(bus, 100, 100)
@@ -131,7 +131,7 @@ def test_missing_frames_end_torque_and_are_reported():
 
 
 def test_lost_frames_are_timeouts_without_consequences():
-    with master(RingSettings(faults=(LostFrames(8, 3),))) as bus:
+    with master(RingSettings(faults=(Fault("lost frames", 8, cycles=3),))) as bus:
         enabled(bus)
         counters = [cycle(bus, 10, 10) for _ in range(10)]
         assert counters.count(-1) == 3
@@ -140,7 +140,7 @@ def test_lost_frames_are_timeouts_without_consequences():
 
 
 def test_a_drive_fault_is_in_the_statusword():
-    with master(RingSettings(faults=(DriveFault(8, "drive_1", 0x2310),))) as bus:
+    with master(RingSettings(faults=(Fault("trip", 8, "drive_1", code=0x2310),))) as bus:
         enabled(bus)
         for _ in range(8):
             cycle(bus, 10, 10)
@@ -149,7 +149,7 @@ def test_a_drive_fault_is_in_the_statusword():
 
 
 def test_a_slave_that_was_disconnected_is_detected_as_lost():
-    with master(RingSettings(faults=(PowerLost(8, "contact_force", 3),))) as bus:
+    with master(RingSettings(faults=(Fault("power lost", 8, "contact_force", cycles=3),))) as bus:
         enabled(bus)
         counters = [cycle(bus, 10, 10) for _ in range(8)]
         assert counters[-1] == bus.expected_wkc - 1

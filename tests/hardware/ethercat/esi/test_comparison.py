@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from stepgap.hardware.ethercat.esi.comparison import compare_with_esi
-from stepgap.hardware.ethercat.esi.document import EsiDevice, EsiEntry, EsiFile, EsiPdo, OpMode
-from stepgap.hardware.ethercat.esi.reader import read_esi
+from stepgap.hardware.ethercat.esi.reader import EsiDevice, EsiEntry, EsiFile, EsiPdo, OpMode, read_esi
 from stepgap.hardware.ethercat.pdo import Entry, Pdo, PdoSet
 from stepgap.hardware.ethercat.rig_settings import Slave
 from tests.hardware.ethercat.esi.esi_files import DRIVE, MODULAR, TERMINAL, written

@@ -11,9 +11,17 @@ from hypothesis import strategies as st
 from stepgap.base.errors import InputError
 from stepgap.base.settings_file import build
 from stepgap.hardware.ethercat.esi.comparison import compare_with_esi
-from stepgap.hardware.ethercat.esi.document import EsiDevice, EsiEntry, EsiFile, EsiPdo, InitCommand, OpMode
 from stepgap.hardware.ethercat.esi.proposal import MOST_DEVICES, propose
-from stepgap.hardware.ethercat.esi.reader import read_esi, shorten
+from stepgap.hardware.ethercat.esi.reader import (
+    EsiDevice,
+    EsiEntry,
+    EsiFile,
+    EsiPdo,
+    InitCommand,
+    OpMode,
+    read_esi,
+    shorten,
+)
 from stepgap.hardware.ethercat.pdo import Packing, PdoSet
 from stepgap.hardware.ethercat.pdo_sets import PDO_SETS
 from stepgap.hardware.ethercat.rig_settings import Slave, WrittenPdoSet

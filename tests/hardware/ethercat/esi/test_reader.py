@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from stepgap.base.errors import InputError, StepGapWarning
 from stepgap.hardware.ethercat.esi import tree
 from stepgap.hardware.ethercat.esi.comparison import compare_with_esi
-from stepgap.hardware.ethercat.esi.document import EsiEntry, InitCommand, OpMode
 from stepgap.hardware.ethercat.esi.proposal import propose
-from stepgap.hardware.ethercat.esi.reader import parse_number, read_esi, shorten
+from stepgap.hardware.ethercat.esi.reader import EsiEntry, InitCommand, OpMode, parse_number, read_esi, shorten
 from stepgap.hardware.ethercat.esi.tree import DEEPEST, LARGEST_ESI_FILE, LONGEST_TEXT, parse_tree
 from stepgap.hardware.ethercat.pdo_sets import PDO_SETS
 from stepgap.hardware.ethercat.rig_settings import Slave

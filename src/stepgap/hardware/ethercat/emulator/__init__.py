@@ -2,9 +2,9 @@
 
 Read in this order: `frame` (Ethernet frames and datagrams), `registers` (of a slave controller), `sii` (its EEPROM),
 `dictionary` and `mailbox` (CANopen over EtherCAT), `clock` (distributed clocks), `slave` (the slave controller),
-`device` (the application of a slave), `drive` and `drive_layout` (its PDOs), `terminals`, `machine` (what the drives
-move), `faults` (scripted disturbances), `ring` (frame in, frames out), `network` (a veth pair), `arrival` (times of
-frames), `emulator` (the ring on a network interface, in this process or another).
+`device` (the application of a slave), `drive`, `terminals`, `faults` (scripted disturbances), `ring` (frame in, frames
+out, and the machine that the drives move), `network` (a veth pair), `emulator` (the ring on a network interface, in
+this process or another).
 
 The standards cited: ETG.1000.4 (data link layer), ETG.1000.6 (application layer), ETG.2010 (EEPROM), ETG.1020 (protocol
 enhancements), CiA 402-2 (IEC 61800-7-201, drive profile) and ETG.6010 (the drive profile on EtherCAT). The ring does

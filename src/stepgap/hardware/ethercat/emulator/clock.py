@@ -9,14 +9,12 @@ from typing import Any
 
 from stepgap.hardware.ethercat.emulator import registers as reg
 
-_PHASE_GAIN = 1 / 16
-"""Share of a difference of the times by which a compensation step shifts the clock."""
+_PHASE_GAIN = 1 / 16  # Share of a difference of the times by which a compensation step shifts the clock
 
 _RATE_GAIN = _PHASE_GAIN**2 / 4
 """Share of a difference per interval by which it changes the rate: critical damping with `_PHASE_GAIN`."""
 
-_LARGEST_RATE = 1e-3
-"""Largest change of the rate by the compensation."""
+_LARGEST_RATE = 1e-3  # Largest change of the rate by the compensation
 
 _INTERVALS = 50_000, 10_000_000
 """Shortest and longest interval between two distributed times for which the rate is adjusted [ns]."""

@@ -10,8 +10,7 @@ DEVICE_TYPE, DEVICE_NAME, IDENTITY = 0x1000, 0x1008, 0x1018
 SYNC_MANAGER_TYPES, ASSIGN_OUTPUTS, ASSIGN_INPUTS = 0x1C00, 0x1C12, 0x1C13
 """Communication area (ETG.1000.6): kinds of the sync managers, PDOs in them."""
 
-MOST_PDOS, MOST_PARTS = 8, 16
-"""Largest number of PDOs in a sync manager, and of entries in a PDO."""
+MOST_PDOS, MOST_PARTS = 8, 16  # Largest number of PDOs in a sync manager, and of entries in a PDO
 
 
 class Abort(StepGapError):
@@ -172,7 +171,7 @@ class Dictionary:
             if not may_assign:
                 raise Abort(Abort.WRONG_STATE)
             self._check_assignment(index, subindex, int.from_bytes(data, "little"))
-        elif self._mappable and self._is_pdo(index):
+        elif self._mappable and any(index in pdos for pdos in self._pdos.values()):
             if not may_assign:
                 raise Abort(Abort.WRONG_STATE)
             self._check_mapping(index, subindex, int.from_bytes(data, "little"))
@@ -206,9 +205,6 @@ class Dictionary:
             raise Abort(Abort.ASSIGNED_STILL)
         elif value not in self._pdos[index]:
             raise Abort(Abort.NOT_MAPPABLE)
-
-    def _is_pdo(self, index: int) -> bool:
-        return any(index in pdos for pdos in self._pdos.values())
 
     def _check_mapping(self, index: int, subindex: int, value: int) -> None:
         """Checks the content of a PDO, which is written like an assignment, while the PDO is not assigned."""

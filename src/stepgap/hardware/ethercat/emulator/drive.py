@@ -1,28 +1,124 @@
 """A torque-controlled drive: its side of the device control of CiA 402-2 (ETG.6010), mode 10 only."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from math import tau
+from math import exp, sqrt, tau
+from typing import NamedTuple
 
 from stepgap.hardware.ethercat.emulator.device import EmulatedDevice
-from stepgap.hardware.ethercat.emulator.dictionary import Abort, Dictionary, ObjectEntry
-from stepgap.hardware.ethercat.emulator.drive_layout import ELMO_LAYOUT, DriveLayout
-from stepgap.hardware.ethercat.emulator.drive_power import PowerSettings, PowerStage, next_stage
-from stepgap.hardware.ethercat.emulator.faults import (
-    Delayed,
-    DriveCondition,
-    FedBus,
-    Heated,
-    OpenedInput,
-    StatusBits,
-    StuckObject,
-    WrongTorque,
-)
+from stepgap.hardware.ethercat.emulator.dictionary import Abort, Dictionary, Mapped, ObjectEntry, Pdos
+from stepgap.hardware.ethercat.emulator.faults import Fault
 from stepgap.hardware.ethercat.emulator.mailbox import emergency
 from stepgap.hardware.ethercat.emulator.sii import Identity
 from stepgap.rigs.rig import Reading
+
+
+@dataclass(frozen=True)
+class DriveLayout:
+    """PDOs of a drive after power-up.
+
+    Attributes:
+        outputs: PDOs from the master.
+        inputs: PDOs to the master.
+        assigned_outputs: Those of the outputs that are exchanged.
+        assigned_inputs: Those of the inputs that are exchanged.
+        mappable: Whether a master may write the contents of PDOs.
+    """
+
+    outputs: Pdos
+    inputs: Pdos
+    assigned_outputs: tuple[int, ...]
+    assigned_inputs: tuple[int, ...]
+    mappable: bool = True
+
+    def idle_objects(self, known: Mapping[tuple[int, int], ObjectEntry]) -> dict[tuple[int, int], ObjectEntry]:
+        """Objects in these PDOs that the drive does not implement: they remain 0, or as the master sets them."""
+        parts = {part for pdos in (self.outputs, self.inputs) for entries in pdos.values() for part in entries}
+        return {
+            (part.index, part.subindex): ObjectEntry(0, part.bits)
+            for part in parts
+            if part.index and (part.index, part.subindex) not in known
+        }
+
+
+ELMO_LAYOUT = DriveLayout(
+    outputs={
+        0x1602: (Mapped(0x6071, 0, 16), Mapped(0x6040, 0, 16)),
+        0x160B: (Mapped(0x6060, 0, 8), Mapped(0, 0, 8)),
+    },
+    inputs={
+        0x1A02: (
+            Mapped(0x6064, 0, 32),
+            Mapped(0x6077, 0, 16),
+            Mapped(0x6041, 0, 16),
+            Mapped(0x6061, 0, 8),
+            Mapped(0, 0, 8),
+        ),
+        0x1A11: (Mapped(0x606C, 0, 32),),
+    },
+    assigned_outputs=(0x1602,),
+    assigned_inputs=(0x1A02,),
+)
+"""PDOs for torque control with the mapping of Elmo's drives; only 0x1602 and 0x1A02 are assigned after power-up."""
+
+
+@dataclass(frozen=True)
+class PowerSettings:
+    """Parameters of a power stage, which has a supply and a capacitor of its own.
+
+    Attributes:
+        ambient: Temperature without losses [°C].
+        heating: Rate at which the rated torque heats a cold drive [K/s]; losses are proportional to the square of it.
+        cooling_time: Time constant of cooling [s].
+        voltage: Voltage of the supply, which gives energy but takes none back [V].
+        capacity: Capacity of the bus [F]; so large that the energy of a fall changes the voltage by a few volts only.
+        charging_time: Time constant with which the supply charges it [s].
+    """
+
+    ambient: float = 25.0
+    heating: float = 0.1
+    cooling_time: float = 300.0
+    voltage: float = 48.0
+    capacity: float = 0.5
+    charging_time: float = 0.005
+
+
+class PowerStage(NamedTuple):
+    """State of a power stage.
+
+    Attributes:
+        temperature: Its temperature [°C].
+        voltage: Voltage of its bus [V].
+    """
+
+    temperature: float
+    voltage: float
+
+
+def next_stage(
+    settings: PowerSettings, stage: PowerStage, time: float, load: float, power: float, heating: float = 0.0
+) -> PowerStage:
+    """State after a time.
+
+    Args:
+        settings: Parameters of the power stage.
+        stage: State before.
+        time: The time [s].
+        load: Torque, as a fraction of the rated one.
+        power: Power that the motor takes from the bus, negative if it is driven [W].
+        heating: Further heating [K/s].
+    """
+    rise = (settings.heating * load * load + heating) * settings.cooling_time
+    kept = exp(-time / settings.cooling_time)
+    temperature = settings.ambient + rise + (stage.temperature - settings.ambient - rise) * kept
+    energy = settings.capacity * stage.voltage**2 / 2 - power * time
+    voltage = sqrt(max(0.0, 2 * energy / settings.capacity))
+    if voltage < settings.voltage:
+        voltage = settings.voltage + (voltage - settings.voltage) * exp(-time / settings.charging_time)
+    return PowerStage(temperature, voltage)
+
 
 ERROR_REGISTER, _ERROR_CODE = 0x1001, 0x603F
 CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY = 0x6040, 0x6041, 0x6060, 0x6061
@@ -41,11 +137,8 @@ CYCLIC_SYNCHRONOUS_TORQUE = 10
 COMMUNICATION_LOST, SPEED_RUN_AWAY = 0x8130, 0x8400
 """Error codes (CiA 402-2, error codes): no process data while enabled; the machine left its bounds."""
 
-GENERIC_ERROR = 0x01
-"""Bit of the error register (CiA 301)."""
-
-ELMO_GOLD = Identity("Gold drive", 0x0000009A, 0x00030924, 0x00010420)
-"""Identity of Elmo's Gold drives."""
+GENERIC_ERROR = 0x01  # Bit of the error register (CiA 301)
+ELMO_GOLD = Identity("Gold drive", 0x0000009A, 0x00030924, 0x00010420)  # Identity of Elmo's Gold drives
 
 STO_CLOSED, ENABLE_CLOSED = 0x3_0000, 0x4_0000
 """Bits of the digital inputs: both channels of the STO input, and the enable input; 1 where they are closed."""
@@ -137,7 +230,7 @@ class Drive(EmulatedDevice):
         self._true_counts, self._closed = 0, STO_CLOSED | ENABLE_CLOSED
         self._heating = self._fed = 0.0
         self._stuck: dict[int, int] = {}
-        self._wrong: WrongTorque | None = None
+        self._wrong: Fault | None = None
         self._raised = self._cleared = self._kept = 0
         self._late_torque, self._late_counts = deque([0], maxlen=1), deque([0], maxlen=1)
         super().__init__(name, settings.identity)
@@ -207,7 +300,7 @@ class Drive(EmulatedDevice):
             self._lose_connection()
         elif self.state is not DriveState.FAULT:
             self.state = DriveState.SWITCH_ON_DISABLED
-        if self._is_open and self.state is not DriveState.FAULT:
+        if self._closed != STO_CLOSED | ENABLE_CLOSED and self.state is not DriveState.FAULT:
             self.state = DriveState.SWITCH_ON_DISABLED
         if self.state is not DriveState.FAULT and self._error.value:
             self._error.value = self._register.value = 0
@@ -231,30 +324,32 @@ class Drive(EmulatedDevice):
             self.messages.append(emergency(code, GENERIC_ERROR))
         self._act()
 
-    def begin(self, condition: DriveCondition) -> None:
-        """Begins a fault of its power stage or its inputs, which lasts."""
-        if isinstance(condition, Heated):
-            self._heating += condition.rate
-        elif isinstance(condition, FedBus):
-            self._fed += condition.power
-        elif isinstance(condition, OpenedInput):
-            self._closed &= ~condition.bits
-            if condition.code:
-                self.trip(condition.code)
-        elif isinstance(condition, StuckObject):
-            present = self._objects[condition.index].value
-            self._stuck[condition.index] = present if condition.value is None else condition.value
-        elif isinstance(condition, WrongTorque):
-            self._wrong, self._kept = condition, self._torque.value
-        elif isinstance(condition, StatusBits):
-            self._raised, self._cleared = self._raised | condition.raised, self._cleared | condition.cleared
-        elif isinstance(condition, Delayed):
-            self._late_torque = deque([self._torque.value] * (condition.torque + 1), condition.torque + 1)
-            self._late_counts = deque([self._true_counts] * (condition.counts + 1), condition.counts + 1)
-
-    @property
-    def _is_open(self) -> bool:
-        return self._closed != STO_CLOSED | ENABLE_CLOSED
+    def begin(self, fault: Fault) -> None:
+        """Begins one of `DRIVE_FAULTS`."""
+        match fault.kind:
+            case "trip":
+                self.trip(fault["code"])
+            case "heated":
+                self._heating += fault["rate"]
+            case "fed bus":
+                self._fed += fault["power"]
+            case "opened input":
+                self._closed &= ~fault["bits"]
+                if fault["code"]:
+                    self.trip(fault["code"])
+            case "stuck object":
+                present, value = self._objects[fault["index"]].value, fault["value"]
+                self._stuck[fault["index"]] = present if value is None else value
+            case "wrong torque":
+                self._wrong, self._kept = fault, self._torque.value
+            case "status bits":
+                self._raised |= fault["raised"]
+                self._cleared |= fault["cleared"]
+            case "delayed":
+                length = fault["torque"] + 1
+                self._late_torque = deque([self._torque.value] * length, length)
+                length = fault["counts"] + 1
+                self._late_counts = deque([self._true_counts] * length, length)
 
     def sense(self, reading: Reading) -> None:
         """Updates position and velocity of the motor [counts, counts/s]."""
@@ -278,15 +373,14 @@ class Drive(EmulatedDevice):
             self._objects[index].value = value
 
     def _act(self) -> None:
-        """Sets torque [N·m] and statusword according to the state."""
         follows = self.state is DriveState.OPERATION_ENABLED and self._mode_display.value == CYCLIC_SYNCHRONOUS_TORQUE
         limit = self._largest.value
         self._late_torque.append(min(max(self._target.value, -limit), limit) if follows else 0)
         commanded = given = self._late_torque[0] if follows else 0
         if follows and self._wrong:
             wrong = self._wrong
-            given = self._kept if wrong.is_kept else round(wrong.factor * commanded) + wrong.offset
-            commanded = given if wrong.is_reported else commanded
+            given = self._kept if wrong["is_kept"] else round(wrong["factor"] * commanded) + wrong["offset"]
+            commanded = given if wrong["is_reported"] else commanded
         self._torque.value = commanded
         self.torque = given * self._settings.rated_torque * (self._settings.rated_torque_unit / 1000)
         status = self.state | VOLTAGE_ENABLED | REMOTE | (FOLLOWS if follows else 0)

@@ -8,24 +8,52 @@ import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
-from time import monotonic_ns
+from struct import Struct
+from time import monotonic_ns, time_ns
 
 from stepgap.base.signals import LOST_TERMINAL, terminated_as_interrupted
 from stepgap.base.start_method import process_context
-from stepgap.hardware.ethercat.emulator.arrival import ArrivalTimes
-from stepgap.hardware.ethercat.emulator.machine import Machine
+from stepgap.hardware.ethercat.emulator.frame import LONGEST_FRAME
 from stepgap.hardware.ethercat.emulator.network import NoNetwork, wire
-from stepgap.hardware.ethercat.emulator.ring import Ring
+from stepgap.hardware.ethercat.emulator.ring import Machine, Ring
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
+
+_SO_TIMESTAMPNS = 35  # Socket option of Linux, and the type of its message; Python has no name for it
+
+_TIMESPEC = Struct("@ll")
+
+
+class ArrivalTimes:
+    """Receives frames; called, it returns when the last one arrived [ns], on the monotonic clock."""
+
+    def __init__(self) -> None:
+        self._ahead, self._last = time_ns() - monotonic_ns(), monotonic_ns()
+
+    def __call__(self) -> int:
+        """Returns the time [ns]."""
+        return self._last
+
+    @staticmethod
+    def enable(raw: socket.socket) -> None:
+        """Lets the kernel stamp the frames of a socket."""
+        raw.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+
+    def receive(self, raw: socket.socket) -> bytes:
+        """Receives a frame and keeps its time."""
+        frame, messages, _, _ = raw.recvmsg(LONGEST_FRAME, socket.CMSG_SPACE(_TIMESPEC.size))
+        self._last = monotonic_ns()
+        for level, kind, data in messages:
+            if (level, kind) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS):
+                seconds, nanoseconds = _TIMESPEC.unpack(data)
+                self._last = 10**9 * seconds + nanoseconds - self._ahead
+        return frame
+
 
 LARGEST_LAG = 100
 """Largest number of ticks that a ring on the wall clock catches up with; with more, its time lags behind."""
 
-PRIORITY = 90
-"""Priority of SCHED_FIFO; above a master's, which on a single core would wait for a frame without end."""
-
-READY = ""
-"""Message of the ring's process when it is ready; any other message is the reason why it failed."""
+PRIORITY = 90  # Priority of SCHED_FIFO; above a master's, which on a single core would wait for a frame without end
+READY = ""  # Message of the ring's process when it is ready; any other message is the reason why it failed
 
 
 def run_emulator(

@@ -8,8 +8,7 @@ from stepgap.base.errors import StepGapError
 
 ETHERTYPE = 0x88A4
 BROADCAST = b"\xff" * 6
-SHORTEST_FRAME = 60
-"""Least length of an Ethernet frame without check sequence [bytes]; shorter ones are padded."""
+SHORTEST_FRAME = 60  # Least length of an Ethernet frame without check sequence [bytes]; shorter ones are padded
 LONGEST_FRAME = 1514
 
 _ETHERNET = Struct("!6s6sH")

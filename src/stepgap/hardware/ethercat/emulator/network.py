@@ -12,11 +12,8 @@ from typing import NoReturn
 from stepgap.base.errors import StepGapError
 from stepgap.hardware.ethercat.emulator.frame import ETHERTYPE
 
-_LONGEST_NAME = 15
-"""Characters of an interface's name (IFNAMSIZ − 1)."""
-
-RING_END = "-ring"
-"""Suffix of the name of the ring's end."""
+_LONGEST_NAME = 15  # Characters of an interface's name (IFNAMSIZ − 1)
+RING_END = "-ring"  # Suffix of the name of the ring's end
 
 _ADVICE = (
     "raw Ethernet needs root (CAP_NET_ADMIN and CAP_NET_RAW). Run it with sudo; or without, where your system "

@@ -31,8 +31,7 @@ EEPROM_CONFIGURATION, EEPROM_CONTROL, EEPROM_ADDRESS, EEPROM_DATA = 0x0500, 0x05
 EEPROM_READ, EEPROM_COMMANDS, EEPROM_COMMAND_ERROR, EEPROM_READS_8_BYTES = 0x0100, 0x0700, 0x2000, 0x0040
 """The command that reads, all commands; bits of the state: the command was refused, a read gives 8 bytes."""
 
-FMMU, FMMU_SIZE, FMMU_SLOTS = 0x0600, 16, 4
-"""Fieldbus memory management units (§6.6): logical address → memory."""
+FMMU, FMMU_SIZE, FMMU_SLOTS = 0x0600, 16, 4  # Fieldbus memory management units (§6.6): logical address → memory
 
 SYNC_MANAGER, SYNC_MANAGER_SIZE, SYNC_MANAGER_SLOTS = 0x0800, 8, 4
 """Sync managers (§6.7): 0 mailbox in, 1 mailbox out, 2 outputs, 3 inputs."""
@@ -45,8 +44,7 @@ DC_OFFSET, DC_DELAY, DC_DIFFERENCE, DC_SPEED_COUNTER = 0x0920, 0x0928, 0x092C, 0
 DC_ACTIVATION, DC_START, DC_CYCLE_0, DC_END = 0x0981, 0x0990, 0x09A0, 0x09A8
 """Distributed clocks (§6.8): receive times of the ports, system time, its parts and their control; then SYNC0."""
 
-DC_SYNC0_ACTIVE = 0x03
-"""Bits of the activation: cyclic operation and SYNC0."""
+DC_SYNC0_ACTIVE = 0x03  # Bits of the activation: cyclic operation and SYNC0
 
 PROCESS_RAM, MEMORY_SIZE = 0x1000, 0x2000
 
@@ -79,8 +77,7 @@ class AlState(IntEnum):
     OP = 8
 
 
-BOOTSTRAP = 3
-"""State in which firmware is loaded; none of the slaves has it."""
+BOOTSTRAP = 3  # State in which firmware is loaded; none of the slaves has it
 
 ERROR_FLAG = ACKNOWLEDGE = 0x10
 """Bit of AL_STATUS: the last change was refused or a state was lost; bit of AL_CONTROL: the master acknowledges it."""

@@ -1,39 +1,49 @@
 """The ring: a frame in, frames out, and a machine that moves tick by tick; without sockets and clock."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 
 from stepgap.hardware.ethercat.emulator import registers as reg
 from stepgap.hardware.ethercat.emulator.clock import RingTime, SyncWatch
 from stepgap.hardware.ethercat.emulator.device import EmulatedDevice
 from stepgap.hardware.ethercat.emulator.drive import SPEED_RUN_AWAY, Drive
-from stepgap.hardware.ethercat.emulator.faults import (
-    DriveCondition,
-    DriveFault,
-    DuplicatedFrame,
-    Fault,
-    LateFrame,
-    LostFrames,
-    PowerLost,
-    ReportedError,
-    SensorFault,
-    SentEmergency,
-    Silence,
-    Stalled,
-    Unplugged,
-    WrongMapping,
-)
+from stepgap.hardware.ethercat.emulator.faults import DRIVE_FAULTS, SENSOR_FAULTS, Fault
 from stepgap.hardware.ethercat.emulator.frame import Command, Datagram, Frame, FrameError, decode, encode
-from stepgap.hardware.ethercat.emulator.machine import Machine
 from stepgap.hardware.ethercat.emulator.mailbox import emergency
 from stepgap.hardware.ethercat.emulator.registers import AlState, StatusCode
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
 from stepgap.hardware.ethercat.emulator.slave import EmulatedSlave
-from stepgap.rigs.rig import RigFault
+from stepgap.rigs.rig import Reading, RigFault, Torques
+
+
+class Machine(ABC):
+    """Motors and what they move."""
+
+    @property
+    @abstractmethod
+    def period(self) -> float:
+        """Time of a tick [s]."""
+
+    @abstractmethod
+    def devices(self, settings: RingSettings) -> Sequence[EmulatedDevice]:
+        """Creates its drives and sensors, in the order in which frames pass them."""
+
+    @abstractmethod
+    def start(self) -> Reading:
+        """Puts the machine into its start position, where it is held until the first tick."""
+
+    @abstractmethod
+    def tick(self, torques: Torques) -> Reading:
+        """Simulates one tick with the motors' torques [N·m] and returns the sensor values at its end.
+
+        Raises:
+            RigFault: The machine left its bounds.
+        """
+
 
 _COUNTED_ON = frozenset({Command.APRD, Command.APWR, Command.APRW, Command.ARMW, Command.BRD, Command.BWR, Command.BRW})
 _OUTPUTS = frozenset({Command.LRW, Command.LWR})
-_SEEN = 0x02
-"""Bit that slaves set in the first byte of a frame's source address."""
+_SEEN = 0x02  # Bit that slaves set in the first byte of a frame's source address
 
 
 class Ring:
@@ -66,8 +76,7 @@ class Ring:
         if not self.drives or len(self._by_name) < len(self.slaves):
             raise ValueError(f"a ring needs drives and distinct names, not {', '.join(self._by_name)}")
         for fault in settings.faults:
-            name = getattr(fault, "slave", self.slaves[0].device.name)
-            if name not in self._by_name:
+            if fault.slave and fault.slave not in self._by_name:
                 raise ValueError(f"{fault} names an unknown slave; the slaves are {', '.join(self._by_name)}")
         if unknown := set(settings.clocks.need_sync0) - self._by_name.keys():
             raise ValueError(f"need_sync0 names unknown slaves: {', '.join(sorted(unknown))}")
@@ -80,7 +89,7 @@ class Ring:
         self._late: list[bytes] = []
         self._start()
         for fault in settings.faults:
-            if isinstance(fault, WrongMapping) and fault.cycle == 0:
+            if fault.kind == "wrong mapping" and fault.cycle == 0:
                 self._by_name[fault.slave].wrong_mapping = True
         self._reach(len(self.slaves))
 
@@ -123,9 +132,9 @@ class Ring:
         lost, copies, late = False, 1, False
         if settings.faults:
             self._disturb(cycle)
-            lost = any(isinstance(fault, LostFrames) and _lasts(fault, cycle) for fault in settings.faults)
-            copies += DuplicatedFrame(cycle) in settings.faults
-            late = LateFrame(cycle) in settings.faults
+            lost = any(fault.kind == "lost frames" and fault.lasts(cycle) for fault in settings.faults)
+            copies += Fault("duplicated frame", cycle) in settings.faults
+            late = Fault("late frame", cycle) in settings.faults
         answers = [] if lost else self._answers(frame, raw)
         if settings.lock_step:
             self.advance()
@@ -156,7 +165,6 @@ class Ring:
         return datagram._replace(address=address, data=bytes(data), counter=counter & 0xFFFF)
 
     def _with_new_inputs(self, raw: bytes) -> bytes:
-        """Updates the inputs in an answer."""
         frame, datagrams = decode(raw), []
         for datagram in frame.datagrams:
             data = bytearray(datagram.data)
@@ -180,9 +188,9 @@ class Ring:
         """Applies the scripted faults of this cycle to slaves and time."""
         reached, number = len(self.slaves), {name: index for index, name in enumerate(self._by_name)}
         for fault in self._settings.faults:
-            if isinstance(fault, Stalled):
-                self._by_name[fault.slave].stalled = _lasts(fault, cycle)
-            elif isinstance(fault, Unplugged) and _lasts(fault, cycle):
+            if fault.kind == "stalled":
+                self._by_name[fault.slave].stalled = fault.lasts(cycle)
+            elif fault.kind in ("unplugged", "power lost") and fault.lasts(cycle):
                 reached = min(reached, number[fault.slave])
             if fault.cycle == cycle:
                 self._begin(fault)
@@ -191,26 +199,22 @@ class Ring:
 
     def _begin(self, fault: Fault) -> None:
         """Applies the part of a fault that happens once."""
-        slave = self._by_name.get(getattr(fault, "slave", ""))
-        if isinstance(fault, Silence):
-            for _ in range(fault.ticks):
+        if fault.kind == "silence":
+            for _ in range(fault["ticks"]):
                 self.advance()
+        slave = self._by_name.get(fault.slave)
         if slave is None:
             return
-        if isinstance(fault, PowerLost):
+        if fault.kind == "power lost":
             slave.power_on()
             self._reach(self._reached)
-        elif isinstance(fault, DriveFault) and isinstance(slave.device, Drive):
-            slave.device.trip(fault.code)
-        elif isinstance(fault, DriveCondition) and isinstance(slave.device, Drive):
+        elif fault.kind in DRIVE_FAULTS and isinstance(slave.device, Drive):
             slave.device.begin(fault)
-        elif isinstance(fault, SentEmergency):
-            slave.device.messages.append(emergency(fault.code, 0))
-        elif isinstance(fault, SensorFault):
-            slave.device.error.begin(fault)
-            if isinstance(fault, ReportedError):
-                slave.device.error_bits |= fault.bits
-        elif isinstance(fault, WrongMapping):
+        elif fault.kind == "emergency":
+            slave.device.messages.append(emergency(fault["code"], 0))
+        elif fault.kind in SENSOR_FAULTS:
+            slave.device.begin_sensor_fault(fault)
+        elif fault.kind == "wrong mapping":
             slave.wrong_mapping = True
             if slave.state in (AlState.SAFEOP, AlState.OP):
                 slave.drop(AlState.PREOP, StatusCode.INVALID_INPUTS)
@@ -224,10 +228,6 @@ def _slaves(devices: Sequence[EmulatedDevice], settings: RingSettings, time: Rin
         EmulatedSlave(device, time, clocks.error(number), number * clocks.hop_delay, watched.get(device.name))
         for number, device in enumerate(devices)
     ]
-
-
-def _lasts(fault: LostFrames | Unplugged, cycle: int) -> bool:
-    return fault.cycle <= cycle < fault.cycle + fault.cycles
 
 
 def _requests_init(datagram: Datagram) -> bool:

@@ -6,14 +6,9 @@ from struct import pack
 STRINGS, GENERAL, FMMU_USE, SYNC_MANAGERS, END = 10, 30, 40, 41, 0xFFFF
 """Categories, from word 0x40 on (ETG.2010, category types)."""
 
-CANOPEN = 0x04
-"""Bit of the mailbox protocols in word 0x1C: CANopen over EtherCAT."""
-
-SDO, PDO_ASSIGN = 0x01, 0x04
-"""Bits of GENERAL's CoE details: SDOs are supported, 0x1C12 and 0x1C13 may be written."""
-
-SPI = 0x05
-"""Interface of the slave controller to its device, in the lowest byte: SPI; 0 is none."""
+CANOPEN = 0x04  # Bit of the mailbox protocols in word 0x1C: CANopen over EtherCAT
+SDO, PDO_ASSIGN = 0x01, 0x04  # Bits of GENERAL's CoE details: SDOs are supported, 0x1C12 and 0x1C13 may be written
+SPI = 0x05  # Interface of the slave controller to its device, in the lowest byte: SPI; 0 is none
 
 CHECKED, FIRST_CATEGORY = 14, 0x80
 """Length of the configuration that a checksum follows; byte address of the first category."""
@@ -57,8 +52,7 @@ class Area:
 
 MAILBOX_AREAS = (Area(0x1000, 128, 0x26, 1), Area(0x1080, 128, 0x22, 2))
 OUTPUT_START, INPUT_START = 0x1100, 0x1180
-OUTPUT_CONTROL, INPUT_CONTROL = 0x64, 0x20
-"""Three buffers; outputs trigger the watchdog."""
+OUTPUT_CONTROL, INPUT_CONTROL = 0x64, 0x20  # Three buffers; outputs trigger the watchdog
 
 
 def build_image(identity: Identity, areas: tuple[Area, ...]) -> bytes:

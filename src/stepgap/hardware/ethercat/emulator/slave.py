@@ -8,8 +8,7 @@ from stepgap.hardware.ethercat.emulator.clock import NO_ERROR, ClockError, RingT
 from stepgap.hardware.ethercat.emulator.device import EmulatedDevice
 from stepgap.hardware.ethercat.emulator.dictionary import ASSIGN_INPUTS, ASSIGN_OUTPUTS, Image
 from stepgap.hardware.ethercat.emulator.frame import Command
-from stepgap.hardware.ethercat.emulator.mailbox import answer
-from stepgap.hardware.ethercat.emulator.outgoing_mail import OutgoingMail, mailbox_area
+from stepgap.hardware.ethercat.emulator.mailbox import OutgoingMail, answer, mailbox_area
 from stepgap.hardware.ethercat.emulator.registers import AlState, StatusCode
 from stepgap.hardware.ethercat.emulator.sii import (
     INPUT_CONTROL,

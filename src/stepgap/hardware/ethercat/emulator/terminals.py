@@ -18,8 +18,7 @@ INPUTS, OUTPUTS, VALUE, LATCH = 0x6000, 0x7000, 0x11, 0x12
 STATUS_BITS = range(1, 17)
 """Subindices of the bits of a terminal's status word; 0x0F is *TxPDO State*: the data are not valid."""
 
-STATUS = tuple(Mapped(INPUTS, subindex, 1) for subindex in STATUS_BITS)
-"""The status word in a PDO."""
+STATUS = tuple(Mapped(INPUTS, subindex, 1) for subindex in STATUS_BITS)  # The status word in a PDO
 
 
 class StatusWord:
@@ -39,15 +38,6 @@ class Coupler(EmulatedDevice):
 
     def __init__(self, name: str, identity: Identity = COUPLER_IDENTITY):
         super().__init__(name, identity)
-
-    def update(self, operational: bool) -> None:
-        """Does nothing: a coupler has no outputs."""
-
-    def sense(self, reading: Reading) -> None:
-        """Does nothing: a coupler has no inputs."""
-
-    def power_on(self) -> None:
-        """Does nothing: a coupler has no state."""
 
 
 class EncoderTerminal(EmulatedDevice):
@@ -76,9 +66,6 @@ class EncoderTerminal(EmulatedDevice):
         outputs = {0x1600: (Mapped(0, 0, 16), Mapped(OUTPUTS, VALUE, 32))}
         inputs = {0x1A00: (*STATUS, Mapped(INPUTS, VALUE, 32), Mapped(INPUTS, LATCH, 32))}
         self.dictionary = Dictionary(self.identity, objects, outputs, inputs, (0x1600,), (0x1A00,))
-
-    def update(self, operational: bool) -> None:
-        """Does nothing: setting the counter is not supported."""
 
     def sense(self, reading: Reading) -> None:
         """Updates the counter, which wraps at 2³²."""
@@ -109,9 +96,6 @@ class AnalogInput(EmulatedDevice):
         objects = {**self._status.entries, (INPUTS, VALUE): self._counts}
         inputs = {0x1A00: (*STATUS, Mapped(INPUTS, VALUE, 16))}
         self.dictionary = Dictionary(self.identity, objects, {}, inputs, (), (0x1A00,))
-
-    def update(self, operational: bool) -> None:
-        """Does nothing: an analog input has no outputs."""
 
     def sense(self, reading: Reading) -> None:
         """Updates the value in counts."""

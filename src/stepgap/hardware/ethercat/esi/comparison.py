@@ -3,21 +3,16 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from stepgap.hardware.ethercat.esi.document import EsiDevice, EsiEntry, EsiFile, EsiPdo, InitCommand
+from stepgap.hardware.ethercat.drive_setup import REACTIONS
+from stepgap.hardware.ethercat.esi.reader import EsiDevice, EsiFile, EsiPdo, InitCommand
 from stepgap.hardware.ethercat.pdo import Packing, Pdo, PdoSet
-from stepgap.hardware.ethercat.reactions import REACTIONS
 from stepgap.hardware.ethercat.rig_settings import Slave
 from stepgap.hardware.ethercat.startup import LAYOUTS, is_reserved
 from stepgap.rigs.rig import Finding
 
-OUTPUT_MANAGER, INPUT_MANAGER = 2, 3
-"""Sync managers to which the rig assigns PDOs, with the objects 0x1C12 and 0x1C13."""
-
-_WATCHDOG_TRIGGER = 0x40
-"""Bit of a sync manager's control byte: its data restart the watchdog of the process data."""
-
-SYNC_SIGNALS = 0x0700
-"""Bits of *AssignActivate* for SYNC0 and SYNC1; the rig sets no others."""
+OUTPUT_MANAGER, INPUT_MANAGER = 2, 3  # Sync managers to which the rig assigns PDOs, with the objects 0x1C12 and 0x1C13
+_WATCHDOG_TRIGGER = 0x40  # Bit of a sync manager's control byte: its data restart the watchdog of the process data
+SYNC_SIGNALS = 0x0700  # Bits of *AssignActivate* for SYNC0 and SYNC1; the rig sets no others
 
 NEEDED_OBJECTS = {0x6072: "the largest torque", 0x6076: "the rated torque"}
 """Objects of a drive without which the rig does not connect."""
@@ -25,8 +20,7 @@ NEEDED_OBJECTS = {0x6072: "the largest torque", 0x6076: "the rated torque"}
 ZERO_LIMITS = frozenset({0x6072, 0x607F, 0x6080, 0x60E0, 0x60E1})
 """Limits of torque and speed with which a drive does not move if they are zero, as the rig sends what has no name."""
 
-_CONTROLWORD = 0x6040
-"""Object of CiA 402 by which a drive is known."""
+_CONTROLWORD = 0x6040  # Object of CiA 402 by which a drive is known
 
 _SYNC_PARAMETERS = (0x1C32, 0x1C33)
 _WRITTEN_AT = frozenset({"IP", "PS", "SO"})
@@ -125,9 +119,9 @@ def _direction_findings(
 
 
 def _content_findings(wanted: Pdo, found: EsiPdo, pdo_config: bool) -> Iterator[Finding]:
-    difference = _difference(wanted, found)
+    difference, reals = _difference(wanted, found), [entry for entry in found.entries if entry.is_real]
     for entry in wanted.entries:
-        if entry.name and any((each.index, each.subindex) == (entry.index, entry.subindex) for each in _reals(found)):
+        if entry.name and any((each.index, each.subindex) == (entry.index, entry.subindex) for each in reals):
             yield Finding(f"pdos: {entry} is a REAL according to the file, and the rig has whole numbers only")
     if not difference:
         if names_no_objects(found):
@@ -144,10 +138,6 @@ def _content_findings(wanted: Pdo, found: EsiPdo, pdo_config: bool) -> Iterator[
 def names_no_objects(pdo: EsiPdo) -> bool:
     """Whether a file names subindices of the mapping object instead of the mapped objects, as some files do."""
     return any(entry.index == pdo.index for entry in pdo.entries)
-
-
-def _reals(pdo: EsiPdo) -> list[EsiEntry]:
-    return [entry for entry in pdo.entries if entry.is_real]
 
 
 def _difference(wanted: Pdo, found: EsiPdo) -> str:
@@ -269,7 +259,7 @@ def _drive_findings(pdos: PdoSet, device: EsiDevice, state_timeout: float) -> It
     if device.safeop_op_timeout > state_timeout:
         text = f"the device may take {device.safeop_op_timeout:g} s to reach OP; the rig waits for {state_timeout:g} s"
         yield Finding(text, is_error=False)
-    if not _is_drive(pdos):
+    if "controlword" not in Packing(pdos.outputs).names:
         return
     sent = {entry.index for pdo in pdos.outputs for entry in pdo.entries}
     for index in sorted(sent & ZERO_LIMITS):
@@ -288,10 +278,6 @@ def _drive_findings(pdos: PdoSet, device: EsiDevice, state_timeout: float) -> It
     if lacking:
         text = f"the file lists no option code {', '.join(lacking)}: read in the manual what the drive does"
         yield Finding(text, is_error=False)
-
-
-def _is_drive(pdos: PdoSet) -> bool:
-    return "controlword" in Packing(pdos.outputs).names
 
 
 def labelled(findings: Sequence[Finding], label: str) -> tuple[Finding, ...]:

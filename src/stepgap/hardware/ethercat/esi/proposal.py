@@ -15,13 +15,11 @@ from stepgap.hardware.ethercat.esi.comparison import (
     startup_commands,
     startup_text,
 )
-from stepgap.hardware.ethercat.esi.document import EsiDevice, EsiFile, EsiPdo
-from stepgap.hardware.ethercat.esi.reader import parse_number, shorten
+from stepgap.hardware.ethercat.esi.reader import EsiDevice, EsiFile, EsiPdo, parse_number, shorten
 from stepgap.hardware.ethercat.pdo import ENTRY_FORMATS, Entry, Pdo, PdoSet
 from stepgap.hardware.ethercat.pdo_sets import PDO_SETS
 
-MOST_DEVICES = 20
-"""Largest number of devices that are described; of more, only a list is given."""
+MOST_DEVICES = 20  # Largest number of devices that are described; of more, only a list is given
 
 VALUES = {
     0x603F: "error_code",
@@ -91,7 +89,7 @@ def _device_lines(file: EsiFile, device: EsiDevice) -> Iterator[str]:
     yield f"revision = 0x{device.revision:08X} # remove this line if every revision is right{others}"
     yield f"esi = {toml_string(file.name)} # in the folder of rig.toml"
     yield f'pdos = "{next(iter(sets), "none")}"'
-    fitting = [name for name, pdos in PDO_SETS.items() if _fits(pdos, device, file)]
+    fitting = [name for name, pdos in PDO_SETS.items() if pdos.inputs and not compare_pdos(pdos, device, file)]
     if fitting:
         yield f"# These sets of StepGap fit, too: {', '.join(fitting)}"
     yield from _clock_lines(device)
@@ -99,10 +97,6 @@ def _device_lines(file: EsiFile, device: EsiDevice) -> Iterator[str]:
     for name, pdos in sets.items():
         yield from _set_lines(name, *pdos)
     yield from _other_lines(file, device, sets)
-
-
-def _fits(pdos: PdoSet, device: EsiDevice, file: EsiFile) -> bool:
-    return bool(pdos.inputs) and not compare_pdos(pdos, device, file)
 
 
 def _clock_lines(device: EsiDevice) -> Iterator[str]:

@@ -15,8 +15,7 @@ from xml.parsers import expat
 
 from stepgap.base.errors import InputError, StepGapError
 
-LARGEST_ESI_FILE = 2**26
-"""Largest file that is read [bytes]; those of large terminal families have some 20 MB."""
+LARGEST_ESI_FILE = 2**26  # Largest file that is read [bytes]; those of large terminal families have some 20 MB
 
 DEEPEST, MOST_KEPT, LONGEST_TEXT = 64, 500_000, 2**16
 """Limits of nested elements, of elements that are kept, and of the characters of one of them."""
