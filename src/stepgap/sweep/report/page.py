@@ -144,7 +144,7 @@ def sweep_sentences(cases: SweepCases, state: Sequence[Quantity], planned: int |
         worse = int(np.count_nonzero(after[:, index] > before[:, index]))
         name = capitalised(quantity.name.replace("_", " "))
         lines.append(
-            f"{name}: the RMSE of the last deployment is larger than that of deployment 0 in {worse} of "
+            f"{name}: the RMSE of the last deployment is larger than that of deployment 0 in {worse or 'none'} of "
             f"{_cases(len(before))}."
         )
     return lines
@@ -195,7 +195,8 @@ def _effects(cases: SweepCases, state: Sequence[Quantity], drawing: Drawing | Mi
     hidden = [axis.name for axis in cases.axes[MOST_AXES:]]
     if hidden:
         parts.append(paragraph(f"The figure shows the first {MOST_AXES} settings, not: {', '.join(hidden)}."))
-    return [*parts, paragraph(LEVELS_NOTE), *(level_table(cases, axis, state) for axis in cases.axes)]
+    tables = "".join(level_table(cases, axis, state) for axis in cases.axes)
+    return [*parts, paragraph(LEVELS_NOTE), f'<div class="tables">{tables}</div>']
 
 
 def level_table(cases: SweepCases, axis: SweepAxis, state: Sequence[Quantity]) -> str:
