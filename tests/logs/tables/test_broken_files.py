@@ -70,6 +70,11 @@ def mat_with_size(rows: int) -> bytes:
     return bytes(content)
 
 
+def mat_with_unknown_type() -> bytes:
+    """A struct in which numbers are of a type that there is not; scipy would look it up beyond the end of its table."""
+    return mat(log={"t": np.zeros((3, 1))}).replace(struct.pack("<II", 9, 24), struct.pack("<II", 0x8009, 24))
+
+
 def deflated(size: int) -> bytes:
     packer = zlib.compressobj()
     return b"".join([*(packer.compress(bytes(2**20)) for _ in range(size >> 20)), packer.flush()])
@@ -205,6 +210,10 @@ BROKEN: dict[str, tuple[bytes | Callable[[Path], None], str]] = {
     "truncated MAT": (half(mat(t=np.zeros(300))), "truncated MAT file"),
     "huge MAT": (mat_with_size(10**9), "1e+12 values, rows times columns"),
     "lying MAT": (mat_with_size(2), "nothing in it can be read: t ("),
+    "unknown type in MAT": (
+        mat_with_unknown_type(),
+        "variable 1 (damaged: an element of a type or length that there is",
+    ),
     "MAT bomb": (mat(deflated(2**23), t=0.0), "when decompressed"),
     "damaged MAT": (mat(b"not deflated", t=0.0), "nothing in it can be read: variable 1 (Error -3 while"),
     "truncated MAT 7.3": (of_writer(write_mat_73, half), "not a readable HDF5 file"),

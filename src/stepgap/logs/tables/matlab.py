@@ -4,8 +4,9 @@ import struct
 import zlib
 from collections.abc import Iterator
 from io import BytesIO
+from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,8 +18,20 @@ from stepgap.records.steps_csv import RecordError
 _LARGEST_MAT = 16 * MOST_NUMBERS
 """Largest content of a MAT file, decompressed [bytes]."""
 
-_COMPRESSED, _HEADER_5, _HEADER_4 = 15, 128, 20
-"""Kind of an element that is compressed, and the lengths of headers in versions 5 to 7 and in version 4 [bytes]."""
+_HEADER_5 = 128
+_HEADER_4 = 20
+_COMPRESSED = 15
+_MATRIX = 14
+_INT32 = 5
+_UINT32 = 6
+_KINDS = frozenset([*range(1, 8), 9, *range(12, 15), *range(16, 19)])
+_CELL = 1
+_STRUCT = 2
+_SPARSE = 5
+_NUMERIC = range(4, 16)
+"""Lengths of headers in versions 5 to 7 and in version 4 [bytes]; types of elements, and classes of matrices."""
+
+_DEEPEST_MAT = 50
 
 
 def is_mat4(begin: bytes) -> bool:
@@ -73,13 +86,11 @@ def _arrays_of(content: bytes, path: Path, unread: dict[str, str]) -> Iterator[t
     from scipy.io import loadmat, whosmat
 
     content = _decompressed(content, path)
-    try:
-        listed = whosmat(BytesIO(content))
-    except TypeError:  # an object of a class has no size
-        name, _, kind = next(iter(loadmat(BytesIO(content))["None"].tolist()))[:3]
-        unread[name.decode()] = only_for_matlab(kind.decode())
-        return
-    for name, shape, _ in listed:
+    if not is_mat4(content):
+        order = ">" if content[126:128] == b"MI" else "<"
+        for element in _elements(content, _HEADER_5, len(content), order):
+            _check_matrix(content, element, order)
+    for name, shape, _ in whosmat(BytesIO(content)):
         size = 1.0
         for length in shape:
             size *= length
@@ -103,3 +114,72 @@ def _arrays(group: str, name: str, value: Any, unread: dict[str, str]) -> Iterat
             yield group, name, value
     elif not np.isscalar(value):
         unread[part_name(group, name)] = f"a {type(value).__name__}, neither numbers nor text"
+
+
+class _Element(NamedTuple):
+    """A part of a file of version 5: its type, and where its content begins and ends."""
+
+    kind: int
+    begin: int
+    end: int
+
+
+def _elements(content: bytes, begin: int, end: int, order: str) -> list[_Element]:
+    """The successive elements between two places.
+
+    Raises:
+        ValueError: One has an unknown type or ends elsewhere.
+    """
+    elements: list[_Element] = []
+    at = begin
+    while at < end:
+        kind, length = struct.unpack_from(f"{order}II", content, at)
+        if kind >> 16:  # a short element, whose content is in the place of its length
+            element = _Element(kind & 0xFFFF, at + 4, at + 4 + (kind >> 16))
+            is_whole = element.kind != _MATRIX and element.end <= at + 8
+            at += 8
+        else:
+            element = _Element(kind, at + 8, at + 8 + length)
+            is_whole = True
+            at = element.end + -length % 8
+        if element.kind not in _KINDS or element.end > end or not is_whole:
+            raise ValueError("damaged: an element of a type or length that there is not")
+        elements.append(element)
+    return elements
+
+
+def _check_matrix(content: bytes, matrix: _Element, order: str, depth: int = 0) -> None:
+    """Checks the types and numbers of all elements in a matrix, which scipy takes for granted.
+
+    It indexes an array of C by a type, so a wrong one would end the process.
+
+    Raises:
+        ValueError: They are not those of a matrix of numbers or text, a struct, or a cell array.
+    """
+    if matrix.kind != _MATRIX or depth > _DEEPEST_MAT:
+        raise ValueError("damaged: no matrix, or one that is nested too deeply")
+    if matrix.begin == matrix.end:
+        return
+    flags, shape, _, *parts = _elements(content, matrix.begin, matrix.end, order)
+    if flags.kind != _UINT32 or flags.end - flags.begin != 8:
+        raise ValueError("damaged: a matrix without its class")
+    (bits,) = struct.unpack_from(f"{order}I", content, flags.begin)
+    kind = bits & 0xFF
+    if kind not in (_STRUCT, _CELL, *_NUMERIC):
+        raise ValueError(only_for_matlab("variable of a class"))
+    lengths = struct.unpack(f"{order}{(shape.end - shape.begin) // 4}i", content[shape.begin : shape.end])
+    if shape.kind != _INT32 or len(lengths) < 2 or min(lengths) < 0:
+        raise ValueError("damaged: a matrix without its shape")
+    count = prod(lengths)
+    if kind == _STRUCT:
+        (width,) = struct.unpack_from(f"{order}i", content, parts[0].begin)
+        count *= (parts[1].end - parts[1].begin) // width
+        parts = parts[2:]
+    elif kind in _NUMERIC:
+        count = (3 if kind == _SPARSE else 1) + (bits >> 11 & 1)
+    if len(parts) != count:
+        raise ValueError(f"damaged: {len(parts)} parts of a matrix instead of {count}")
+    for part in parts if kind in (_STRUCT, _CELL) else ():
+        _check_matrix(content, part, order, depth + 1)
+    if kind in _NUMERIC and any(part.kind == _MATRIX for part in parts):
+        raise ValueError("damaged: a matrix among numbers")

@@ -68,7 +68,8 @@ def read_log_tables(
         return {"": read_delimited_text(text, written, str(path))}
     if not unread:
         return tables
-    left_out = [f"{part} ({reason})" if part else reason for part, reason in unread.items()]
+    parts = [f"{part} ({reason})" if part else reason for part, reason in unread.items()]
+    left_out = [" ".join(part.split()) for part in parts]  # names in a damaged file may have line ends
     if not tables:
         raise RecordError(f"{path}: nothing in it can be read: {', '.join(left_out):.300}")
     warnings.warn(f"{path}: left out {', '.join(left_out):.500}", StepGapWarning, stacklevel=2)
