@@ -177,7 +177,7 @@ def test_each_rule_can_be_switched_off() -> None:
 
 def test_a_table_replaces_solving() -> None:
     sure = LossyHopper()
-    table = build_table(sure, 5)
+    table = build_table(sure, 3)
     plan = CautiousController(sure, sure, NONE, NO_RULES, table)(STATE, TARGET)
     found = table(STATE, TARGET)
     np.testing.assert_array_equal(plan.command, found.command)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from stepgap.control.cautious_controller import CautiousController
-from stepgap.control.evaluation_budget import BudgetedMap, EvaluationBudget
 from stepgap.control.settings import ControlSettings
+from stepgap.control.wrapped_map import BudgetedMap, EvaluationBudget
 from stepgap.step import Array, StepStatus, difference_jacobian
 from tests.control.maps import CountingMap, LossyHopper
 from tests.control.test_cautious_controller import Guessed

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stepgap.control.fixed_points import held_reference, nearest_fixed_point
-from stepgap.control.reach import reached_in_one_step, whole_states
+from stepgap.control.limit_cycle import held_reference, nearest_fixed_point, reached_in_one_step
+from stepgap.control.reach import whole_states
 from stepgap.control.reference import Reference
 from stepgap.robots.robot import stairs
 from stepgap.step import StepMap

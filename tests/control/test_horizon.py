@@ -8,8 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from stepgap.control.cautious_controller import CautiousController
-from stepgap.control.cost_to_go import goals_for
-from stepgap.control.goal import CAUTION
+from stepgap.control.goal import CAUTION, goals_for
 from stepgap.control.horizon import plan_ahead
 from stepgap.control.settings import ControlSettings
 from stepgap.control.step_controller import StepController

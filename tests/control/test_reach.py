@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from stepgap.control.limit_cycle import fixed_point
-from stepgap.control.reach import command_effect, reached_in_one_step, within_noise
+from stepgap.control.limit_cycle import fixed_point, reached_in_one_step
+from stepgap.control.reach import command_effect, within_noise
 from stepgap.step import Array, Quantity, StepSpace
 from tests.control.maps import ClosedFormMap, LossyHopper
 

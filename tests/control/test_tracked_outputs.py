@@ -7,10 +7,8 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from stepgap.control.cautious_controller import CautiousController
-from stepgap.control.closed_loop import step_controller_gain
-from stepgap.control.limit_cycle import fixed_point
-from stepgap.control.reach import reached_in_one_step, whole_states
-from stepgap.control.solve_many import solve_many
+from stepgap.control.limit_cycle import fixed_point, reached_in_one_step
+from stepgap.control.reach import whole_states
 from stepgap.control.step_controller import StepController
 from stepgap.step import Array, Quantity, StepSpace
 from tests.control.maps import LossyHopper, PitchingHopper, ScalarMap
@@ -56,8 +54,6 @@ def test_with_fewer_targets_than_commands_the_nearest_command_is_chosen() -> Non
 def test_an_infinite_target_is_refused(target: Array) -> None:
     with pytest.raises(ValueError, match="must be finite numbers, or NaN for no target"):
         StepController(ROBOT)(states(1)[0], target)
-    with pytest.raises(ValueError, match="or a target NaN"):
-        solve_many(ROBOT, states(1), target[None])
 
 
 @dataclass(frozen=True)
@@ -90,24 +86,6 @@ def test_weights_decide_where_not_all_can_be_reached(weight: float) -> None:
     np.testing.assert_allclose(cautious.command, plan.command, atol=1e-4)
 
 
-def test_many_nodes_have_the_answers_of_one() -> None:
-    rng, starts = np.random.default_rng(3), states(6)
-    targets = np.concatenate(
-        [rng.uniform(0.1, 0.3, (8, 1)), rng.uniform(0.55, 0.6, (8, 1)), np.full((8, 2), NONE)], axis=1
-    )
-    targets[::3, 0] = NONE
-    targets[1::4, 1] = NONE
-    found = solve_many(ROBOT, starts, targets)
-    for row, state in enumerate(starts):
-        for column, target in enumerate(targets):
-            wanted = np.isfinite(target)
-            np.testing.assert_allclose(
-                found.predicted[row, column], ROBOT(state, found.command[row, column]), atol=1e-9
-            )
-            np.testing.assert_allclose(found.predicted[row, column][wanted], target[wanted], atol=1e-6)
-            assert found.reached[row, column] == StepController(ROBOT)(state, target).reached
-
-
 def test_a_target_is_completed_to_a_state_that_a_command_repeats() -> None:
     """Pitch and rate follow from two linear equations at the command that holds speed and height."""
     targets = np.column_stack([np.linspace(0.05, 0.3, 7), np.linspace(0.54, 0.61, 7), np.full((7, 2), NONE)])
@@ -125,18 +103,6 @@ def test_a_target_is_completed_to_a_state_that_a_command_repeats() -> None:
     full = np.array([[0.1, 0.55, 0.0, 0.0]])
     tracked = LossyHopper()
     assert whole_states(tracked, full[:, :2]).tolist() == full[:, :2].tolist()
-
-
-@pytest.mark.parametrize("target", [np.array([0.2, 0.57, NONE, NONE]), np.array([NONE, 0.57, NONE, NONE])])
-def test_the_gain_of_the_closed_loop_holds_only_what_has_a_target(target: Array) -> None:
-    point = fixed_point(ROBOT, target)
-    gain = step_controller_gain(ROBOT, point)
-    controller = CautiousController(ROBOT, ROBOT, np.empty((0, 6)))
-    step = 1e-4 * ROBOT.space.state_scale
-    for row in range(4):
-        offset = step[row] * np.eye(4)[row]
-        ahead, behind = (controller(point.state + sign * offset, target, point.command).command for sign in (1, -1))
-        np.testing.assert_allclose(gain[:, row], (ahead - behind) / (2 * step[row]), rtol=1e-3, atol=1e-3)
 
 
 def test_a_space_tracks_something_with_weights_that_are_numbers() -> None:

@@ -1,5 +1,7 @@
 """The verb `stepgap map`."""
 
+from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,13 +10,11 @@ from cyclopts.validators import Number
 
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, write_new
-from stepgap.cli.map_table import map_table, named_values
-from stepgap.cli.options import Flag, Integer, NamedValues, Overrides, Seconds, values_by_name
+from stepgap.cli.options import Flag, Integer, NamedValues, Overrides, values_by_name
 from stepgap.cli.terminal import announces_compilation
 
 if TYPE_CHECKING:  # slow imports are made where they are used
-    from stepgap.experiment.settings import Experiment
-    from stepgap.step import Array, StepMap, StepSpace
+    from stepgap.step import Array, Quantity, StepMap, StepSpace
 
 DEFAULT_GRID = 15
 """Grid points along each axis of a table; it has the fourth power of this many commands."""
@@ -31,7 +31,6 @@ def map_(
     out: Path | None = None,
     table: Path | None = None,
     points: Annotated[Integer | None, Parameter(validator=Number(gte=2, lte=50))] = None,
-    tick: Seconds | None = None,
     quiet: Flag = False,
     overrides: Overrides = None,
 ) -> None:
@@ -43,11 +42,11 @@ def map_(
         command: Command in SI units, such as fx=5,fy=-5. [default: the middle of the bounds]
         csv: File with a column for each of them; all its rows are evaluated.
         out: New file for their next states. [default: they are printed]
-        table: New file for a table of the step controller's commands, which is computed and measured.
+        table: New file (.npz, of NumPy) for a table of the step controller's commands.
         points: Grid points along each axis of the table, 2 to 50. [default: 15]
-        tick: Time for which torques are held, as on a robot [s], such as 0.001. [default: torques act continuously]
         quiet: Print only the path of the table.
     """
+    from stepgap.experiment.nominal import load_nominal
     from stepgap.experiment.settings import read_experiment
 
     modes = {"--csv": csv, "--table": table, "--state, --command": state or command}
@@ -60,26 +59,15 @@ def map_(
         raise InputError(f"--points {points}: valid only with --table")
     if quiet and not table:
         raise InputError("--quiet: valid only with --table")
-    settings = read_experiment(experiment, overrides or [])
-    nominal = _nominal(settings, tick)
+    nominal = load_nominal(read_experiment(experiment, overrides or [])).map
     if csv:
         _map_rows(nominal, csv, out)
     elif table:
-        map_table(nominal, points or DEFAULT_GRID, table, settings.seed, quiet)
+        _map_table(nominal, points or DEFAULT_GRID, table, quiet)
     else:
         space = nominal.space
         start = values_by_name("--state", state, space.state, space.state_centre)
         _map_point(nominal, start, values_by_name("--command", command, space.command, space.command_centre))
-
-
-def _nominal(settings: "Experiment", tick: float | None) -> "StepMap":
-    """The nominal map, with torques held for a tick if one is given."""
-    from stepgap.experiment.nominal import sampled_map
-
-    try:
-        return sampled_map(settings, tick)
-    except ValueError as error:
-        raise InputError(str(error) if tick is None else f"--tick: {error}") from None
 
 
 def _map_point(nominal: "StepMap", state: list[float], command: list[float]) -> None:
@@ -113,6 +101,32 @@ def _map_rows(nominal: "StepMap", rows: Path, out: Path | None) -> None:
     write_new(out, "--out", text)
 
 
+def _map_table(nominal: "StepMap", points: int, file: Path, quiet: bool) -> None:
+    """Computes a table of commands and saves its arrays, which `numpy.load` reads without pickle."""
+    import numpy as np
+
+    from stepgap.cli.progress import progress_bar
+    from stepgap.control.command_table import build_table
+
+    check_new(file, "--table")
+    with progress_bar("commands", quiet) as progress:
+        table = build_table(nominal, points, progress)
+    if not quiet:
+        print(f"{table.reached.size} commands, {table.reached.mean():.0%} of them reach their target")
+    content = BytesIO()
+    quantities = (*table.space.state, *table.space.command)
+    np.savez(
+        content,
+        names=np.array([quantity.name for quantity in quantities]),
+        units=np.array([quantity.unit for quantity in quantities]),
+        ranges=np.array([[quantity.lower, quantity.upper] for quantity in quantities]),
+        commands=table.commands,
+        predicted=table.predicted,
+        reached=table.reached,
+    )
+    write_new(file, "--table", content.getvalue())
+
+
 def describe_step(
     space: "StepSpace", state: list[float], command: list[float], next_state: "Array", jacobian: "Array"
 ) -> str:
@@ -130,3 +144,8 @@ def describe_step(
     for name, row in zip(rows, jacobian, strict=True):
         lines.append(name.ljust(first) + "".join(f"{value:{width}.6g}" for value in row))
     return "\n".join(lines)
+
+
+def named_values(quantities: "tuple[Quantity, ...]", values: "Sequence[float] | Array", form: str = ".6f") -> str:
+    """Names, values and units, separated by commas."""
+    return ", ".join(f"{q.name} {value:{form}} {q.unit}" for q, value in zip(quantities, values, strict=True))

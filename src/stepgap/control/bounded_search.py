@@ -1,7 +1,6 @@
 """Bounded least squares without a good start: Gauss–Newton steps first, then a search for better starts."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stepgap.control.box_points import box_points
 from stepgap.control.gauss_newton import REACHED, Function, Jacobian, Solution, minimise, norms
@@ -24,9 +23,7 @@ def solve(function: Function, jacobian: Jacobian, start: Array) -> Solution:
     if best.distance <= REACHED:
         return best
     points, distance = _sample(function, len(start))
-    for row in separate_starts(points, distance[None])[0]:
-        if row < 0:
-            break
+    for row in _separate_starts(points, distance):
         near_best = np.abs(points[row] - best.point).max() <= SEPARATION
         if not (near_best and distance[row] >= best.distance):
             other = minimise(function, jacobian, points[row])
@@ -47,24 +44,20 @@ def _sample(function: Function, k: int) -> tuple[Array, Array]:
     return points, distance
 
 
-def separate_starts(points: Array, distance: Array) -> NDArray[np.intp]:
-    """The closest points that lie apart from each other, the closest first.
+def _separate_starts(points: Array, distance: Array) -> list[int]:
+    """Rows of at most `BASINS` closest points (N, k) that lie apart from each other, the closest first.
 
-    Args:
-        points: Shape (N, k).
-        distance: Distances of each of P functions at the points, infinite where one has no value; shape (P, N).
-
-    Returns:
-        Rows of the points, -1 where there are no more; shape (P, BASINS).
+    Distances (N,) are infinite where the function has no value.
     """
-    near = np.abs(points[:, None] - points).max(axis=-1) <= SEPARATION
-    left, found = distance.copy(), np.full((len(distance), BASINS), -1, np.intp)
-    for column in found.T:
-        closest = np.argmin(left, axis=1)
-        some = np.isfinite(left[np.arange(len(left)), closest])
-        column[some] = closest[some]
-        left[near[closest]] = np.inf
-    return found
+    left = distance.copy()
+    rows = list[int]()
+    for _ in range(BASINS):
+        closest = int(np.argmin(left))
+        if not np.isfinite(left[closest]):
+            break
+        rows.append(closest)
+        left[np.abs(points - points[closest]).max(axis=-1) <= SEPARATION] = np.inf
+    return rows
 
 
 def _zoom(function: Function, best: Solution) -> Solution:

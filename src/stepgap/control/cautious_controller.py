@@ -19,15 +19,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.control.box_points import box_points, composite_design
-from stepgap.control.command_change import CommandChange
 from stepgap.control.command_table import CommandTable
-from stepgap.control.cost_to_go import goals_for
-from stepgap.control.evaluation_budget import BudgetedMap, EvaluationBudget
 from stepgap.control.gauss_newton import minimise
-from stepgap.control.goal import Goal
+from stepgap.control.goal import Goal, goals_for
 from stepgap.control.horizon import plan_ahead
 from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.control.step_controller import StepController, checked_target
+from stepgap.control.wrapped_map import BudgetedMap, CommandChange, EvaluationBudget
 from stepgap.step import Array, StepFailed, StepMap, StepSpace, StepStatus
 
 RISK = 2.0

@@ -1,19 +1,12 @@
-"""Bounded least squares: damped Gauss–Newton steps from a start, for one problem and for many at once.
+"""Bounded least squares: damped Gauss–Newton steps from a start.
 
 The point sought lies within a box; a vector-valued function is zero or of least norm there. Each step minimises
-the norm of the linearised function within the box (`box_step`, `box_steps`), with Levenberg's damping. Broyden's
-rank-one updates keep the Jacobian, because a new one costs several evaluations.
+the norm of the linearised function within the box (`box_step`), with Levenberg's damping. Broyden's rank-one updates
+keep the Jacobian, because a new one costs several evaluations; it is evaluated again where the updated one is poor.
 
-Far from zero the squared norm has a curvature that the linearised function lacks. `minimise` estimates it as the weight
-of the damping with which the model would have predicted the last trial, a scalar form of the secant estimates of
-Dennis, Gay and Welsch (An adaptive nonlinear least-squares algorithm, 1981). Near a zero that weight vanishes.
-
-`minimise` solves one problem and evaluates the Jacobian again where the updated one is poor. `minimise_many` takes
-the steps of many problems together, so that each round is one large batch of evaluations, and never evaluates the
-Jacobian again; problems that do not converge are left to `minimise`. It is a separate function because it works on
-arrays of problems: one search for both, whose evaluations are collected in batches, took four times as long for a
-command table, 191 instead of 45 µs for each of 13⁴ nodes. It estimates no curvature, so its damping grows and shrinks
-by factors, as a multiple of the squared norm of the Jacobian.
+Far from zero the squared norm has a curvature that the linearised function lacks. It is estimated as the weight of the
+damping with which the model would have predicted the last trial, a scalar form of the secant estimates of Dennis, Gay
+and Welsch (An adaptive nonlinear least-squares algorithm, 1981). Near a zero that weight vanishes.
 
 A function value that is not finite (a step that fails) is worse than any other.
 """
@@ -22,7 +15,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import get_lapack_funcs
 
 from stepgap.step import Array
@@ -31,14 +23,11 @@ TOLERANCE = 1e-9
 """Norm at which a solution is not improved further."""
 REACHED = 1e-6
 """Norm that counts as zero; an integrated map is not more accurate than this."""
-CLOSE_ENOUGH = REACHED / 10
-"""Norm at which one of many solutions is not improved further."""
 FLAT = 1e-10
 """A point is stationary when the squared norm can fall by no more than this fraction, unless another one is given."""
 NEARBY = 1e-3
 """A Jacobian with Broyden's updates counts as exact up to this distance from the point of its evaluation."""
 MOST_TRIALS = 25
-MOST_ROUNDS = 20
 MOST_DAMPING = 1e4
 """A search ends with a larger damping, relative to the squared norm of the Jacobian."""
 LEAST_DAMPING = 1e-2
@@ -53,8 +42,6 @@ Function = Callable[[Array], Array]
 """Points (…, k) to values (…, n), NaN where there is none."""
 Jacobian = Callable[[Array], Array]
 """A point (k,) to the Jacobian of the function (n, k)."""
-ManyFunctions = Callable[[NDArray[np.intp], Array], Array]
-"""Numbers of problems (p,) and a point (p, k) for each to their values (p, n), NaN where there is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,52 +116,6 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, improvement: 
     return Solution(point, distance, converged=distance <= REACHED)
 
 
-def minimise_many(
-    functions: ManyFunctions, points: Array, values: Array, matrices: Array
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Searches a local minimum of the norm within |point| ≤ 1 for each problem, from one start each.
-
-    Args:
-        functions: The functions.
-        points: Starts; shape (P, k).
-        values: Values of the functions there; shape (P, n).
-        matrices: Their Jacobians there; shape (P, n, k).
-
-    Returns:
-        Points (P, k), values (P, n), and which problems converged (P,).
-    """
-    points, values, matrices = points.copy(), values.copy(), matrices.copy()
-    converged, relative_damping = np.zeros(len(points), bool), np.zeros(len(points))
-    active = np.flatnonzero(np.isfinite(matrices).all(axis=(1, 2)))
-    # `active` has the numbers of the problems that still run; each local array has one row for each of them. `points`
-    # and `values` change only where the norm falls, so whenever a problem leaves, it keeps the best that it has found.
-    for _ in range(MOST_ROUNDS):
-        point, value, matrix = points[active], values[active], matrices[active]
-        cost = np.sum(value**2, axis=1)
-        damping = relative_damping[active] * np.sum(matrix**2, axis=(1, 2))
-        step = box_steps(matrix, value, -1 - point, 1 - point, damping)
-        linear = value + np.einsum("pnm,pm->pn", matrix, step)
-        expected = cost - np.sum(linear**2, axis=1)
-        done = (cost <= CLOSE_ENOUGH**2) | (expected <= FLAT * cost)
-        converged[active[done]] = True
-        remaining = ~done & (relative_damping[active] <= MOST_DAMPING)
-        active, step, linear = active[remaining], step[remaining], linear[remaining]
-        cost, expected = cost[remaining], expected[remaining]
-        if not active.size:
-            break
-        trial = functions(active, points[active] + step)
-        failed = ~np.isfinite(trial).all(axis=1)
-        gain = np.where(failed, -np.inf, cost - np.sum(trial**2, axis=1))
-        update = (trial - linear)[:, :, None] * step[:, None, :] / np.sum(step**2, axis=1)[:, None, None]
-        matrices[active[~failed]] += update[~failed]
-        better = gain > ACCEPTED * expected
-        points[active[better]] += step[better]
-        values[active[better]] = trial[better]
-        more = np.maximum(8 * relative_damping[active], LEAST_DAMPING)
-        relative_damping[active] = np.where(better, relative_damping[active] / 8, more)
-    return points, values, converged
-
-
 def box_step(matrix: Array, value: Array, lower: Array, upper: Array, damping: float) -> Array:
     """Minimises |matrix p + value|² + damping |p|² over lower ≤ p ≤ upper by active sets; returns p (k,).
 
@@ -215,45 +156,6 @@ def box_step(matrix: Array, value: Array, lower: Array, upper: Array, damping: f
             break
         free[worst] = True
     return np.clip(step, lower, upper)
-
-
-def box_steps(matrices: Array, values: Array, lower: Array, upper: Array, damping: Array) -> Array:
-    """Minimises |matrix p + value|² + damping |p|² over lower ≤ p ≤ upper for each problem, as `box_step`; p (P, m).
-
-    Args:
-        matrices: Shape (P, n, m).
-        values: Shape (P, n).
-        lower: Not above 0; shape (P, m).
-        upper: Not below 0; shape (P, m).
-        damping: Not negative; shape (P,).
-    """
-    m = matrices.shape[2]
-    hessian = np.einsum("pni,pnj->pij", matrices, matrices)
-    gradient = np.einsum("pni,pn->pi", matrices, values)
-    size = np.trace(hessian, axis1=1, axis2=2)
-    hessian = hessian + (damping + 1e-14 * size + 1e-300)[:, None, None] * np.eye(m)
-    steps, side, active = np.zeros_like(lower), np.zeros(lower.shape, int), np.arange(len(values))
-    # Each turn of this primal-dual active-set method (Hintermüller, Ito, Kunisch, 2003) solves for the free coordinates
-    # (`side` 0), then fixes those beyond a bound, and frees those whose bound holds them back from the minimum. Usually
-    # two or three turns suffice; the few problems that go round in circles are solved by `box_step`.
-    for _ in range(2 * m + 4):
-        now, bounds = side[active], np.where(side[active] < 0, lower[active], upper[active])
-        free = now == 0
-        rest = np.where(free, 0.0, bounds)
-        system = hessian[active] * (free[:, :, None] & free[:, None, :]) + (~free)[:, :, None] * np.eye(m)
-        right = np.where(free, -gradient[active] - np.einsum("pij,pj->pi", hessian[active], rest), bounds)
-        step = np.linalg.solve(system, right[..., None])[..., 0]
-        slope = gradient[active] + np.einsum("pij,pj->pi", hessian[active], step)
-        beyond = np.where(step < lower[active], -1, np.where(step > upper[active], 1, 0))
-        held = np.where(now * slope <= 0, now, 0)
-        following = np.where(free, beyond, held)
-        steps[active], side[active] = step, following
-        active = active[(following != now).any(axis=1)]
-        if not active.size:
-            break
-    for row in active:
-        steps[row] = box_step(matrices[row], values[row], lower[row], upper[row], float(damping[row]))
-    return np.clip(steps, lower, upper)
 
 
 def _square(value: Array) -> float:

@@ -15,10 +15,10 @@ from functools import cached_property
 
 import numpy as np
 
-from stepgap.control.command_change import NO_LIMIT, CommandChange
 from stepgap.control.gauss_newton import REACHED, minimise, norms
 from stepgap.control.goal import Goal
 from stepgap.control.step_controller import StepController, StepPlan
+from stepgap.control.wrapped_map import NO_LIMIT, CommandChange
 from stepgap.step import Array, StepFailed, StepMap, StepSpace, StepStatus
 
 AHEAD_IMPROVEMENT = 1e-4

@@ -1,15 +1,27 @@
-"""Limit cycles, their stability, and the one-step reachable set (Sec. 4.2 of the paper)."""
+"""Limit cycles, their stability, and the one-step reachable set (Sec. 4.2 of the paper); targets that can be held.
+
+The fixed points of a map with m commands usually form a set of m dimensions among all states. A box of ranges is no
+picture of it, so the middle of the ranges, and stairs about it, may be far from any gait. Instead of a target that
+cannot be held, `nearest_fixed_point` finds the state nearest to it that some command repeats.
+"""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepgap.base.ranges import require
+from stepgap.control.bounded_search import solve
 from stepgap.control.box_points import box_grid, box_points
-from stepgap.control.reach import whole_states, within_noise
+from stepgap.control.gauss_newton import minimise
+from stepgap.control.reach import repeated_state, whole_states, within_noise
+from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController, as_vector
-from stepgap.step import Array, Codes, StepMap, StepStatus
+from stepgap.step import Array, Codes, StepFailed, StepMap, StepStatus
+
+PULL: Final = 0.03
+"""Weight of the distance from a target, against that of the change of state, while a fixed point near it is sought."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,3 +134,76 @@ def reachable_set(step_map: StepMap, state: ArrayLike, samples: int = 21) -> Rea
     commands = space.command_at(box_grid(samples, m) if m <= 2 else box_points(samples**2, m))
     next_states, statuses = step_map.evaluate(state, commands)
     return ReachableSet(commands, np.where((statuses == StepStatus.OK)[..., None], next_states, np.nan), statuses)
+
+
+def reached_in_one_step(step_map: StepMap, states: Array, targets: Array) -> NDArray[np.bool_]:
+    """Whether some command leads from each state (k, n) to its target (k, n), NaN where there is none; shape (k,)."""
+    controller = StepController(step_map)
+    reached = np.zeros(len(states), bool)
+    for row, (state, target) in enumerate(zip(states, targets, strict=True)):
+        try:
+            plan = controller(state, target)
+        except StepFailed:
+            continue
+        reached[row] = plan.reached or within_noise(step_map, target, plan.predicted)
+    return reached
+
+
+def nearest_fixed_point(step_map: StepMap, target: Array) -> Array:
+    """The state in the ranges of use, near a target, that some command changes least; shape (n,).
+
+    First the change of state and, with a small weight, the distance from the target are made small together, then the
+    change alone, from there.
+
+    Args:
+        step_map: The map.
+        target: NaN in coordinates without a target; shape (n,).
+    """
+    space = step_map.space
+    n, wanted = len(space.state), np.flatnonzero(space.has_target(target))
+    change = repeated_state(step_map, space.state_centre, np.arange(n))
+    start = np.zeros(change.size)
+    start[wanted] = space.scaled_state(target)[wanted]
+    pull = PULL * np.eye(change.size)[wanted]
+
+    def pulled(point: Array) -> Array:
+        return np.concatenate([change.function(point), PULL * (point - start)[..., wanted]], axis=-1)
+
+    near = solve(pulled, lambda point: np.vstack([change.jacobian(point), pull]), start)
+    return change.state_at(minimise(change.function, change.jacobian, near.point).point)
+
+
+def held_reference(step_map: StepMap, reference: Reference) -> Reference | None:
+    """The reference with each target that the map does not hold replaced by one near it that it holds.
+
+    Args:
+        step_map: The map.
+        reference: Targets in all state coordinates (`Reference.of`).
+
+    Returns:
+        The same object if all targets are held; None if no fixed point was found near any.
+    """
+    first, number = reference.distinct
+    targets = reference.targets[first].copy()
+    held = _are_held(step_map, targets)
+    if held.all():
+        return reference
+    for row in np.flatnonzero(~held):
+        state = nearest_fixed_point(step_map, targets[row])
+        wanted = step_map.space.has_target(targets[row])
+        targets[row, wanted] = state[wanted]
+    held = _are_held(step_map, targets)
+    if not held.any():
+        return None
+    wanted = step_map.space.has_target(targets)
+    for row in np.flatnonzero(~held):  # the nearest of the others takes its place
+        alike = held & (wanted == wanted[row]).all(axis=1)
+        if not alike.any():
+            return None
+        away = (targets[alike] - reference.targets[first[row]]) / step_map.space.error_scale
+        targets[row] = targets[alike][np.argmin(np.nansum(away[:, wanted[row]] ** 2, axis=1))]
+    return Reference(reference.names, targets[number])
+
+
+def _are_held(step_map: StepMap, targets: Array) -> np.ndarray:
+    return reached_in_one_step(step_map, whole_states(step_map, targets), targets)

@@ -15,8 +15,7 @@ from stepgap.control.bounded_search import solve
 from stepgap.control.box_points import composite_design
 from stepgap.control.gauss_newton import REACHED, Function, Jacobian
 from stepgap.control.reference import Indices
-from stepgap.control.solve_many import solve_many
-from stepgap.step import Array, StepMap, StepSpace, StepStatus
+from stepgap.step import Array, StepMap, StepSpace
 
 SMALL_PART: Final = 0.01
 """Part of half a range of use that counts as a change of a coordinate whose noise is not known."""
@@ -111,15 +110,6 @@ def repeated_state(step_map: StepMap, base: Array, free: Indices) -> RepeatedSta
         return matrix[:, columns] * by_point / scale[:, None]
 
     return RepeatedState(change, jacobian, state_at, len(columns))
-
-
-def reached_in_one_step(step_map: StepMap, states: Array, targets: Array) -> NDArray[np.bool_]:
-    """Whether some command leads from each state (k, n) to its target (k, n), NaN where there is none; shape (k,)."""
-    if not len(states):
-        return np.zeros(0, bool)
-    found = solve_many(step_map, states, targets[:, None])
-    near = within_noise(step_map, targets, found.predicted[:, 0])
-    return found.reached[:, 0] | ((found.status[:, 0] == StepStatus.OK) & near)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,11 +1,12 @@
-"""Maps around another map, which is as uncertain as that one."""
+"""Maps around another map: with other bounds of the commands, or with a budget of steps that they may evaluate."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.step import Array, Outcome, StepMap, StepSpace
+from stepgap.step import Array, Outcome, StepMap, StepSpace, StepStatus
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,3 +56,100 @@ class MapInSpace(WrappedMap):
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n, n + m)."""
         return self.inner.jacobian(state, command)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class CommandChange:
+    """How much commands may differ from the one before them: narrower bounds of the next command.
+
+    Attributes:
+        largest: Largest change of each command in a step, as a share of its range; 1 for no limit.
+        previous: Command of the step before; shape (m,). None before the first step, whose command has no limit.
+    """
+
+    largest: float = 1.0
+    previous: Array | None = None
+
+    def bounds(self, space: StepSpace, steps: int = 1) -> StepSpace:
+        """The space with the bounds of the command that is the first, second, … after the previous one."""
+        if self.previous is None or steps * self.largest >= 1:  # every command is within reach
+            return space
+        change = 2 * steps * self.largest * space.command_scale
+        previous = np.clip(self.previous, space.command_lower, space.command_upper)
+        lower = np.maximum(space.command_lower, previous - change).tolist()
+        upper = np.minimum(space.command_upper, previous + change).tolist()
+        sides = zip(space.command, lower, upper, strict=True)
+        return replace(space, command=tuple(replace(each, lower=low, upper=high) for each, low, high in sides))
+
+    def limited(self, step_map: StepMap) -> StepMap:
+        """The map with the bounds of the next command."""
+        space = step_map.space
+        bounds = self.bounds(space)
+        return step_map if bounds is space else MapInSpace(step_map, bounds)
+
+    def after(self, command: Array) -> "CommandChange":
+        """The limit after a step with this command."""
+        return replace(self, previous=command)
+
+
+NO_LIMIT = CommandChange()
+"""Any command may follow any other."""
+
+
+@dataclass(eq=False)
+class EvaluationBudget:
+    """Number of steps that the maps of one search may still evaluate together, so that it ends in time on a slow map.
+
+    Attributes:
+        remaining: Number of steps.
+    """
+
+    remaining: int
+
+    def spend(self, steps: int) -> bool:
+        """Takes a number of steps from the budget; returns whether they were in it, and takes none if not."""
+        granted = steps <= self.remaining
+        self.remaining -= steps if granted else 0
+        return granted
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class BudgetedMap(WrappedMap):
+    """A map whose steps fail once the budget is spent.
+
+    A search treats such a step like any other that fails, and returns the best command found before. A Jacobian counts
+    as the 2 (n + m) steps of its central differences, also where there is a formula for it.
+
+    Attributes:
+        budget: Number of steps that it may still evaluate.
+    """
+
+    budget: EvaluationBudget
+
+    @property
+    def space(self) -> StepSpace:
+        """Names, units and ranges of the map."""
+        return self.inner.space
+
+    def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
+        """Next states and status codes; all fail as `StepStatus.INVALID` if they are more than the budget permits."""
+        leading = self._leading(state, command)
+        if self.budget.spend(int(np.prod(leading))):
+            return self.inner.evaluate(state, command)
+        n = len(self.space.state)
+        return Outcome(np.full((*leading, n), np.nan), np.full(leading, int(StepStatus.INVALID)))
+
+    def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
+        """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails or the budget is spent."""
+        leading, n = self._leading(state, command), len(self.space.state)
+        inputs = n + len(self.space.command)
+        if self.budget.spend(2 * inputs * int(np.prod(leading))):
+            return self.inner.jacobian(state, command)
+        return np.full((*leading, n, inputs), np.nan)
+
+    @staticmethod
+    def _leading(state: ArrayLike, command: ArrayLike) -> tuple[int, ...]:
+        """Shape of the batch."""
+        return np.broadcast_shapes(np.shape(state)[:-1], np.shape(command)[:-1])

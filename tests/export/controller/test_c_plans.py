@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.control.cost_to_go import StepGoals
-from stepgap.control.goal import Targets
+from stepgap.control.goal import StepGoals, Targets
 from stepgap.control.settings import ControlSettings
 from stepgap.export.controller.c_source import c_source
 from stepgap.export.controller.model_reading import read_portable

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepgap.control.cautious_controller import CautiousController
-from stepgap.control.command_change import CommandChange
-from stepgap.control.evaluation_budget import BudgetedMap, EvaluationBudget
 from stepgap.control.goal import Targets
 from stepgap.control.settings import ControlSettings
 from stepgap.control.step_controller import StepController, as_vector, checked_target
+from stepgap.control.wrapped_map import BudgetedMap, CommandChange, EvaluationBudget
 from stepgap.export.controller.formulas import INVERSE, nominal_state, regression, scaled_point
 from stepgap.learning.beliefs_data import beliefs_from_dict
 from stepgap.learning.believed import believed_after, planning_map

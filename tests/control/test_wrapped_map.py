@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from stepgap.control.cautious_controller import CautiousController
-from stepgap.control.command_change import CommandChange
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ControlSettings
+from stepgap.control.wrapped_map import CommandChange
 from stepgap.experiment.deployment import DeploymentController, deploy
 from stepgap.gym import StepEnv
 from stepgap.learning.learner import Learner

@@ -7,8 +7,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from stepgap.control.cautious_controller import CautiousController
-from stepgap.control.cost_to_go import EFFORT_WEIGHT, UNTRACKED_WEIGHT, Deviation, goals_for
-from stepgap.control.goal import CAUTION, Targets
+from stepgap.control.goal import CAUTION, EFFORT_WEIGHT, UNTRACKED_WEIGHT, Deviation, Targets, goals_for
 from stepgap.control.settings import ControlSettings
 from stepgap.control.step_controller import StepController
 from stepgap.robots.nominal_maps.affine_map import AffineMap
