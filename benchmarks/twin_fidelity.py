@@ -3,7 +3,7 @@
 With short ticks the twin must equal the model. At 1 kHz the remaining difference must be the effect of torques held
 from tick to tick: it is proportional to the tick, and the model with held torques (`SampledApexMap`) has most of it.
 
-    ./go python benchmarks/twin_fidelity.py --steps 50
+    ./go python -m benchmarks.twin_fidelity --steps 50
 """
 
 import argparse
@@ -11,11 +11,11 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
+from benchmarks.sampled_map import SampledApexMap
 from stepgap.control.step_controller import StepController
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.model.apex_map import ApexMap
-from stepgap.robots.hopper.model.sampled_map import SampledApexMap
 from stepgap.robots.hopper.tick.hop_control import HopperControl
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin

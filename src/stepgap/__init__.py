@@ -65,7 +65,6 @@ if TYPE_CHECKING:
     from stepgap.rigs.rig import RigFault as RigFault
     from stepgap.rigs.rig import SensorModel as SensorModel
     from stepgap.robots.hopper.model.apex_map import ApexMap as ApexMap
-    from stepgap.robots.hopper.model.sampled_map import SampledApexMap as SampledApexMap
     from stepgap.robots.hopper.paper import paper_reference as paper_reference
     from stepgap.robots.hopper.parameters import CommandBounds as CommandBounds
     from stepgap.robots.hopper.parameters import Gains as Gains

@@ -1,7 +1,7 @@
 """The interface of a robot: its settings, state and command, nominal maps, reference, and simulated plants."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -12,7 +12,6 @@ from stepgap.plants.plant import Plant, RepeatablePlant
 from stepgap.plants.tick_control import RobotControl
 from stepgap.plants.ticks.stream import OnTicks, thinned
 from stepgap.rigs.rig import SensorModel
-from stepgap.robots.knobs import Knob, gain_knobs
 from stepgap.robots.published_result import PublishedResult
 from stepgap.robots.scene import GroundPieces, Kinematics
 from stepgap.step import Array, StepMap, StepSpace
@@ -73,12 +72,15 @@ class Robot(ABC):
         presets: Named values of its tables, by table; key `preset` of that table chooses one.
         files: Keys of its tables that name a file, such as `ground.profile`, and whether a run keeps a copy of it.
         plant_titles: What a report calls its simulated plants, by their names; others are called by their names.
+        former: Keys of its tables in former versions, such as `gains.lead`, with the only value that has no effect and
+            is still read; None for any value.
     """
 
     name: ClassVar[str]
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     files: ClassVar[Mapping[str, bool]] = {}
     plant_titles: ClassVar[Mapping[str, str]] = {}
+    former: ClassVar[Mapping[str, Any]] = {}
 
     @property
     @abstractmethod
@@ -89,30 +91,6 @@ class Robot(ABC):
         """Its nominal maps by name; the first one is the default. Of a `SimulatorMap`, a surrogate is used.
 
         Without any, a template or a log is needed.
-        """
-        return {}
-
-    def sampled_map(self, tick: float) -> StepMap | None:  # noqa: ARG002  (others use it)
-        """Its nominal map of equations of motion, but with torques that are held; None if there is none.
-
-        Args:
-            tick: Time for which torques are held [s].
-
-        Raises:
-            ValueError: The tick is out of its range.
-        """
-        return None
-
-    def knobs(self) -> Sequence[Knob]:
-        """What could be its step command instead, for `stepgap gait knobs`: without others, all its gains."""
-        return gain_knobs(self)
-
-    def loads(self, state: Array, command: Array) -> Mapping[str, float]:  # noqa: ARG002  (others use it)
-        """What a step asks of the robot and the floor, such as "torque [N·m]" and "friction"; empty if not known.
-
-        Args:
-            state: State at its start; shape (n,).
-            command: Its command; shape (m,).
         """
         return {}
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
+from stepgap.robots.nominal_maps.differenced_map import STEPS, suitable_step
 from stepgap.robots.nominal_maps.simulator import Simulator, SimulatorMap
-from stepgap.robots.nominal_maps.smoothness import STEPS, suitable_step
 from stepgap.step import Array, Quantity, StepSpace, StepStatus
 from tests.control.maps import LossyHopper, NeverWorks, RoughMap
 

@@ -5,7 +5,7 @@ import numpy as np
 from stepgap.control.reference import Reference
 from stepgap.step import Array
 
-NAMES = ("height", "stride")
+_NAMES = ("height", "stride")
 
 STRIDES_GIVEN = 227
 """Number of targets, as many as the paper's reference has."""
@@ -23,7 +23,7 @@ OVER_STONES = 0.58
 def random_strides() -> Reference:
     """Random strides and heights, always the same, from which a map of footholds is learned."""
     low, high = np.transpose([HEIGHTS, STRIDES])
-    return Reference(NAMES, np.random.default_rng(0).uniform(low, high, (STRIDES_GIVEN, 2)))
+    return Reference(_NAMES, np.random.default_rng(0).uniform(low, high, (STRIDES_GIVEN, 2)))
 
 
 def stones_reference(stones: Array, length: float) -> Reference:
@@ -34,4 +34,4 @@ def stones_reference(stones: Array, length: float) -> Reference:
         length: Length of the ground [m].
     """
     strides = np.resize(np.diff(np.append(stones, length)), STRIDES_GIVEN)
-    return Reference(NAMES, np.column_stack([np.full(STRIDES_GIVEN, OVER_STONES), strides]))
+    return Reference(_NAMES, np.column_stack([np.full(STRIDES_GIVEN, OVER_STONES), strides]))

@@ -4,10 +4,8 @@ The robot's parameters are those of the paper (Sec. 3). The paper prints no gain
 here, each with a reason.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from math import isfinite, tau
-from types import MappingProxyType
 
 from stepgap.base.errors import InputError
 from stepgap.base.ranges import require
@@ -115,8 +113,6 @@ class Gains:
             can just be reached in one step.
         position_gain: Gain on the leg angles in flight K_p [N·m/rad], on α₁ and on α₂.
         damping_gain: Gain on the leg angle rates in flight K_d [N·m·s/rad].
-        thrust_rest_length: What is added to the rest length from mid-stance to take-off [m].
-        thrust_stiffness: What is added to the stiffness from mid-stance to take-off [N/m].
     """
 
     stiffness: float = 2500.0
@@ -126,126 +122,52 @@ class Gains:
     speed_setpoint: float = 0.1
     position_gain: float = 40.0
     damping_gain: float = 0.8
-    thrust_rest_length: float = 0.0
-    thrust_stiffness: float = 0.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
             require(isfinite(value), field.name, value, "be finite")
-            if field.name not in ("speed_setpoint", "thrust_rest_length", "thrust_stiffness"):
+            if field.name != "speed_setpoint":
                 require(value > 0, field.name, value, "be positive")
-        rule = f"exceed -stiffness = {-self.stiffness:g}"
-        require(self.thrust_stiffness > -self.stiffness, "thrust_stiffness", self.thrust_stiffness, rule)
 
     def check(self, robot: RobotParameters) -> None:
         """Raises ValueError where a length lies outside the range of the robot's leg."""
-        shortest, longest = robot.folded_length, robot.stretched_length
-        lengths = {name: getattr(self, name) for name in ("rest_length", "landing_length")}
-        lengths["rest_length + thrust_rest_length"] = self.rest_length + self.thrust_rest_length
-        for name, value in lengths.items():
-            rule = f"lie between {shortest:g} (leg folded) and {longest:g} (leg stretched)"
-            require(shortest < value < longest, name, value, rule)
-
-
-KNOB_UNITS: Mapping[str, str] = MappingProxyType(
-    {
-        "fx": "N",
-        "fy": "N",
-        "thrust_rest_length": "m",
-        "thrust_stiffness": "N/m",
-        "rest_length": "m",
-        "stiffness": "N/m",
-        "landing_length": "m",
-        "speed_setpoint": "m/s",
-        "speed_gain": "rad·s/m",
-    }
-)
-"""What the step command can be: two forces, or a change of gains, with units. The first four act after mid-stance."""
-
-FIRST_EARLY = 4
-"""Number of the first one that acts before mid-stance."""
-
-PAPER_PAIR = ("fx", "fy")
-"""The step command of the paper (Sec. 4.2)."""
+        for name in ("rest_length", "landing_length"):
+            value = getattr(self, name)
+            require(
+                robot.folded_length < value < robot.stretched_length,
+                name,
+                value,
+                f"lie between {robot.folded_length:g} (leg folded) and {robot.stretched_length:g} (leg stretched)",
+            )
 
 
 @dataclass(frozen=True)
 class CommandBounds:
-    """What the step command is, and its bounds: in the paper, forces added after mid-stance (Sec. 4.2).
+    """Bounds of the step command: forces added after mid-stance (Sec. 4.2), [N].
 
-    With the default bounds the robot can hop at every apex of the reference (0–0.4 m/s, 0.52–0.64 m).
+    With these bounds the robot can hop at every apex of the reference (0–0.4 m/s, 0.52–0.64 m).
 
     Attributes:
         fx_lower: Smallest horizontal force [N].
         fx_upper: Largest horizontal force [N].
         fy_lower: Smallest vertical force [N].
         fy_upper: Largest vertical force [N].
-        thrust_rest_length: Largest change of the rest length after mid-stance, up or down [m].
-        thrust_stiffness: Largest change of the stiffness after mid-stance [N/m].
-        rest_length: Largest change of the rest length in the whole stance [m].
-        stiffness: Largest change of the stiffness in the whole stance [N/m].
-        landing_length: Largest change of the leg length at touchdown [m].
-        speed_setpoint: Largest change of the speed at which the leg lands vertically [m/s]; turns the landing leg by
-            speed_gain times this.
-        speed_gain: Largest change of the landing angle per speed error [rad·s/m].
-        pair: Names of the two coordinates of the command: fx, fy, or that of a key above, which is then added to
-            the gain of this name for one step. Those of the landing and of the whole stance act from the apex on, so
-            they must be known before touchdown. `stepgap gait knobs` compares them.
     """
 
     fx_lower: float = -30.0
     fx_upper: float = 30.0
     fy_lower: float = -20.0
     fy_upper: float = 20.0
-    thrust_rest_length: float = 0.01
-    thrust_stiffness: float = 500.0
-    rest_length: float = 0.015
-    stiffness: float = 800.0
-    landing_length: float = 0.02
-    speed_setpoint: float = 0.5
-    speed_gain: float = 0.1
-    pair: tuple[str, ...] = PAPER_PAIR
 
     def __post_init__(self) -> None:
-        two = len(self.pair) == 2 and len(set(self.pair)) == 2 and set(self.pair) <= KNOB_UNITS.keys()
-        require(two, "pair", list(self.pair), f"have two different names of {', '.join(KNOB_UNITS)}")
         for field in fields(self):
-            if field.name != "pair":
-                require(isfinite(getattr(self, field.name)), field.name, getattr(self, field.name), "be finite")
-            if field.name in KNOB_UNITS:
-                require(getattr(self, field.name) > 0, field.name, getattr(self, field.name), "be positive")
+            require(isfinite(getattr(self, field.name)), field.name, getattr(self, field.name), "be finite")
         require(self.fx_lower < self.fx_upper, "fx_lower", self.fx_lower, f"lie below fx_upper = {self.fx_upper}")
         require(self.fy_lower < self.fy_upper, "fy_lower", self.fy_lower, f"lie below fy_upper = {self.fy_upper}")
 
-    @property
-    def knobs(self) -> tuple[int, int]:
-        """Numbers of the two coordinates, in the order of `KNOB_UNITS`."""
-        names = list(KNOB_UNITS)
-        return names.index(self.pair[0]), names.index(self.pair[1])
-
-    @property
-    def is_early(self) -> bool:
-        """Whether the command acts before mid-stance."""
-        return max(self.knobs) >= FIRST_EARLY
-
-    def check(self, gains: Gains, robot: RobotParameters) -> None:
-        """Raises ValueError where a bound of the command takes a gain out of its range."""
-        for name in set(self.pair) - set(PAPER_PAIR):
-            for change in (-getattr(self, name), getattr(self, name)):
-                try:
-                    replace(gains, **{name: getattr(gains, name) + change}).check(robot)
-                except ValueError as error:
-                    largest = f"{name} = {getattr(self, name):g}"
-                    raise ValueError(f"{largest}, but with this change gains.{error}") from None
-
-    def _quantity(self, name: str) -> Quantity:
-        if name in PAPER_PAIR:
-            return Quantity(name, "N", getattr(self, f"{name}_lower"), getattr(self, f"{name}_upper"))
-        return Quantity(name, KNOB_UNITS[name], -getattr(self, name), getattr(self, name))
-
     def space(self, ground: UnevenGround = FLAT_GROUND) -> StepSpace:
-        """State [speed, height] and command [fx, fy] or others of the hopper (Eq. 10), and the boom's yaw at the apex.
+        """State [speed, height] and command [fx, fy] of the hopper (Eq. 10), and the yaw of its boom at the apex.
 
         With footholds, the state also has the stride from the foothold of the hop to the next one, as it follows from
         the apex between them; it counts more than the height, since a miss is a fall, and the speed hardly: it follows.
@@ -266,14 +188,13 @@ class CommandBounds:
         stride = Quantity("stride", "m", 0.0, 0.5, weight=100.0, above="foothold", adds_up=True)
         return StepSpace(
             state=(speed, Quantity("height", "m", 0.52, 0.64, above=above), *((stride,) * ground.has_footholds)),
-            command=tuple(map(self._quantity, self.pair)),
+            command=(
+                Quantity("fx", "N", self.fx_lower, self.fx_upper),
+                Quantity("fy", "N", self.fy_lower, self.fy_upper),
+            ),
             context=(ContextQuantity("yaw", "rad", period=tau), *(found if above else ())),
             advice=ADVICE_ON_HOPS,
         )
-
-
-PAPER_COMMAND = CommandBounds()
-"""The command of the paper with its default bounds."""
 
 
 def parameters_of(robot: Robot) -> RobotParameters:

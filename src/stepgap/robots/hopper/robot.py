@@ -1,11 +1,10 @@
 """The hopper as a `Robot`: its settings, and what they make."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from math import tau
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -15,20 +14,12 @@ from stepgap.rigs.rig import SensorModel
 from stepgap.robots.ground import UnevenGround
 from stepgap.robots.hopper.footholds import random_strides, stones_reference
 from stepgap.robots.hopper.paper import paper_reference, paper_result
-from stepgap.robots.hopper.parameters import (
-    FIRST_EARLY,
-    KNOB_UNITS,
-    PAPER_PAIR,
-    CommandBounds,
-    Gains,
-    RobotParameters,
-)
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.paper_family import PAPER_FAMILY
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
-from stepgap.robots.knobs import Knob
 from stepgap.robots.published_result import PublishedResult
 from stepgap.robots.robot import Robot
-from stepgap.step import Array, StepMap, StepSpace
+from stepgap.step import StepMap, StepSpace
 
 if TYPE_CHECKING:  # they load Numba and MuJoCo, which the settings do not need
     from stepgap.robots.hopper.kinematics import HopperKinematics
@@ -38,6 +29,17 @@ if TYPE_CHECKING:  # they load Numba and MuJoCo, which the settings do not need
 TWIN = "twin"
 """Name of the simulated plant."""
 
+FORMER_BOUNDS = (
+    "command.thrust_rest_length",
+    "command.thrust_stiffness",
+    "command.rest_length",
+    "command.stiffness",
+    "command.landing_length",
+    "command.speed_setpoint",
+    "command.speed_gain",
+)
+"""Keys of the bounds of gains that could be the step command in former versions; they had no effect on fx and fy."""
+
 
 @dataclass(frozen=True)
 class Hopper(Robot):
@@ -46,7 +48,7 @@ class Hopper(Robot):
     Attributes:
         parameters: Robot of the physics model.
         gains: Gains of the joint controller.
-        command: What the step command is, and its bounds.
+        command: Bounds of the step command.
         gap: Differences of the twin from the model.
         ground: The twin's ground, where it is uneven.
     """
@@ -57,6 +59,12 @@ class Hopper(Robot):
     }
     files: ClassVar[Mapping[str, bool]] = {"ground.profile": True}
     plant_titles: ClassVar[Mapping[str, str]] = {TWIN: "simulated twin"}
+    former: ClassVar[Mapping[str, Any]] = {
+        "command.pair": ["fx", "fy"],
+        "gains.thrust_rest_length": 0.0,
+        "gains.thrust_stiffness": 0.0,
+        **dict.fromkeys(FORMER_BOUNDS),
+    }
 
     parameters: RobotParameters = field(default_factory=RobotParameters)
     gains: Gains = field(default_factory=Gains)
@@ -66,7 +74,7 @@ class Hopper(Robot):
 
     @property
     def space(self) -> StepSpace:
-        """State [speed, height], command such as [fx, fy]; on uneven ground, the height above what the foot finds."""
+        """State [speed, height], command [fx, fy]; on uneven ground, the height above what the foot finds."""
         return self.command.space(self.ground)
 
     def apex_map(self) -> StepMap:
@@ -78,33 +86,6 @@ class Hopper(Robot):
     def nominal_maps(self) -> Mapping[str, Callable[[], StepMap]]:
         """The equations of motion."""
         return {"equations": self.apex_map}
-
-    def sampled_map(self, tick: float) -> StepMap:
-        """The equations of motion with torques that are held for a tick [s]."""
-        from stepgap.robots.hopper.model.sampled_map import SampledApexMap
-
-        apexes = SampledApexMap(self.parameters, self.gains, self.command, tick, ground=self._of_apexes)
-        return self._with_footholds(apexes)
-
-    def knobs(self) -> Sequence[Knob]:
-        """Gains that `command.pair` can name, each within its bounds."""
-        names = [name for name in KNOB_UNITS if name not in (*PAPER_PAIR, *self.command.pair)]
-        return [Knob(f"gains.{name}", KNOB_UNITS[name], getattr(self.command, name)) for name in names]
-
-    def loads(self, state: Array, command: Array) -> Mapping[str, float]:
-        """Largest torque, and the friction without which the foot slips, by the equations of motion."""
-        from stepgap.robots.hopper.model.dynamics import masses_of
-        from stepgap.robots.hopper.model.joint_control import joint_law
-        from stepgap.robots.hopper.model.loads import hop_loads
-
-        law = joint_law(self.parameters, self.gains, self.command)
-        return dict(
-            zip(
-                ("torque [N·m]", "friction"),
-                hop_loads(masses_of(self.parameters), law, *state[:2], *command),
-                strict=True,
-            )
-        )
 
     @property
     def _of_apexes(self) -> UnevenGround:
@@ -137,23 +118,15 @@ class Hopper(Robot):
         )
 
     def published(self) -> PublishedResult | None:
-        """The result of the paper, whose robot did not track footholds and had its command."""
-        return None if self.ground.has_footholds or self.command.pair != PAPER_PAIR else paper_result()
+        """The result of the paper, whose robot did not track footholds."""
+        return None if self.ground.has_footholds else paper_result()
 
     def check(self) -> None:
-        """Raises ValueError where a gain does not fit the leg, or the command does not fit gains or ground."""
-        for table, check in (("gains", self.gains.check), ("command", partial(self.command.check, self.gains))):
-            try:
-                check(self.parameters)
-            except ValueError as error:
-                raise ValueError(f"{table}.{error}") from None
-        if self.ground.is_measured and self.command.is_early:
-            late = ", ".join([*KNOB_UNITS][:FIRST_EARLY])
-            pair = list(self.command.pair)
-            raise ValueError(
-                f"command.pair = {pair}, but on uneven ground, where a command is planned at touchdown, it must be two "
-                f"of {late}"
-            )
+        """Raises ValueError where a gain does not fit the leg."""
+        try:
+            self.gains.check(self.parameters)
+        except ValueError as error:
+            raise ValueError(f"gains.{error}") from None
 
     def simulations(self) -> "Mapping[str, Callable[[np.random.Generator], HopperSimulation]]":
         """The twin."""
@@ -171,9 +144,8 @@ class Hopper(Robot):
         return HopperControl(self.parameters, self.gains, self.command, ground=self.ground)
 
     def prior(self) -> Path | None:
-        """That of 76 random twins (`benchmarks/priors.py`); only for the state and command of the paper."""
-        is_known = self.command.pair == PAPER_PAIR and not self.ground.has_footholds
-        return Path(__file__).with_name("prior.json") if is_known else None
+        """That of 76 random twins (`benchmarks/priors.py`); none with footholds, which are another state."""
+        return None if self.ground.has_footholds else Path(__file__).with_name("prior.json")
 
     def kinematics(self, sensors: SensorModel | None = None) -> "HopperKinematics":
         """Kinematics of boom and leg with the sensors of a rig, or with those of the twin."""

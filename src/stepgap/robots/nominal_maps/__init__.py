@@ -1,6 +1,6 @@
 """Nominal maps for robots without equations of motion: a template, a simulator with its surrogate, a log.
 
 Read in this order: `affine_map` (a template of a few numbers), `simulator` (any program that computes a step),
-`smoothness` (whether its derivatives can be computed by differences), `differenced_map` (with which step),
-`surrogate_map` (a smooth map fitted to it), `log_map` (a map fitted to recorded steps).
+`differenced_map` (whether its derivatives can be computed by differences, and with which step), `surrogate_map` (a
+smooth map fitted to it), `log_map` (a map fitted to recorded steps).
 """

@@ -54,7 +54,7 @@ class SimulatorMap(StepMap):
     Attributes:
         quantities: Names, units and ranges.
         step: Computes a step.
-        relative_step: Step of the differences for the Jacobian, in half ranges (`smoothness.suitable_step`).
+        relative_step: Step of the differences for the Jacobian, in half ranges (`differenced_map.suitable_step`).
     """
 
     quantities: StepSpace

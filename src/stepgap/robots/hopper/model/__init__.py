@@ -1,5 +1,5 @@
 """The hopper's equations of motion, from the leg to the apex map.
 
-Read in this order: `leg`, `dynamics`, `joint_control`, `reduced`, `hop`, `apex_map`; `sampled_hop` and `sampled_map`
-are the same with torques held from tick to tick, and `loads` is what a hop asks of motors and floor.
+Read in this order: `leg`, `dynamics`, `joint_control`, `reduced`, `hop`, `apex_map`, and `foothold_map`, whose state
+also has the stride.
 """

@@ -16,7 +16,7 @@ from stepgap.hybrid.integrator import Tolerance, make_trace
 from stepgap.robots.ground import FLAT_GROUND, UnevenGround
 from stepgap.robots.hopper.model.dynamics import Masses, masses_of
 from stepgap.robots.hopper.model.hop import INVALID, OK, Tolerances, to_apex, to_midstance
-from stepgap.robots.hopper.model.joint_control import JointLaw, acts_late, commanded, joint_law
+from stepgap.robots.hopper.model.joint_control import JointLaw, joint_law
 from stepgap.robots.hopper.model.leg import Leg
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.step import Array, Outcome, StepMap, StepSpace
@@ -37,35 +37,31 @@ def _packed(masses: Masses, law: JointLaw, tolerances: Tolerances) -> Array:
 @compiled
 def _unpacked(constants):
     """Unpacks the constants into (masses, law, tolerances)."""
-    numbers = to_fixed_tuple(constants, 28)  # pyright: ignore[reportCallIssue]  (Numba adds the first argument)
-    leg, flight, stance = Leg(*numbers[:3]), Tolerance(*numbers[24:26]), Tolerance(*numbers[26:])
-    return Masses(leg, *numbers[3:12]), JointLaw(leg, *numbers[12:24]), Tolerances(flight, stance)
+    numbers = to_fixed_tuple(constants, 24)  # pyright: ignore[reportCallIssue]  (Numba adds the first argument)
+    leg, flight, stance = Leg(*numbers[:3]), Tolerance(*numbers[20:22]), Tolerance(*numbers[22:])
+    return Masses(leg, *numbers[3:12]), JointLaw(leg, *numbers[12:20]), Tolerances(flight, stance)
 
 
 @compiled
-def _same_landing(law, points, i, before):
-    """Whether the hop from point i is equal to that from an earlier point, if not −1, up to mid-stance."""
-    same_state = points[i, 0] == points[before, 0] and points[i, 1] == points[before, 1]
-    return before >= 0 and same_state and acts_late(law)
+def _same_state(points, i):
+    """Whether point i has the state of the previous point, so that both hops are equal up to mid-stance."""
+    return i > 0 and points[i, 0] == points[i - 1, 0] and points[i, 1] == points[i - 1, 1]
 
 
 @compiled
 def _hop_all(constants, points, next_state, status):
-    """Fills `next_state` (n, 2) and `status` (n,) for points (speed, height, command) of shape (n, 4)."""
+    """Fills `next_state` (n, 2) and `status` (n,) for points (speed, height, fx, fy) of shape (n, 4)."""
     masses, law, tolerances = _unpacked(constants)
-    trace, landed, middle, before = make_trace(), INVALID, (0.0, 0.0, 0.0, 0.0), -1
+    trace, landed, middle = make_trace(), INVALID, (0.0, 0.0, 0.0, 0.0)
     for i in range(points.shape[0]):
-        speed, height, command_1, command_2 = points[i]
-        status[i], next_state[i] = INVALID, np.nan
-        if not np.isfinite(command_1 + command_2):
-            continue
-        laws = commanded(law, command_1, command_2)
-        if not _same_landing(law, points, i, before):
-            landed, middle = to_midstance(masses, laws, tolerances, speed, height, trace, False)
-            before = i
-        status[i] = landed
-        if landed == OK:
-            status[i], next_state[i, 0], next_state[i, 1] = to_apex(masses, laws, tolerances, middle, trace, False)
+        speed, height, force_x, force_y = points[i]
+        if not _same_state(points, i):
+            landed, middle = to_midstance(masses, law, tolerances, speed, height, trace, False)
+        status[i], next_state[i] = landed if np.isfinite(force_x + force_y) else INVALID, np.nan
+        if status[i] == OK:
+            status[i], next_state[i, 0], next_state[i, 1] = to_apex(
+                masses, law, tolerances, middle, force_x, force_y, trace, False
+            )
 
 
 @compiled
@@ -73,39 +69,33 @@ def _differentiate_all(constants, nudge, points, jacobian):
     """Fills `jacobian` (n, 2, 4) by differences: neighbours at distance `nudge` (4,) retrace each point's steps."""
     masses, law, tolerances = _unpacked(constants)
     trace_down, trace_up = make_trace(), make_trace()
-    landed, middle, before = INVALID, (0.0, 0.0, 0.0, 0.0), -1
+    landed, middle = INVALID, (0.0, 0.0, 0.0, 0.0)
     faster, higher = middle, middle
     for i in range(points.shape[0]):
-        speed, height, command_1, command_2 = points[i]
-        if not np.isfinite(command_1 + command_2):
-            continue
-        laws = commanded(law, command_1, command_2)
-        if not _same_landing(law, points, i, before):
-            landed, middle = to_midstance(masses, laws, tolerances, speed, height, trace_down, False)
-            before = i
+        speed, height, force_x, force_y = points[i]
+        if not _same_state(points, i):
+            landed, middle = to_midstance(masses, law, tolerances, speed, height, trace_down, False)
             if landed == OK:
-                _, faster = to_midstance(masses, laws, tolerances, speed + nudge[0], height, trace_down, True)
-                _, higher = to_midstance(masses, laws, tolerances, speed, height + nudge[1], trace_down, True)
+                _, faster = to_midstance(masses, law, tolerances, speed + nudge[0], height, trace_down, True)
+                _, higher = to_midstance(masses, law, tolerances, speed, height + nudge[1], trace_down, True)
         if landed != OK:
             continue
-        status, next_speed, next_height = to_apex(masses, laws, tolerances, middle, trace_up, False)
+        status, next_speed, next_height = to_apex(masses, law, tolerances, middle, force_x, force_y, trace_up, False)
         if status != OK:
             continue
+        starts = (faster, higher, middle, middle)
         for j in range(4):
-            more_1, more_2 = nudge[2] if j == 2 else 0.0, nudge[3] if j == 3 else 0.0
-            near, start = commanded(law, command_1 + more_1, command_2 + more_2), middle
-            if j < 2:
-                start = faster if j == 0 else higher
-            elif not acts_late(law):
-                _, start = to_midstance(masses, near, tolerances, speed, height, trace_down, True)
-            _, neighbour_speed, neighbour_height = to_apex(masses, near, tolerances, start, trace_up, True)
+            more_x, more_y = nudge[2] if j == 2 else 0.0, nudge[3] if j == 3 else 0.0
+            _, neighbour_speed, neighbour_height = to_apex(
+                masses, law, tolerances, starts[j], force_x + more_x, force_y + more_y, trace_up, True
+            )
             jacobian[i, 0, j] = (neighbour_speed - next_speed) / nudge[j]
             jacobian[i, 1, j] = (neighbour_height - next_height) / nudge[j]
 
 
 @dataclass(frozen=True)
 class ApexMap(StepMap):
-    """Map [speed, height], command such as [fx, fy] → next [speed, height] of the physics model.
+    """Map [speed, height], [fx, fy] → next [speed, height] of the physics model.
 
     With the default tolerances the error, relative to the value or to half its range, is below 1e-6, also where torques
     saturate. Large batches run on all cores.
@@ -128,12 +118,12 @@ class ApexMap(StepMap):
     ground: UnevenGround = FLAT_GROUND
 
     def __post_init__(self) -> None:
-        joint_law(self.robot, self.gains, self.bounds)
+        joint_law(self.robot, self.gains)
         self.bounds.space()
 
     @property
     def space(self) -> StepSpace:
-        """State [speed, height], and the command."""
+        """State [speed, height], command [fx, fy]."""
         return self._space
 
     @cached_property
@@ -142,13 +132,13 @@ class ApexMap(StepMap):
 
     @cached_property
     def _constants(self) -> Array:
-        return _packed(masses_of(self.robot), joint_law(self.robot, self.gains, self.bounds), self.tolerances)
+        return _packed(masses_of(self.robot), joint_law(self.robot, self.gains), self.tolerances)
 
     @cached_property
     def _finer_constants(self) -> Array:
         flight, stance = self.tolerances
         finer = Tolerances(flight, Tolerance(FINER * stance.relative, FINER * stance.absolute))
-        return _packed(masses_of(self.robot), joint_law(self.robot, self.gains, self.bounds), finer)
+        return _packed(masses_of(self.robot), joint_law(self.robot, self.gains), finer)
 
     @cached_property
     def _nudge(self) -> Array:
@@ -168,7 +158,7 @@ class ApexMap(StepMap):
         return Outcome(next_state.reshape(*leading, 2), status.reshape(leading))
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """∂(next speed, next height)/∂(speed, height, command); shape (…, 2, 4), NaN where the step fails.
+        """∂(next speed, next height)/∂(speed, height, fx, fy); shape (…, 2, 4), NaN where the step fails.
 
         Includes the derivatives of the events and of the impact; costs less than five evaluations.
 
@@ -182,7 +172,7 @@ class ApexMap(StepMap):
 
 
 def as_points(state: ArrayLike, command: ArrayLike) -> tuple[Array, tuple[int, ...]]:
-    """Points (speed, height, command) of shape (n, 4), and the leading shape of state and command."""
+    """Points (speed, height, fx, fy) of shape (n, 4), and the leading shape of state and command."""
     state, command = np.asarray(state, float), np.asarray(command, float)
     if state.shape[-1:] != (2,) or command.shape[-1:] != (2,):
         raise ValueError(

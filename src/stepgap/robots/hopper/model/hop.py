@@ -1,8 +1,8 @@
 """One hop of the model: apex → touchdown → mid-stance → take-off → next apex (Fig. 2).
 
 A hop is a sequence of smooth pieces, each ended by an event; `hybrid.integrator` integrates the reduced motion of a
-piece. The hop is split at mid-stance, where the command of the paper starts to act: `to_midstance` does not depend on
-such a command, `to_apex` does. Another one (`KNOB_UNITS`) may act from the apex on.
+piece. The hop is split at mid-stance, where the command starts to act: `to_midstance` does not depend on the command,
+`to_apex` does.
 """
 
 from typing import Any, NamedTuple
@@ -161,12 +161,12 @@ def _run_phase(system, state, time_limit, tolerance, trace, retracing):
 
 
 @compiled
-def to_midstance(masses, laws, tolerances, speed, height, trace, retracing):
+def to_midstance(masses, law, tolerances, speed, height, trace, retracing):
     """Integrates from the apex through the impact to mid-stance, where ẏ = 0.
 
     Args:
         masses: `Masses`.
-        laws: `HopLaws`.
+        law: `JointLaw`.
         tolerances: `Tolerances`.
         speed: Forward speed at the apex ẋ [m/s]; the leg is at rest in its landing posture.
         height: Hip height at the apex y [m].
@@ -177,11 +177,11 @@ def to_midstance(masses, laws, tolerances, speed, height, trace, retracing):
         (status, state): `StepStatus` as an integer, and leg angles and rates at mid-stance.
     """
     rewind(trace)
-    alpha_1, alpha_2 = landing_posture(laws.landing, speed)
+    alpha_1, alpha_2 = landing_posture(law, speed)
     state = (alpha_1, alpha_2, 0.0, 0.0)
     if not np.isfinite(speed + height):
         return INVALID, state
-    descent = flight_of(masses, laws.landing, -1.0, 0.0, Hip(height, speed, 0.0), state)
+    descent = flight_of(masses, law, -1.0, 0.0, Hip(height, speed, 0.0), state)
     if not retracing and rate_and_guards(descent, 0.0, state)[1][CONTACT] <= 0.0:
         return FOOT_SCUFFED, state
     status, event, time, state = _run_phase(descent, state, FLIGHT_LIMIT, tolerances.flight, trace, retracing)
@@ -195,7 +195,7 @@ def to_midstance(masses, laws, tolerances, speed, height, trace, retracing):
     state = (state[0], state[1], rate_1, rate_2)
     if speed_y >= 0.0:
         return OK, state
-    compression = Stance(masses=masses, law=laws.landing, side=-1.0, force_x=0.0, force_y=0.0, mode_1=0.0, mode_2=0.0)
+    compression = Stance(masses=masses, law=law, side=-1.0, force_x=0.0, force_y=0.0, mode_1=0.0, mode_2=0.0)
     status, event, _, state = _run_phase(compression, state, STANCE_LIMIT, tolerances.stance, trace, retracing)
     if status == NO_APEX or event == CONTACT:
         status = NO_TAKE_OFF
@@ -203,14 +203,16 @@ def to_midstance(masses, laws, tolerances, speed, height, trace, retracing):
 
 
 @compiled
-def to_apex(masses, laws, tolerances, state, trace, retracing):
-    """Integrates from mid-stance through take-off to the next apex.
+def to_apex(masses, law, tolerances, state, force_x, force_y, trace, retracing):
+    """Integrates from mid-stance, where the command starts to act, through take-off to the next apex.
 
     Args:
         masses: `Masses`.
-        laws: `HopLaws`.
+        law: `JointLaw`.
         tolerances: `Tolerances`.
         state: Leg angles and rates at mid-stance.
+        force_x: Forward command force [N].
+        force_y: Upward command force [N].
         trace: `Trace` for the steps.
         retracing: Whether to retrace the steps stored in it.
 
@@ -218,10 +220,8 @@ def to_apex(masses, laws, tolerances, state, trace, retracing):
         (status, next speed, next height): `StepStatus` as an integer; NaN if there is no next apex.
     """
     rewind(trace)
-    thrust = Stance(
-        masses=masses, law=laws.thrust, side=1.0, force_x=laws.force_x, force_y=laws.force_y, mode_1=0.0, mode_2=0.0
-    )
-    if not np.isfinite(laws.force_x + laws.force_y):
+    thrust = Stance(masses=masses, law=law, side=1.0, force_x=force_x, force_y=force_y, mode_1=0.0, mode_2=0.0)
+    if not np.isfinite(force_x + force_y):
         return INVALID, np.nan, np.nan
     status, event, _, state = _run_phase(thrust, state, STANCE_LIMIT, tolerances.stance, trace, retracing)
     hip = stance_motion(thrust, state)[1]
@@ -230,7 +230,7 @@ def to_apex(masses, laws, tolerances, state, trace, retracing):
     if status != OK:
         return status, np.nan, np.nan
 
-    ascent = flight_of(masses, laws.apex, 1.0, SCUFF_DEPTH, hip, state)
+    ascent = flight_of(masses, law, 1.0, SCUFF_DEPTH, hip, state)
     status, event, time, state = _run_phase(ascent, state, FLIGHT_LIMIT, tolerances.flight, trace, retracing)
     if status != OK or event == CONTACT:
         return FOOT_SCUFFED if status == OK else status, np.nan, np.nan

@@ -18,7 +18,7 @@ from stepgap.robots.ground import FLAT_GROUND, UnevenGround
 from stepgap.robots.hopper.model.dynamics import masses_of
 from stepgap.robots.hopper.model.joint_control import joint_law
 from stepgap.robots.hopper.model.leg import foot, four_bar, leg_of
-from stepgap.robots.hopper.parameters import PAPER_COMMAND, CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.tick.hop_state import Apex, HopState, Landing, TickSettings
 from stepgap.robots.hopper.tick.hop_tick import interrupted_hop, tick
 from stepgap.robots.hopper.tick.limits import SafetyLimits
@@ -54,7 +54,7 @@ def _prepare(settings: Record, memory: Record, row: Array) -> None:
 
 
 class HopControl(TickControl):
-    """Control of the hopper tick by tick; a hop lasts from apex to apex.
+    """Control of the hopper tick by tick; a hop lasts from apex to apex, a command acts from mid-stance to take-off.
 
     Args:
         sensor_model: Sensor model of the rig.
@@ -63,7 +63,6 @@ class HopControl(TickControl):
         limits: Limits of the safety function.
         ground: Whether heights are those above the ground that the foot finds at touchdown, and whether the state has
             the place of the next foothold.
-        bounds: What the command is.
     """
 
     def __init__(
@@ -73,9 +72,8 @@ class HopControl(TickControl):
         gains: Gains,
         limits: SafetyLimits,
         ground: UnevenGround = FLAT_GROUND,
-        bounds: CommandBounds = PAPER_COMMAND,
     ):
-        law, uneven = joint_law(robot, gains, bounds), ground.is_measured
+        law, uneven = joint_law(robot, gains), ground.is_measured
         self._uneven, self._footholds = uneven, ground.has_footholds
         self._settings = as_record(TickSettings(sensor_model, masses_of(robot), law, limits=limits, uneven=int(uneven)))
         self._memory, self._row = as_record(HopState()), np.zeros(len(TICK_UNITS))
@@ -135,9 +133,9 @@ class HopControl(TickControl):
     def finished_step(self) -> FinishedStep:
         """The hop that ended with the last tick."""
         apex = Apex(*self._memory["apex"][0].item())
-        state, lost = [apex.speed, apex.height], np.array([apex.lost_1, apex.lost_2])
+        state, lost = [apex.speed, apex.height], np.array([apex.lost_x, apex.lost_y])
         state = np.array([*state, apex.next_foothold] if self._footholds else state)
-        return FinishedStep(state, np.array([apex.command_1, apex.command_2]), lost, self._context(apex.yaw))
+        return FinishedStep(state, np.array([apex.force_x, apex.force_y]), lost, self._context(apex.yaw))
 
     def touchdown(self) -> tuple[float, ...]:
         """Ground of this touchdown, yielding of the stance before; the yaw is that of the apex, not known yet."""
@@ -152,11 +150,9 @@ class HopControl(TickControl):
 
     def failed_step(self, applied: Torques | None) -> FinishedStep:
         """The hop that was interrupted after the last tick."""
-        command_1, command_2, *lost = interrupted_hop(self._settings, self._memory, *(applied or (np.nan, np.nan)))
+        force_x, force_y, *lost = interrupted_hop(self._settings, self._memory, *(applied or (np.nan, np.nan)))
         context = self._context(nan) if self._uneven else ()
-        return FinishedStep(
-            np.full(2 + self._footholds, np.nan), np.array([command_1, command_2]), np.array(lost), context
-        )
+        return FinishedStep(np.full(2 + self._footholds, np.nan), np.array([force_x, force_y]), np.array(lost), context)
 
     @property
     def status(self) -> StepStatus:
@@ -182,7 +178,7 @@ class HopperControl(RobotControl):
     Attributes:
         robot: Robot that the rig is assumed to be.
         gains: Gains of the joint controller.
-        bounds: What the command is, and its range.
+        bounds: Range of the command.
         limits: Limits of the safety function; None for the rig's or, if it has none, those of a simulation.
         ground: Whether heights are those above the ground that the foot finds at touchdown.
     """
@@ -263,7 +259,7 @@ class HopperControl(RobotControl):
 
     def _new_control(self, rig: Rig) -> HopControl:
         sensors, limits = hopper_sensors(rig.sensor_model), self.limits_of(rig)
-        return HopControl(sensors, self.robot, self.gains, limits, self.ground, self.bounds)
+        return HopControl(sensors, self.robot, self.gains, limits, self.ground)
 
     def limits_of(self, rig: Rig) -> SafetyLimits:
         """Limits that were given, or the rig's, or those of a simulation."""

@@ -49,7 +49,7 @@ class TickInputs(NamedTuple):
         frame_lost, stale, late, emergency_stop: As in `Health`.
         mode: Number of the `Mode`.
         share: As in `Order`.
-        command_1, command_2: Step command, in units of its coordinates, such as [N]; NaN while there is none.
+        force_x, force_y: Command force [N]; NaN while there is none.
         applied_1, applied_2: Torques that were applied since the previous tick [N·m].
     """
 
@@ -66,8 +66,8 @@ class TickInputs(NamedTuple):
     emergency_stop: int
     mode: int
     share: float
-    command_1: float
-    command_2: float
+    force_x: float
+    force_y: float
     applied_1: float
     applied_2: float
 
@@ -94,8 +94,8 @@ class HopProgress(NamedTuple):
     Attributes:
         deadline: Time after which the hop counts as failed [s].
         left_ground: Whether the leg has taken off.
-        command_1: First coordinate of the command, such as a force after mid-stance [N]; NaN until it is given.
-        command_2: Second coordinate of the command.
+        force_x: Forward command force that acts after mid-stance [N]; NaN until it is given.
+        force_y: Upward command force [N].
         thrust_ticks: Number of ticks in which the command acted.
         lost_x: Sum over ticks of the forward command force lost to limits [N].
         lost_y: Sum over ticks of the upward command force lost to limits [N].
@@ -104,8 +104,8 @@ class HopProgress(NamedTuple):
 
     deadline: float = STEP_TIMEOUT
     left_ground: int = 0
-    command_1: float = np.nan
-    command_2: float = np.nan
+    force_x: float = np.nan
+    force_y: float = np.nan
     thrust_ticks: int = 0
     lost_x: float = 0.0
     lost_y: float = 0.0
@@ -141,20 +141,20 @@ class Apex(NamedTuple):
         speed: Speed at the apex [m/s].
         height: Height at the apex [m].
         yaw: Yaw of the boom at the apex [rad].
-        lost_1: Part of the first coordinate of the command lost to limits.
-        lost_2: Part of the second one.
-        command_1: First coordinate of the command that acted; NaN where none was given in time.
-        command_2: Second coordinate of the command that acted.
+        lost_x: Mean forward command force lost to limits [N].
+        lost_y: Mean upward command force lost to limits [N].
+        force_x: Forward command force that acted [N]; NaN where none was given in time.
+        force_y: Upward command force that acted [N].
         next_foothold: Where the foot will stand next on level ground, as a distance travelled [m].
     """
 
     speed: float = np.nan
     height: float = np.nan
     yaw: float = np.nan
-    lost_1: float = 0.0
-    lost_2: float = 0.0
-    command_1: float = np.nan
-    command_2: float = np.nan
+    lost_x: float = 0.0
+    lost_y: float = 0.0
+    force_x: float = np.nan
+    force_y: float = np.nan
     next_foothold: float = np.nan
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from stepgap.base.compiled import as_written
 from stepgap.base.compiled_record import assign, loaded
 from stepgap.plants.tick_control import Mode, TickFlag
-from stepgap.robots.hopper.model.joint_control import acts_late, landing_posture, lost_command
+from stepgap.robots.hopper.model.joint_control import landing_posture
 from stepgap.robots.hopper.model.leg import foot, four_bar
 from stepgap.robots.hopper.model.reduced import uprightness
 from stepgap.robots.hopper.tick.estimator import after_vertex, fitted_apex
@@ -74,7 +74,7 @@ def hop_tick(settings, state, inputs):
     sampled = state.sampled if inputs.stale else inputs.time - inputs.age  # when the sensors were read [s]
     rates, motion, body = sense(settings, state.rates, sampled, inputs)
     flight, phase = update_flight(settings.sensor_model, state, sampled, motion, body, inputs)
-    hop, phase = _update_hop(settings.law, hop, state.phase, phase, state.mode, inputs)
+    hop, phase = _update_hop(hop, state.phase, phase, state.mode, inputs)
     landing = _landing(state, phase, motion, body, inputs.contact_force)
     asked = wanted_torque(settings.law, phase, motion, flight, hop, inputs)
     requested = (0.0, 0.0) if inputs.mode == Mode.LIMP else asked  # a limp robot only logs what the law asks for
@@ -92,7 +92,7 @@ def hop_tick(settings, state, inputs):
     flags, apex = 0, state.apex
     if inputs.mode == Mode.STEP and checked.limited & STOPS == 0:
         flags, hop, flight, apex = _end_hop(settings, hop, flight, landing, apex, phase, body, inputs.time)
-    flags |= _flags(settings, hop, phase, checked)
+    flags |= _flags(settings.limits, hop, phase, checked)
     if inputs.mode == Mode.STEP and phase == Phase.COMPRESSION and state.phase != Phase.COMPRESSION:
         flags |= _TOUCHDOWN
     after = HopState(
@@ -151,15 +151,15 @@ def _add_lost_force(law, state, applied_1, applied_2):
         force_x, force_y = lost_force(law, state.motion.alpha_1, state.motion.alpha_2, lost_1, lost_2)
         lost_x, lost_y = lost_x + force_x, lost_y + force_y
     return HopProgress(
-        deadline=hop.deadline, left_ground=hop.left_ground, command_1=hop.command_1, command_2=hop.command_2,
+        deadline=hop.deadline, left_ground=hop.left_ground, force_x=hop.force_x, force_y=hop.force_y,
         thrust_ticks=hop.thrust_ticks + 1, lost_x=lost_x, lost_y=lost_y, status=hop.status,
     )  # fmt: skip
 
 
 @as_written
-def _update_hop(law, hop, before, phase, mode_before, inputs):
+def _update_hop(hop, before, phase, mode_before, inputs):
     """`HopProgress` and the phase of this tick: updates takeoff, deadline, release from the hold, and command."""
-    deadline, left_ground, command_1, command_2 = hop.deadline, hop.left_ground, hop.command_1, hop.command_2
+    deadline, left_ground, force_x, force_y = hop.deadline, hop.left_ground, hop.force_x, hop.force_y
     thrust_ticks, lost_x, lost_y = hop.thrust_ticks, hop.lost_x, hop.lost_y
     if phase == Phase.COMPRESSION and before != Phase.COMPRESSION:
         deadline = min(deadline, inputs.time + STEP_TIMEOUT)
@@ -168,11 +168,11 @@ def _update_hop(law, hop, before, phase, mode_before, inputs):
     if inputs.mode == Mode.STEP and mode_before != Mode.STEP:
         # the robot is held in the air, for any time, so there is no deadline until touchdown
         phase = Phase.DESCENT.value
-        deadline, left_ground, command_1, command_2, thrust_ticks, lost_x, lost_y, _ = _new_hop(np.inf, hop.status)
-    if inputs.mode == Mode.STEP and not np.isnan(inputs.command_1) and _takes_command(law, phase, left_ground):
-        command_1, command_2 = inputs.command_1, inputs.command_2
+        deadline, left_ground, force_x, force_y, thrust_ticks, lost_x, lost_y, _ = _new_hop(np.inf, hop.status)
+    if inputs.mode == Mode.STEP and not np.isnan(inputs.force_x) and _takes_command(phase, left_ground):
+        force_x, force_y = inputs.force_x, inputs.force_y
     return HopProgress(
-        deadline=deadline, left_ground=left_ground, command_1=command_1, command_2=command_2, thrust_ticks=thrust_ticks,
+        deadline=deadline, left_ground=left_ground, force_x=force_x, force_y=force_y, thrust_ticks=thrust_ticks,
         lost_x=lost_x, lost_y=lost_y, status=hop.status,
     ), phase  # fmt: skip
 
@@ -181,16 +181,15 @@ def _update_hop(law, hop, before, phase, mode_before, inputs):
 def _new_hop(deadline, status):
     """`HopProgress` at the start of a hop."""
     return HopProgress(
-        deadline=deadline, left_ground=0, command_1=np.nan, command_2=np.nan, thrust_ticks=0, lost_x=0.0, lost_y=0.0,
+        deadline=deadline, left_ground=0, force_x=np.nan, force_y=np.nan, thrust_ticks=0, lost_x=0.0, lost_y=0.0,
         status=status,
     )  # fmt: skip
 
 
 @as_written
-def _takes_command(law, phase, left_ground):
-    """Whether a command that comes now acts in full, as mid-stance or, if it acts earlier, touchdown is to come."""
-    in_time = phase == Phase.DESCENT or (phase == Phase.COMPRESSION and acts_late(law))
-    return in_time and left_ground == 0
+def _takes_command(phase, left_ground):
+    """Whether a command that comes now acts during the whole thrust, because mid-stance is still to come."""
+    return (phase == Phase.DESCENT or phase == Phase.COMPRESSION) and left_ground == 0
 
 
 @as_written
@@ -210,7 +209,7 @@ def _update_status(leg, hop, motion, drop, limited):
 @as_written
 def _with_status(hop, status):
     return HopProgress(
-        deadline=hop.deadline, left_ground=hop.left_ground, command_1=hop.command_1, command_2=hop.command_2,
+        deadline=hop.deadline, left_ground=hop.left_ground, force_x=hop.force_x, force_y=hop.force_y,
         thrust_ticks=hop.thrust_ticks, lost_x=hop.lost_x, lost_y=hop.lost_y, status=status,
     )  # fmt: skip
 
@@ -229,13 +228,13 @@ def _end_hop(settings, hop, flight, landing, apex, phase, body, time):
         speed, top = fitted_apex(flight.fit, model.boom_length * yaw_of(model, 1.0))
         height = top - body.shift_y
         if np.isfinite(speed + height):
-            lost_1, lost_2 = _mean_loss(settings.law, hop)
+            lost_x, lost_y = _mean_loss(hop)
             at_apex = body.x - speed * after_vertex(flight.fit)
             ahead = _descent(settings, speed, height - landing.ground)
             flight = FlightState(flight.start, flight.x, flight.fit, speed)
             ended = Apex(
-                speed=speed, height=height, yaw=body.yaw, lost_1=lost_1, lost_2=lost_2, command_1=hop.command_1,
-                command_2=hop.command_2, next_foothold=at_apex + ahead + landing.farther,
+                speed=speed, height=height, yaw=body.yaw, lost_x=lost_x, lost_y=lost_y, force_x=hop.force_x,
+                force_y=hop.force_y, next_foothold=at_apex + ahead + landing.farther,
             )  # fmt: skip
             return _STEP_ENDED, _new_hop(time + STEP_TIMEOUT, hop.status), flight, ended
     if time > hop.deadline:
@@ -253,24 +252,23 @@ def _descent(settings, speed, height):
 
 
 @as_written
-def _mean_loss(law, hop):
-    """Mean part of the command that was lost to torque limits during THRUST."""
+def _mean_loss(hop):
+    """Mean command force that was lost to torque limits during THRUST [N]."""
     ticks = max(1, hop.thrust_ticks)
-    lost_x, lost_y = hop.lost_x / ticks, hop.lost_y / ticks
-    return lost_command(law, law.knob_1, lost_x, lost_y), lost_command(law, law.knob_2, lost_x, lost_y)
+    return hop.lost_x / ticks, hop.lost_y / ticks
 
 
 @as_written
-def _flags(settings, hop, phase, checked):
+def _flags(limits, hop, phase, checked):
     """Sum of all flags except `STEP_ENDED`."""
     flags = 0
     if hop.status != StepStatus.OK:
         flags |= _FAILED
     if checked.limited & STOPS:
         flags |= _STOPPED
-        if brakes(settings.limits, checked.watch):
+        if brakes(limits, checked.watch):
             flags |= _BRAKES
-    if _takes_command(settings.law, phase, hop.left_ground):
+    if _takes_command(phase, hop.left_ground):
         flags |= _TAKES_COMMAND
     return flags
 
@@ -278,7 +276,7 @@ def _flags(settings, hop, phase, checked):
 @as_written
 def tick(
     settings, memory, row, time, age, motor_1, motor_2, boom_horizontal, boom_vertical, contact_force, frame_lost,
-    stale, late, emergency_stop, mode, share, command_1, command_2, applied_1, applied_2,
+    stale, late, emergency_stop, mode, share, force_x, force_y, applied_1, applied_2,
 ):  # fmt: skip
     """Runs `hop_tick` on a state in memory; after a reading that is not finite, the state is left as it was.
 
@@ -297,8 +295,8 @@ def tick(
     inputs = TickInputs(
         time=time, age=age, motor_1=motor_1, motor_2=motor_2, boom_horizontal=boom_horizontal,
         boom_vertical=boom_vertical, contact_force=contact_force, frame_lost=int(frame_lost), stale=int(stale),
-        late=int(late), emergency_stop=int(emergency_stop), mode=int(mode), share=share, command_1=command_1,
-        command_2=command_2, applied_1=applied_1, applied_2=applied_2,
+        late=int(late), emergency_stop=int(emergency_stop), mode=int(mode), share=share, force_x=force_x,
+        force_y=force_y, applied_1=applied_1, applied_2=applied_2,
     )  # fmt: skip
     state, torques, flags = hop_tick(settings[0], loaded(memory[0], HopState), inputs)  # pyright: ignore[reportCallIssue]
     assign(memory[0], state)
@@ -320,7 +318,7 @@ def tick(
 
 @as_written
 def interrupted_hop(settings, memory, applied_1, applied_2):
-    """Returns (command, its part lost to limits) of the hop so far, four numbers.
+    """Returns (fx, fy, lost fx, lost fy) of the hop so far [N]: the command that acted and its part lost to limits.
 
     Args:
         settings: Record of `TickSettings`.
@@ -330,5 +328,5 @@ def interrupted_hop(settings, memory, applied_1, applied_2):
     """
     state = loaded(memory[0], HopState)  # pyright: ignore[reportCallIssue]
     hop = state.hop if np.isnan(applied_1) else _add_lost_force(settings[0].law, state, applied_1, applied_2)
-    lost_1, lost_2 = _mean_loss(settings[0].law, hop)
-    return hop.command_1, hop.command_2, lost_1, lost_2
+    lost_x, lost_y = _mean_loss(hop)
+    return hop.force_x, hop.force_y, lost_x, lost_y

@@ -4,7 +4,7 @@ import numpy as np
 
 from stepgap.base.compiled import as_written, compiled
 from stepgap.plants.tick_control import Mode
-from stepgap.robots.hopper.model.joint_control import changes_gains, commanded, flight_torque, stance_torque
+from stepgap.robots.hopper.model.joint_control import flight_torque, stance_torque
 from stepgap.robots.hopper.model.leg import foot, four_bar
 from stepgap.robots.hopper.tick.estimator import mean_speed
 from stepgap.robots.hopper.tick.phases import Phase
@@ -17,29 +17,17 @@ LANDING_DAMPING = 0.5
 def wanted_torque(law, phase, motion, flight, hop, inputs):
     """Torques requested by the law of the mode [N·m]."""
     if inputs.mode == Mode.TORQUE:
-        return inputs.command_1, inputs.command_2
-    laws = commanded(law, 0.0, 0.0) if np.isnan(hop.command_1) else commanded(law, hop.command_1, hop.command_2)
-    force_x, force_y = (laws.force_x, laws.force_y) if phase == Phase.THRUST else (0.0, 0.0)
-    # The law is used as it is where the command changes no gain, so that then no bit of the torques depends on commands
-    # that do: the compiler fuses other products with sums in other code.
-    if not changes_gains(law):
-        return _torque_of(law, law, phase, motion, flight, force_x, force_y, inputs)
-    under = laws.thrust if phase == Phase.THRUST else laws.apex if phase == Phase.ASCENT else laws.landing
-    return _torque_of(laws.apex, under, phase, motion, flight, force_x, force_y, inputs)
-
-
-@as_written
-def _torque_of(law, under, phase, motion, flight, force_x, force_y, inputs):
-    """Torques by a law or, while the robot steps, by that under the command [N·m]."""
+        return inputs.force_x, inputs.force_y
     grounded = phase == Phase.COMPRESSION or phase == Phase.THRUST
-    if inputs.mode == Mode.POSTURE:
+    if inputs.mode == Mode.POSTURE or not grounded:
+        share = inputs.share if inputs.mode == Mode.POSTURE else 1.0
         torque_1, torque_2 = _posture_torque(law, motion, flight)
-        return inputs.share * torque_1, inputs.share * torque_2
-    if not grounded:
-        return _posture_torque(under, motion, flight)
+        return share * torque_1, share * torque_2
     if inputs.mode == Mode.LAND:
         return _landing_torque(law, motion, inputs.share)
-    return _stance_torque(under, motion.alpha_1, motion.alpha_2, force_x, force_y)
+    acts = phase == Phase.THRUST and not np.isnan(hop.force_x)
+    force_x, force_y = (hop.force_x, hop.force_y) if acts else (0.0, 0.0)
+    return _stance_torque(law, motion.alpha_1, motion.alpha_2, force_x, force_y)
 
 
 @as_written

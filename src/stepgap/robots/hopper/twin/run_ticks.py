@@ -33,7 +33,7 @@ _mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
 
 @as_written
 def run_ticks(
-    control, devices, views, physics, apex, noise, rows, time, tick_time, mode, share, command_1, command_2, applied_1,
+    control, devices, views, physics, apex, noise, rows, time, tick_time, mode, share, force_x, force_y, applied_1,
     applied_2,
 ):  # fmt: skip
     """Runs ticks until a foot touches down, or a step ends or fails, at most as many as `rows` has.
@@ -62,7 +62,7 @@ def run_ticks(
             return i, outcome, flags, time, applied_1, applied_2
         torques, flags = tick(
             settings, memory, row, time, 0.0, counts[0], counts[1], counts[2], counts[3], counts[4], False, False, 0,
-            False, mode, share, command_1, command_2, applied_1, applied_2,
+            False, mode, share, force_x, force_y, applied_1, applied_2,
         )  # fmt: skip
         if flags & UNREADABLE:
             return i, NO_NUMBER, flags, time, applied_1, applied_2

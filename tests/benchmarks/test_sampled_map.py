@@ -3,11 +3,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from benchmarks.sampled_map import SampledApexMap
 from stepgap.control.step_controller import StepController
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.model.apex_map import ApexMap
-from stepgap.robots.hopper.model.sampled_map import SampledApexMap
 from stepgap.robots.hopper.tick.hop_control import HopperControl
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
