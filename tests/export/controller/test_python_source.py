@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stepgap.export.controller.one_file import PERMITTED, Place, one_file
-from stepgap.export.controller.python_source import python_source
+from stepgap.export.controller.python_source import PERMITTED, Place, one_file, python_source
 from stepgap.export.controller.step_filter import UNCORRECTED
 from stepgap.step import Array, StepStatus
 from tests.export.controller.changing_robot import ChangingRobot

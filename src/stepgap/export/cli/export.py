@@ -95,7 +95,7 @@ def _export_controller(folder: Path, to: str, iteration: int | None, out: Path |
     run = load_run(folder)
     controller = portable_controller(run, iteration, random_stream(run.needed(run.settings).seed, 0, 3), name)
     contents = _contents(controller, to, target)
-    for sentence in (*map(str, controller.approximations), *controller.notes):
+    for sentence in (*controller.approximations, *controller.notes):
         print(sentence, file=sys.stderr)
     write_together(contents, "--out")
 

@@ -115,7 +115,7 @@ def _header(controller: PortableController, sizes: Mapping[str, Any]) -> str:
         for quantity, std in zip(space.state, controller.map.noise_std, strict=True)
     )
     change = f"; it differs from `guess` by at most {settings.largest_change:g} of its range"
-    notes = [*map(str, controller.approximations), *controller.notes]
+    notes = [*controller.approximations, *controller.notes]
     fields = {
         "title": "A step controller that was learned by StepGap: the command with which the next state is a target.",
         "version": versions_here()["stepgap"],

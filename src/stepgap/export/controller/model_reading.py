@@ -2,14 +2,13 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from stepgap.base.errors import InputError, message_of
-from stepgap.base.json_data import as_object, boolean, integer, numbers
+from stepgap.base.json_data import as_object, boolean, integer, number, numbers, objects
 from stepgap.control.settings import ControlSettings
 from stepgap.export.controller.model_document import FORMAT, MODEL_SCHEMA, model_document
 from stepgap.export.controller.passport import checked_robot_name
@@ -67,24 +66,23 @@ def read_portable(path: Path) -> PortableController:
 
 
 def _controller(saved: Mapping[str, Any]) -> PortableController:
-    state = zip(_quantities(saved, "state"), saved["state"], strict=True)
-    weighted = (replace(quantity, weight=float(numbers(each, "weight", 0))) for quantity, each in state)
-    space = StepSpace(tuple(weighted), _quantities(saved, "command"))
-    control, residual = saved["control"], _residual(space, saved["residual"])
-    rules = {name: boolean(control, name) for name in ("cautious", "viability", "avoid_failures")}
-    beliefs = None if saved["beliefs"] is None else _beliefs(space, as_object(saved["beliefs"], "beliefs"))
+    space = StepSpace(_quantities(saved, "state"), _quantities(saved, "command"))
+    control = as_object(saved["control"], "control")
+    beliefs = None if saved["beliefs"] is None else as_object(saved["beliefs"], "beliefs")
     return PortableController(
-        _nominal(space, saved["nominal"]),
-        residual,
-        beliefs,
+        _nominal(space, as_object(saved["nominal"], "nominal")),
+        _residual(space, as_object(saved["residual"], "residual")),
+        None if beliefs is None else _beliefs(space, beliefs),
         _points(saved, "failures", len(saved["failures"]), len(space.names)),
         ControlSettings(
-            **rules,
+            cautious=boolean(control, "cautious"),
+            viability=boolean(control, "viability"),
+            avoid_failures=boolean(control, "avoid_failures"),
             evaluations=integer(control, "evaluations"),
             horizon=integer(control, "horizon"),
-            largest_change=float(numbers(control, "largest_change", 0)),
+            largest_change=number(control, "largest_change"),
         ),
-        steps=_steps(space, saved["beliefs"]),
+        steps=None if beliefs is None else _steps(space, as_object(beliefs["steps"], "beliefs.steps")),
         notes=tuple(map(str, (*saved["approximations"], *saved["notes"]))),
         passport=_passport(saved.get("passport", {})),
     )
@@ -106,27 +104,40 @@ def _passport(saved: Any) -> dict[str, Any]:
 def _quantities(saved: Mapping[str, Any], key: str) -> tuple[Quantity, ...]:
     return tuple(
         Quantity(
-            str(each["name"]), str(each["unit"]), float(numbers(each, "lower", 0)), float(numbers(each, "upper", 0))
+            name=str(each["name"]),
+            unit=str(each["unit"]),
+            lower=number(each, "lower"),
+            upper=number(each, "upper"),
+            weight=number(each, "weight") if key == "state" else 1.0,
         )
-        for each in saved[key]
+        for each in objects(saved, key, "quantities")
     )
 
 
 def _nominal(space: StepSpace, saved: Mapping[str, Any]) -> StepMap:
     n, m = len(space.state), len(space.command)
     if saved["kind"] == "affine":
-        arrays = [_sized(saved, *each) for each in (("state", n), ("command", m), ("next_state", n))]
-        return AffineMap(space, *arrays, matrix=_sized(saved, "matrix", n, n + m))
+        return AffineMap(
+            space,
+            _sized(saved, "state", n),
+            _sized(saved, "command", m),
+            _sized(saved, "next_state", n),
+            _sized(saved, "matrix", n, n + m),
+        )
     if saved["kind"] != "legendre":
         raise ValueError(f'nominal.kind must be "affine" or "legendre", not {saved["kind"]!r:.40}')
     degree = int(numbers(saved, "degrees", 2).max())
     if degree > LARGEST_DEGREE:
         raise ValueError(f"nominal.degrees must be at most {LARGEST_DEGREE}")
-    centre, scale, error = (
-        _sized(saved, key, size) for key, size in (("centre", n + m), ("scale", n + m), ("error", n))
+    return SurrogateMap(
+        space,
+        _sized(saved, "centre", n + m),
+        _sized(saved, "scale", n + m),
+        degree,
+        _sized(saved, "weights", len(saved["degrees"]), n),
+        _sized(saved, "error", n),
+        _samples(saved["samples"], n, n + m),
     )
-    weights = _sized(saved, "weights", len(saved["degrees"]), n)
-    return SurrogateMap(space, centre, scale, degree, weights, error, _samples(saved["samples"], n, n + m))
 
 
 def _samples(saved: Mapping[str, Any], n: int, d: int) -> Samples:
@@ -141,7 +152,6 @@ def _residual(space: StepSpace, saved: Mapping[str, Any]) -> Residual:
     return residual_from_dict({
         "kind": saved["kind"],
         "command_size": len(space.command),
-        "lagged_inputs": "none",
         "forgetting_time": None,
         "regressions": [regression["data"] for regression in saved["regressions"]],
     })  # fmt: skip
@@ -154,14 +164,14 @@ def _beliefs(space: StepSpace, saved: Mapping[str, Any]) -> Beliefs:
     return beliefs
 
 
-def _steps(space: StepSpace, beliefs: Mapping[str, Any] | None) -> Observations | None:
-    if beliefs is None:
-        return None
-    saved, n, m = as_object(beliefs["steps"], "beliefs.steps"), len(space.state), len(space.command)
-    state, command, error = (
-        _points(saved, key, len(saved["state"]), size) for key, size in (("state", n), ("command", m), ("error", n))
+def _steps(space: StepSpace, saved: Mapping[str, Any]) -> Observations:
+    n, m, count = len(space.state), len(space.command), len(saved["state"])
+    return Observations(
+        space,
+        _points(saved, "state", count, n),
+        _points(saved, "command", count, m),
+        _points(saved, "error", count, n),
     )
-    return Observations(space, state, command, error)
 
 
 def _points(saved: Mapping[str, Any], key: str, count: int, d: int) -> Array:

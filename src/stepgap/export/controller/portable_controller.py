@@ -7,7 +7,7 @@
   would have as many numbers as half the square of its steps.
 - The beliefs are those of a run, and go on learning as in a run.
 
-What is replaced is compared with the original, and the differences are reported as `Approximation`. The map of a
+What is replaced is compared with the original, and a sentence reports the differences. The map of a
 `PortableController` is again a `CorrectedMap`, so `CautiousController` computes the commands that an exported
 controller has to compute.
 """
@@ -20,14 +20,13 @@ from typing import Any, final
 
 import numpy as np
 
-from stepgap.base.blas import one_blas_thread
 from stepgap.base.errors import InputError
 from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.settings import ControlSettings
 from stepgap.experiment.run import Run
 from stepgap.export.controller.passport import passport_of
-from stepgap.gauss.gaussian_process import GaussianProcess
-from stepgap.gauss.sparse_gaussian_process import SparseGaussianProcess, condition_sparse, spread_points
+from stepgap.gauss.gaussian_process import GaussianProcess, SparseGaussianProcess, condition_sparse
+from stepgap.gauss.gaussian_process_fit import spread_points
 from stepgap.learning.beliefs import Beliefs
 from stepgap.learning.believed import believed, believed_after, planning_map
 from stepgap.learning.corrected_map import CorrectedMap
@@ -62,36 +61,6 @@ SAMPLE_RESOLUTION = 2.0**-15
 
 @final
 @dataclass(frozen=True, eq=False)
-class Approximation:
-    """A part of a controller that was replaced, and by how much its results differ.
-
-    Attributes:
-        subject: What was replaced.
-        replacement: By what.
-        names: Names of the state coordinates that it concerns.
-        rms: Root-mean-square difference at random points of the range [half ranges]; one for each name.
-        worst: Largest difference there [half ranges]; one for each name.
-        noise: Standard deviation of a step's noise [half ranges], 0 if it is unknown; one for each name.
-    """
-
-    subject: str
-    replacement: str
-    names: tuple[str, ...]
-    rms: Array
-    worst: Array
-    noise: Array
-
-    def __str__(self) -> str:
-        parts = [
-            f"{name}: {rms:.1g} of a half range, at most {worst:.1g}"
-            + (f" ({worst / noise:.1g} of the noise of a step)" if noise > 0 else "")
-            for name, rms, worst, noise in zip(self.names, self.rms, self.worst, self.noise, strict=True)
-        ]
-        return f"{self.subject} → {self.replacement}; root-mean-square difference of {'; '.join(parts)}"
-
-
-@final
-@dataclass(frozen=True, eq=False)
 class PortableController:
     """The controller before the first step of a deployment, of parts that have formulas.
 
@@ -103,7 +72,7 @@ class PortableController:
         settings: Settings of step control, without a table.
         steps: The steps that the beliefs were learned from, for a comparison of robots; none for a fitted residual,
             which has its own.
-        approximations: What was replaced, and by how much it differs.
+        approximations: Sentences on what was replaced, and by how much it differs.
         notes: Sentences on what the portable form does not do.
         passport: Which robot it is, and what it was learned from; see `passport_of`. Empty if that is not known.
     """
@@ -114,7 +83,7 @@ class PortableController:
     failures: Array
     settings: ControlSettings
     steps: Observations | None = None
-    approximations: tuple[Approximation, ...] = ()
+    approximations: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     passport: Mapping[str, Any] = field(default_factory=dict)
 
@@ -173,8 +142,7 @@ def portable_controller(
     Raises:
         InputError: There is no such deployment, or its controller has no portable form.
     """
-    learned, settings = run.learner(deployment), run.needed(run.settings)
-    learner = without_lagged_inputs(learned)
+    learner, settings = run.learner(deployment), run.needed(run.settings)
     space, residual, beliefs = learner.nominal.space, learner.residual, learner.beliefs
     if space.adds_up.any():
         raise InputError(f"{run.folder}: its targets are distances that add up, which no exported controller follows")
@@ -195,25 +163,9 @@ def portable_controller(
         replace(settings.control, table=0),
         observe(learner.known.planned(), learner.nominal) if own_steps else None,
         approximations=(*replaced, *(loss for _, loss in found if loss)),
-        notes=(*_notes(space, settings.control, learner), *fitted_again(learned)),
+        notes=_notes(space, settings.control, learner),
         passport=passport_of(run, deployment, name),
     )
-
-
-def without_lagged_inputs(learner: Learner) -> Learner:
-    """The learner with a residual of state and command alone, which is fitted again if it has inputs from before."""
-    if learner.residual.history_inputs.lagged_inputs == "none":
-        return learner
-    settings = replace(learner.settings, lagged_inputs="none")
-    with one_blas_thread():
-        return Learner.start(learner.nominal, learner.known, settings, learner.iteration)
-
-
-def fitted_again(learner: Learner) -> tuple[str, ...]:
-    """A sentence if `without_lagged_inputs` fits the residual again."""
-    lagged = learner.residual.history_inputs.lagged_inputs
-    text = f"learning.lagged_inputs = {lagged}: the residual was fitted again, to state and command alone"
-    return () if lagged == "none" else (text,)
 
 
 def _check_inputs(learner: Learner) -> None:
@@ -221,7 +173,7 @@ def _check_inputs(learner: Learner) -> None:
     found = learner.beliefs is not None and learner.nominal.space.context_inputs
     if found or learner.residual.history_inputs != HistoryInputs():
         raise InputError(
-            f"residual '{learner.residual.name}': inputs that a touchdown finds and a forgetting time cannot be "
+            f"residual '{learner.residual.kind}': inputs that a touchdown finds and a forgetting time cannot be "
             "exported; run with learning.forgetting_time = inf and, on uneven ground, ground.inputs = false"
         )
 
@@ -259,7 +211,7 @@ def _random_points(space: StepSpace, rng: np.random.Generator) -> Array:
 
 def _portable_nominal(
     nominal: StepMap, noise: Array, rng: np.random.Generator
-) -> tuple[AffineMap | SurrogateMap, tuple[Approximation, ...]]:
+) -> tuple[AffineMap | SurrogateMap, tuple[str, ...]]:
     """The nominal map, or a surrogate of it and by how much that differs."""
     if isinstance(nominal, AffineMap):
         return nominal, ()
@@ -286,18 +238,29 @@ def _with_small_samples(surrogate: SurrogateMap) -> SurrogateMap:
     return replace(surrogate, samples=Samples(rounded, next_state, status))
 
 
-def _approximation(subject: str, replacement: str, names: tuple[str, ...], error: Array, noise: Array) -> Approximation:
-    """Summary of differences (k, names) [half ranges]."""
+def _approximation(subject: str, replacement: str, names: tuple[str, ...], error: Array, noise: Array) -> str:
+    """What was replaced, and by how much its results differ at random points of the range.
+
+    Args:
+        subject: What was replaced.
+        replacement: By what.
+        names: Names of the state coordinates that it concerns.
+        error: Differences (k, names) [half ranges].
+        noise: Standard deviation of a step's noise [half ranges], 0 if it is unknown; one for each name.
+    """
     size = np.abs(error) if len(error) else np.full((1, len(names)), np.nan)
-    return Approximation(subject, replacement, names, np.sqrt(np.mean(size**2, axis=0)), size.max(axis=0), noise)
+    parts = list[str]()
+    for name, sizes, std in zip(names, size.T, noise, strict=True):
+        rms, worst = np.sqrt(np.mean(sizes**2)), sizes.max()
+        beside = f" ({worst / std:.1g} of the noise of a step)" if std > 0 else ""
+        parts.append(f"{name}: {rms:.1g} of a half range, at most {worst:.1g}{beside}")
+    return f"{subject} → {replacement}; root-mean-square difference of {'; '.join(parts)}"
 
 
-def _portable_regression(
-    regression: Regression, name: str, scale: float, points: Array
-) -> tuple[Regression, Approximation | None]:
+def _portable_regression(regression: Regression, name: str, scale: float, points: Array) -> tuple[Regression, str]:
     """The regression of a state coordinate, or its approximation and by how much that differs at points (k, d)."""
     if isinstance(regression, Zero | Polynomial | Posterior):
-        return regression, None
+        return regression, ""
     if not isinstance(regression, GaussianProcessRegression):
         raise InputError(
             f"residual of {name}: a {type(regression).__name__} cannot be exported; run with learning.residual = "
@@ -307,7 +270,7 @@ def _portable_regression(
     if noise == 0:
         raise InputError(f"residual of {name}: a Gaussian process without noise cannot be exported; record more steps")
     if isinstance(process, SparseGaussianProcess) and len(process.inducing) <= EXPORTED_SIZES[-1]:
-        return regression, None
+        return regression, ""
     sparse, error = _smallest_sparse(regression, np.vstack([points, regression.points]))
     centres = len(sparse.inducing)
     replacement = f"sparse Gaussian process, {centres} instead of {len(regression.values)} points"

@@ -1,13 +1,54 @@
-"""A portable controller as one Python file that needs NumPy alone: a `StepFilter`, what it uses, and the model."""
+"""A portable controller as one Python file that needs NumPy alone: a `StepFilter`, what it uses, and the model.
 
+Of each module only what is used is taken, as it is written there, so that nothing is described twice. Annotations are
+not evaluated in such a file: what they alone name is left out.
+"""
+
+import ast
 import json
-from typing import Final
+import sys
+from collections.abc import Iterator, Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final, NamedTuple
 
 from stepgap.base.versions import versions_here
 from stepgap.export.controller.model_document import model_document
-from stepgap.export.controller.one_file import Place, one_file
 from stepgap.export.controller.passport import passport_lines
 from stepgap.export.controller.portable_controller import PortableController
+
+PERMITTED: Final = frozenset({*sys.stdlib_module_names, "numpy"})
+"""Packages that the file may import."""
+
+COPIED_PACKAGE: Final = "stepgap"
+"""Package whose definitions are copied."""
+
+
+class Place(NamedTuple):
+    """Where something is defined.
+
+    Attributes:
+        module: Name of the module.
+        name: Its name there.
+    """
+
+    module: str
+    name: str
+
+
+class _Module(NamedTuple):
+    """A module.
+
+    Attributes:
+        definitions: The text of each name, and the names that it refers to, but for annotations.
+        imports: The line of each name that is imported from elsewhere.
+        copied: Where each name is defined that is imported from the package.
+    """
+
+    definitions: dict[str, tuple[str, list[str]]]
+    imports: dict[str, str]
+    copied: dict[str, Place]
+
 
 FILTER: Final = "stepgap.export.controller.step_filter"
 """Module of the filter."""
@@ -45,7 +86,7 @@ def python_source(controller: PortableController) -> str:
         del part["data"]
     if document["beliefs"] is not None:
         del document["beliefs"]["steps"], document["beliefs"]["constants"], document["beliefs"]["probes"]
-    space, notes = controller.space, [*map(str, controller.approximations), *controller.notes]
+    space, notes = controller.space, [*controller.approximations, *controller.notes]
     lines = [
         "A step controller that was learned by StepGap: the command with which the next state is a target.",
         *passport_lines(controller.passport),
@@ -63,3 +104,98 @@ def python_source(controller: PortableController) -> str:
     return (
         f'"""{head}\n"""\n\n{code}\n\nimport json\n\n{model}\n"""The documented model, which `StepFilter` reads."""\n'
     )
+
+
+def one_file(roots: list[Place], instead: Mapping[Place, Place]) -> str:
+    """Text of the definitions, behind those that they need, and behind the imports.
+
+    Args:
+        roots: What is wanted.
+        instead: What takes the place of a definition.
+
+    Raises:
+        ValueError: Two definitions have one name, or something needs another package than NumPy.
+    """
+    modules, parts, imports, origins = dict[str, _Module](), dict[str, None](), set[str](), dict[str, str]()
+
+    def add(wanted: Place) -> None:
+        if wanted.name in origins:
+            if origins[wanted.name] != wanted.module:
+                raise ValueError(f"{wanted.name} is a name in {origins[wanted.name]} and in {wanted.module}")
+            return
+        origins[wanted.name] = wanted.module
+        if wanted in instead:
+            add(instead[wanted])
+            parts[f"{wanted.name} = {instead[wanted].name}"] = None
+            return
+        if wanted.module not in modules:
+            modules[wanted.module] = _read(wanted.module)
+        module = modules[wanted.module]
+        text, needs = module.definitions[wanted.name]
+        for name in needs:
+            if name in module.copied:
+                add(module.copied[name])
+            elif name in module.definitions:
+                add(Place(wanted.module, name))
+            elif name in module.imports:
+                imports.add(module.imports[name])
+        parts[text] = None
+
+    for root in roots:
+        add(root)
+    for line in imports:
+        if line.split()[1].split(".")[0] not in PERMITTED:
+            raise ValueError(f"'{line}': the file has NumPy alone")
+    ordered = sorted(imports, key=lambda line: ("numpy" in line, line.startswith("from"), line))
+    return "\n".join(["from __future__ import annotations", "", *ordered]) + "\n\n\n" + "\n\n\n".join(parts) + "\n"
+
+
+def _read(name: str) -> _Module:
+    """The definitions and imports of a module."""
+    spec, module = find_spec(name), _Module({}, {}, {})
+    if spec is None or spec.origin is None:
+        raise ValueError(f"there is no module {name}")
+    text = Path(spec.origin).read_text("utf-8")
+    body, lines = ast.parse(text).body, text.splitlines()
+    for number, node in enumerate(body):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            _note_imports(node, module)
+            continue
+        after = body[number + 1] if number + 1 < len(body) else None
+        last = after if isinstance(after, ast.Expr) and isinstance(node, ast.Assign | ast.AnnAssign) else node
+        decorators = getattr(node, "decorator_list", [])
+        first = min([node.lineno, *(each.lineno for each in decorators)])
+        written = "\n".join(lines[first - 1 : last.end_lineno])
+        module.definitions.update(dict.fromkeys(_defined(node), (written, list(dict.fromkeys(_names(node))))))
+    return module
+
+
+def _note_imports(node: ast.Import | ast.ImportFrom, module: _Module) -> None:
+    for each in node.names:
+        name, renamed = each.asname or each.name, f" as {each.asname}" if each.asname else ""
+        if isinstance(node, ast.Import):
+            module.imports[name] = f"import {each.name}{renamed}"
+        elif (node.module or "").split(".")[0] == COPIED_PACKAGE:
+            module.copied[name] = Place(node.module or "", each.name)
+        else:
+            module.imports[name] = f"from {node.module} import {each.name}{renamed}"
+
+
+def _defined(node: ast.stmt) -> Iterator[str]:
+    """Names that a statement of a module defines."""
+    if isinstance(node, ast.FunctionDef | ast.ClassDef):
+        yield node.name
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    for target in targets:
+        yield from (each.id for each in ast.walk(target) if isinstance(each, ast.Name))
+
+
+def _names(node: ast.AST) -> Iterator[str]:
+    """Names that a statement refers to when it is executed; annotations are not."""
+    if isinstance(node, ast.Name):
+        yield node.id
+    for key, value in ast.iter_fields(node):
+        if key not in ("annotation", "returns"):
+            for child in value if isinstance(value, list) else [value]:
+                if isinstance(child, ast.AST):
+                    yield from _names(child)
