@@ -3,11 +3,11 @@
 Each robot is a twin with sensors and torque noise of the default one, and one or two planted differences of random
 size, from those in `USUAL`, which are also the possible causes. It steps to random targets, while it learns. The
 resolution of its encoders is known. Robots of `outside` have a cause that is not in the list of possible causes, and
-neither is any other of its group; those of `none` have no cause.
+neither is any other that is like it; those of `none` have no cause.
 
-Printed for each robot: what was planted, and the groups that were found, with the causes that the command names. Then
-how often the planted causes are named in the first group, or first in it, or in any group, how many groups have none of
-them, how often a planted size lies in its 95 % interval, and how often something is said to be unexplained.
+Printed for each robot: what was planted, and the causes that explain most alone, with their sizes. Then how often a
+planted cause explains most, or cannot be told from the one that does, how many of the causes that are said to act were
+planted, how often a planted size lies in its 95 % interval, and how often something is said to be unexplained.
 
     ./go python -m benchmarks.explain [--robots 20] [--kinds one two outside none] [--steps 170]
 """
@@ -16,7 +16,6 @@ import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import count
 from time import perf_counter
 from typing import NamedTuple
 
@@ -34,16 +33,20 @@ from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import LONGEST_STEP
 from stepgap.step import Array, StepSpace
-from stepgap.study.cause_sizes import Cause, RunError, Shares, Surface, causes_of
 from stepgap.study.explanation import (
-    CAUSE_LOG_ODDS,
+    REST_LOG_ODDS,
+    Cause,
     Explanation,
+    RunError,
+    Shares,
     Simulate,
+    Surface,
     alike_groups,
+    causes_of,
     explain_error,
-    signature_products,
+    find_signatures,
+    most_probable,
 )
-from stepgap.study.explanation_page import members_in_question
 from stepgap.study.simulated_errors import LEARNING, SimulatedRobots, gap_of, targets_of
 
 USUAL = {
@@ -150,10 +153,9 @@ def explained(steps: int, robot: Robot) -> Found:
         else:
             raise RuntimeError(f"{robot}: no draw hops")
         robots = SimulatedRobots(settings, targets_of(run), known=usual(ENCODERS))
-        numbers = count()
 
-        def simulate(wanted: Sequence[Shares]) -> list[Surface | None]:
-            return [robots.surface(shares, next(numbers)) for shares in wanted]
+        def simulate(asked: Sequence[tuple[Shares, int]]) -> list[Surface | None]:
+            return [robots.surface(shares, number) for shares, number in asked]
 
         error, causes = RunError.of(run), [possible[name] for name in USUAL]
         if robot.kind == "outside":
@@ -163,54 +165,50 @@ def explained(steps: int, robot: Robot) -> Found:
 
 
 def without_group(error: RunError, simulate: Simulate, causes: Sequence[Cause], name: str) -> list[Cause]:
-    """The causes that are not in the group of one."""
-    surfaces = simulate([{}, *({each.name: 1.0} for each in causes)])
-    none, *changed = [each for each in surfaces if each is not None]
-    if len(changed) < len(causes):
-        raise RuntimeError("a robot with a usual difference falls")
-    changes = [each.weights - none.weights for each in changed]
-    labels = dict(zip(causes, alike_groups(signature_products(error, none.covariance, changes), causes), strict=True))
-    own = next(label for each, label in labels.items() if each.name == name)
-    return [each for each in causes if labels[each] != own]
+    """The causes that are not like one."""
+    none, signatures = find_signatures(error, causes, simulate)
+    walked = [cause for cause in causes if cause.name in signatures]
+    fit = most_probable(error, none, np.array([signatures[cause.name] for cause in walked]))
+    own = next(group for group in alike_groups(fit.cosines, walked) if name in [cause.name for cause in group])
+    return [cause for cause in causes if cause not in own]
 
 
 def describe(robot: Robot, found: Found) -> None:
     """Prints a robot."""
     truth = ", ".join(f"{name} {value:.4g}" for name, value in found.planted.items())
-    groups = []
-    for group in found.explanation.groups:
-        members = [
-            f"{each.cause.name} {each.value:.4g} ({each.interval[0]:.4g}–{each.interval[1]:.4g}; {each.log_odds:.1f})"
-            for each in members_in_question(group)
-        ]
-        groups.append(f"[{group.explained:.0%}, +{group.log_odds:.0f}] " + ", ".join(members))
+    shown = [size for number, size in enumerate(found.explanation.causes) if number < 3 or size.acts]
+    sizes = [
+        f"{size.cause.name} {size.value:.4g} ({size.interval[0]:.4g}–{size.interval[1]:.4g})"
+        f"{' acts' * size.acts}; alone {size.cause.value(size.alone):.4g}: {size.explained:.0%}"
+        for size in shown
+    ]
     rest = f"rest {found.explanation.rest:.0%} ({found.explanation.rest_log_odds:+.1f})"
-    print(f"{robot.kind} {robot.number}: {truth} | {' | '.join(groups)} | {rest} | {found.seconds:.0f} s", flush=True)
+    print(f"{robot.kind} {robot.number}: {truth} | {' | '.join(sizes)} | {rest} | {found.seconds:.0f} s", flush=True)
 
 
-def judge(kind: str, found: Sequence[Found]) -> None:
+def judge(kind: str, results: Sequence[Found]) -> None:
     """Prints how often robots of a kind were explained rightly."""
-    first = right = single = inside = sizes = inside_apart = apart = names = wrong = number = 0
-    for each in found:
-        groups = [{one.cause.name: one for one in members_in_question(group)} for group in each.explanation.groups]
-        names, number = names + sum(len(group) for group in groups), number + len(groups)
-        wrong += sum(not each.planted.keys() & group for group in groups)
-        first += any(name in group for group in groups[:1] for name in each.planted)
-        single += any(name in [*group][:1] for group in groups[:1] for name in each.planted)
-        right += all(any(name in group for group in groups) for name in each.planted)
-        members = [(group[name], value) for name, value in each.planted.items() for group in groups if name in group]
-        held = sum(member.interval[0] <= value <= member.interval[1] for member, value in members)
-        inside, sizes = inside + held, sizes + len(members)
-        if all(len(each.planted.keys() & group) < 2 for group in groups) and len(members) == len(each.planted):
-            inside_apart, apart = inside_apart + held, apart + len(members)
-    more = [each.explanation.rest_log_odds > CAUSE_LOG_ODDS for each in found]
-    large = sum(each.explanation.has_rest for each in found)
-    print(f"{kind}: a planted cause named in the first group of {first} of {len(found)}, and first in it in {single}")
-    print(f"  all planted causes named in {right}; {wrong} of {number} groups without one; {names} names")
+    first = alike = inside = sizes = acting = right = 0
+    for result in results:
+        causes = result.explanation.causes
+        best = causes[0].cause
+        near = [group for group in result.explanation.alike if best in group]
+        first += best.name in result.planted
+        alike += any(cause.name in result.planted for group in [*near, (best,)] for cause in group)
+        for size in causes:
+            acting += size.acts
+            if size.cause.name in result.planted:
+                low, high = size.interval
+                sizes += 1
+                inside += low <= result.planted[size.cause.name] <= high
+                right += size.acts
+    more = sum(result.explanation.rest_log_odds > REST_LOG_ODDS for result in results)
+    large = sum(result.explanation.has_rest for result in results)
+    print(f"{kind}: a planted cause explains most in {first} of {len(results)}; with those that are like it in {alike}")
     print(
-        f"  {inside} of {sizes} sizes in their intervals; {inside_apart} of {apart} where each is in a group of its own"
+        f"  {inside} of {sizes} planted sizes in their intervals; {acting} causes said to act, {right} of them planted"
     )
-    print(f"  more than noise is said to be unexplained in {sum(more)}, of which {large} are large")
+    print(f"  more than noise is said to be unexplained in {more}, of which {large} are large")
 
 
 def main() -> None:
@@ -222,9 +220,9 @@ def main() -> None:
     given = parser.parse_args()
     cases = [Robot(kind, number) for kind in given.kinds for number in range(given.robots)]
     results = dict[Robot, Found]()
-    for case, found in finished(partial(explained, given.steps), cases):
-        describe(case, found)
-        results[case] = found
+    for case, result in finished(partial(explained, given.steps), cases):
+        describe(case, result)
+        results[case] = result
     for kind in given.kinds:
         judge(kind, [results[case] for case in cases if case.kind == kind])
 

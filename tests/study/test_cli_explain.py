@@ -28,10 +28,11 @@ def test_a_weak_motor_is_found(weak: Path, stepgap: Command, monkeypatch: pytest
     known = ["--known", "motor_counts=200000, torque_noise=0.01"]
     found = stepgap("explain", weak, *known, "--causes", "torque_scale, boom_drag", "--out", "page.html", "--quiet")
     assert found.code == 0, found.err
-    _, sentence, *_, path = found.out.splitlines()
-    name, size, *_ = sentence.split()
-    assert (name, float(size)) == ("torque_scale", pytest.approx(0.9, abs=0.02))
-    assert re.search(r"explains (9\d|100) %", sentence)
+    _, alone, acting, *_, path = found.out.splitlines()
+    size = re.fullmatch(r"of single causes, torque_scale (\S+) explains most: (9\d|100) % of the squared diff.*", alone)
+    assert size
+    assert float(size[1]) == pytest.approx(0.9, abs=0.02)
+    assert acting.startswith("whatever the other causes do, these act: torque_scale 0.")
     assert path == "page.html"
     page = Path("page.html").read_text()
     assert "<svg" in page

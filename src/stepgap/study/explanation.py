@@ -1,21 +1,20 @@
-"""What the error of a run says about the robot: groups of differences from its model that explain the error.
+"""What the error of a run says about the robot: sizes of its possible differences from the model, by one regression.
 
-The error of the nominal map, over state and command, is a quadratic polynomial for each state coordinate. Its
-*signature* of a difference is how the polynomial of a simulated robot changes when that one difference is set. Causes
-are found one after the other by evidence (marginal likelihood, MacKay, Information Theory, Inference, and Learning
-Algorithms, Ch. 28). As signatures bend with their size, each cause is simulated again at the size found (Gauss–Newton):
+The error of the nominal map, over state and command, is a quadratic polynomial for each state coordinate. The
+*signature* of a cause is how the polynomial of a simulated robot changes when that one difference is set, per size. The
+sizes of all causes follow from the error of the run by Bayesian linear regression:
 
-    error of the run = error of the simulated robot + signatures · (sizes − those simulated) + rest + noise
+    error of the run − error of the simulated robot without gap = signatures · sizes + rest + noise
 
-The rest is what no cause explains: a polynomial whose weights have an unknown common variance, over which sizes and
-evidence are averaged. So intervals are wider where the causes do not explain everything. Differences whose signatures
-are alike over the steps of the run, or that make its errors about as probable, are a *group*, within which this run
-cannot tell which one it is.
+Sizes are normal about zero. The rest is what no cause explains: a polynomial whose weights have a common variance, the
+most probable one (marginal likelihood; MacKay, Information Theory, Inference, and Learning Algorithms, Ch. 28). Where
+signatures are alike over the steps of the run, the sizes of all causes together are uncertain, although each alone
+would have a certain size; so both are given.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf
+from math import inf, isinf
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -23,84 +22,277 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 
 from stepgap.base.errors import InputError
-from stepgap.base.normal import INTERVAL_95
+from stepgap.base.normal import INTERVAL_95, log_density
+from stepgap.gauss.monomials import monomials
+from stepgap.gauss.weights import Weights
+from stepgap.learning.observations import Observations
+from stepgap.robots.gap import Gap, differences
 from stepgap.step import Array
-from stepgap.study.cause_sizes import RESTS, Cause, RunError, Shares, SizeFit, Surface, fit_sizes
+
+SIGNATURE_DEGREE: Final = 2
+"""Degree of the polynomials."""
+
+LARGEST_WEIGHT: Final = 30.0
+"""Prior standard deviation of a polynomial's weight, in standard deviations of the steps about it."""
+
+USUAL_STD: Final = 0.02
+"""Standard deviation of the steps about their polynomial beforehand [half ranges], which counts as much as three steps;
+polynomials are not taken to be more accurate when disturbed steps are left out."""
+
+IMPROBABLE: Final = 3.6
+"""Error of the polynomial, in standard deviations, from which on a step counts as disturbed."""
+
+RESTS: Final = (0.0, *np.geomspace(1e-3, 0.3, 9).tolist())
+"""Possible standard deviations of the weights of the rest [half ranges]."""
+
+PRIOR_SIZE: Final = 3.0
+"""Standard deviation of the size of a cause beforehand [usual sizes]."""
+
+LARGEST_SHARE: Final = 12.0
+"""Largest size of a cause, in usual sizes."""
+
+LARGEST_SIMULATED: Final = 4.0
+"""Largest size at which a cause is simulated [usual sizes]."""
+
+SMALLEST_SIMULATED: Final = 0.2
+"""Smallest such size; of a smaller one, the effect may be less than the scatter of the simulation."""
 
 ALIKE: Final = 0.9
-"""Cosine of signatures from which on differences are in one group."""
+"""Cosine of signatures from which on causes cannot be told apart: signatures are inaccurate by some percent."""
 
-CAUSE_LOG_ODDS: Final = 3.0
-"""Logarithm of the odds by which a further cause must make the errors more probable."""
+UNSEEN_STD: Final = 0.5
+"""Standard deviation of the size of a cause alone from which on the run says nothing of it [usual sizes]."""
 
-MOST_GROUPS: Final = 3
-"""Largest number of groups that are found."""
+REST_LOG_ODDS: Final = 3.0
+"""Logarithm of the odds from which on it is said that there is a rest."""
 
-MOST_SIMULATED: Final = 6
-"""Number of causes, the most probable by the signatures known so far, that are simulated at the size found."""
-
-LEAST_SIGNATURE: Final = 3.0
-"""Size of a signature from which on a run sees it [noise]; of two simulations of one hopper, 12 % differ by more."""
-
-MOST_USUAL: Final = 4.0
-"""Largest size at which a cause is simulated to compare signatures [usual sizes]."""
-
-BENDING: Final = 0.3
-"""Usual change of a signature between two sizes, relative to the signature [1 / usual size]."""
-
-SIMULATED_ROUNDS: Final = 3
-"""How often a robot is simulated at the sizes found, and the robot without gap at the start."""
-
-HOPELESS: Final = 8.0
-"""Logarithm of the odds by which a cause may be less probable than the best one and still be simulated again."""
-
-TOLD_APART: Final = 5.0
-"""Logarithm of the odds from which on causes of a group are told apart.
-
-Another seed of the simulations changes it by some 2 to 5 (standard deviations of causes of the hopper).
-"""
+Shares = Mapping[str, float]
+"""Sizes of causes, in usual sizes, by their names."""
 
 
-class Member(NamedTuple):
-    """A cause of a group, with the size that it would have.
+class Cause(NamedTuple):
+    """A difference of a simulated robot from its model.
+
+    Attributes:
+        name: Its name in the gap.
+        exact: Its value without gap.
+        usual: A usual value.
+        least: Smallest size that is valid [usual sizes]; negative where values on the other side of `exact` are valid.
+        most: Largest size that is valid.
+    """
+
+    name: str
+    exact: float
+    usual: float
+    least: float = 0.0
+    most: float = LARGEST_SHARE
+
+    @property
+    def signed(self) -> bool:
+        """Whether values on the other side of `exact` are valid."""
+        return self.least < 0
+
+    def value(self, share: float) -> float:
+        """The value of a size or the valid one next to it; an infinite stiffness becomes the usual one by the size."""
+        share = min(max(share, self.least), self.most)
+        if isinf(self.exact):
+            return self.usual / share if share > 0 else inf
+        return self.exact + share * (self.usual - self.exact)
+
+
+def causes_of(gap: Gap) -> tuple[Cause, ...]:
+    """The differences of a gap that may be causes: numbers with a usual value."""
+    none = type(gap).none()
+    causes = list[Cause]()
+    for name, rule in differences(gap).items():
+        if rule.exact is None or isinstance(rule.exact, bool) or rule.whole == rule.exact:
+            continue
+        cause = Cause(name, rule.exact, rule.whole, -LARGEST_SHARE)
+
+        def is_valid(share: float, cause: Cause = cause) -> bool:
+            try:
+                type(gap)(**{**vars(none), cause.name: cause.value(share)})
+            except ValueError:
+                return False
+            return True
+
+        least = 0.0 if isinf(cause.exact) else _furthest(is_valid, -LARGEST_SHARE)
+        causes.append(cause._replace(least=least, most=_furthest(is_valid, LARGEST_SHARE)))
+    return tuple(causes)
+
+
+def _furthest(is_valid: Callable[[float], bool], end: float) -> float:
+    """The size nearest to `end` that is valid, by bisection from 0, which is."""
+    if is_valid(end):
+        return end
+    near, far = 0.0, end
+    for _ in range(12):
+        middle = (near + far) / 2
+        if is_valid(middle):
+            near = middle
+        else:
+            far = middle
+    return near
+
+
+class Surface(NamedTuple):
+    """The error of a nominal map as polynomials of the scaled state and command.
+
+    Attributes:
+        weights: Weights of the k monomials for each state coordinate; shape (n, k) [half ranges].
+        covariance: Their covariances; shape (n, k, k).
+        noise_std: Standard deviations of the steps about the polynomials; shape (n,) [half ranges].
+    """
+
+    weights: Array
+    covariance: Array
+    noise_std: Array
+
+
+def fit_surface(steps: Observations) -> Surface:
+    """Fits the error of some steps by least squares; weights that the steps do not determine are nearly zero."""
+    basis = _basis(steps)
+    errors = steps.error / steps.space.state_scale
+    # A = BᵀB + I / LARGEST_WEIGHT², weights = A⁻¹Bᵀ errors, covariance = noise² A⁻¹
+    inverse = np.linalg.inv(basis.T @ basis + np.eye(basis.shape[1]) / LARGEST_WEIGHT**2)
+    weights = inverse @ basis.T @ errors
+    # As many degrees of freedom are taken off as weights are determined, since each takes one from the noise.
+    determined = float(np.trace(inverse @ basis.T @ basis))
+    squares = np.sum((errors - basis @ weights) ** 2, axis=0)
+    variance = (squares + 3 * USUAL_STD**2) / (len(errors) - determined + 3)
+    return Surface(weights.T, variance[:, None, None] * inverse, np.sqrt(variance))
+
+
+def _basis(steps: Observations) -> Array:
+    return monomials(steps.space.scaled_inputs(steps.state, steps.command), SIGNATURE_DEGREE)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class RunError:
+    """The errors of a run, reduced to r ≤ k numbers for each state coordinate, with independent noise of variance 1.
+
+    Attributes:
+        values: Shape (n, r).
+        roots: Matrices that convert weights to such numbers; shape (n, r, k).
+        noise_std: Standard deviation of the noise of a step; shape (n,) [half ranges].
+        steps: Number of steps.
+    """
+
+    values: Array
+    roots: Array
+    noise_std: Array
+    steps: int
+
+    @classmethod
+    def of(cls, steps: Observations) -> "RunError":
+        """Reduces the errors of these steps, without those that are too improbable for the polynomial."""
+        surface = fit_surface(steps)
+        left = steps.error / steps.space.state_scale - _basis(steps) @ surface.weights.T
+        limit = IMPROBABLE * np.maximum(surface.noise_std, USUAL_STD)
+        steps = steps.selected(np.all(np.abs(left) <= limit, axis=1))
+        noise_std = fit_surface(steps).noise_std
+        q, r = np.linalg.qr(_basis(steps))
+        values = q.T @ (steps.error / steps.space.state_scale / noise_std)
+        return cls(values.T, r / noise_std[:, None, None], noise_std, len(steps))
+
+    def seen(self, weights: Array) -> Array:
+        """The numbers of weights (…, n, k); shape (…, n, r)."""
+        return np.einsum("nrk,...nk->...nr", self.roots, weights)
+
+    def squares(self, weights: Array) -> Array:
+        """Sums of squares of what weights (n, k) leave, less what noise makes of them; shape (n,)."""
+        return np.sum((self.values - self.seen(weights)) ** 2, axis=1) - self.values.shape[1]
+
+
+class SizeFit(NamedTuple):
+    """Sizes of p causes, for one standard deviation of the weights of the rest.
+
+    Attributes:
+        log_evidence: Logarithm of the probability density of the errors.
+        sizes: Expected sizes; shape (p,) [usual sizes].
+        covariance: Shape (p, p).
+        cosines: Cosines of the signatures over the steps of the run, rest and noise taken into account; shape (p, p).
+    """
+
+    log_evidence: float
+    sizes: Array
+    covariance: Array
+    cosines: Array
+
+
+def fit_sizes(error: RunError, none: Surface, signatures: Array, rest: float) -> SizeFit:
+    """Sizes of causes by Bayesian linear regression.
+
+    Args:
+        error: Errors of the run.
+        none: Error of the simulated robot without gap.
+        signatures: Change of the error per size of each cause; shape (p, n, k).
+        rest: Standard deviation of the weights of the rest.
+    """
+    log = 0.0
+    rows = list[Array]()
+    for root, covariance, value, columns in zip(
+        error.roots,
+        none.covariance,
+        error.values - error.seen(none.weights),
+        np.moveaxis(error.seen(signatures), 0, -1),
+        strict=True,
+    ):
+        # value = columns · sizes + N(0, I + root (covariance + rest² I) rootᵀ), divided by the root of that
+        unknown = covariance + rest**2 * np.eye(root.shape[1])
+        factor = np.linalg.cholesky(np.eye(len(root)) + root @ unknown @ root.T)
+        log -= float(np.sum(np.log(np.diag(factor))))
+        rows.append(np.linalg.solve(factor, np.column_stack([value, columns])))
+    sizes = Weights.of_moments(np.zeros((1, len(signatures))), PRIOR_SIZE**2 * np.eye(len(signatures))[None])
+    for value, *row in np.concatenate(rows):
+        features = np.array(row)
+        mean, variance = sizes.predicted(features)
+        log += float(log_density(value - mean, np.sqrt(1 + variance))[0])
+        sizes = sizes.learned(features, np.array([value]), np.ones(1))
+    columns = np.concatenate(rows)[:, 1:]
+    length = np.maximum(np.linalg.norm(columns, axis=0), 1e-9)
+    cosines = np.clip(columns.T @ columns / np.outer(length, length), -1, 1)
+    return SizeFit(log, sizes.mean[0], sizes.covariance[0], cosines)
+
+
+def most_probable(error: RunError, none: Surface, signatures: Array) -> SizeFit:
+    """The fit with the most probable rest."""
+    return max((fit_sizes(error, none, signatures, rest) for rest in RESTS), key=lambda fit: fit.log_evidence)
+
+
+class CauseSize(NamedTuple):
+    """What a run says of a cause.
 
     Attributes:
         cause: The cause.
-        share: Its size, in usual sizes.
+        share: Its size, where all causes may act [usual sizes].
         std: Standard deviation of that.
-        log_odds: Logarithm of the probability density of the errors with it, less that with the first of the group.
+        alone: The size that it would have if it acted alone.
+        explained: Share of the squared difference that it explains alone.
     """
 
     cause: Cause
     share: float
     std: float
-    log_odds: float
+    alone: float
+    explained: float
 
     @property
     def value(self) -> float:
-        """Its value."""
+        """Its value, where all causes may act."""
         return self.cause.value(self.share)
 
     @property
     def interval(self) -> tuple[float, float]:
         """Ends of the 95 % interval of its value."""
-        low, high = (self.share + sign * INTERVAL_95 * self.std for sign in (-1, 1))
-        ends = [self.cause.value(max(low, self.cause.least)), self.cause.value(min(high, self.cause.most))]
+        ends = [self.cause.value(self.share + sign * INTERVAL_95 * self.std) for sign in (-1, 1)]
         return min(ends), max(ends)
 
-
-class CauseGroup(NamedTuple):
-    """Causes of which one explains a part of the error, and which this run cannot tell apart.
-
-    Attributes:
-        members: The causes, the most probable one first.
-        log_odds: Logarithm of the odds for it, against no such cause.
-        explained: Share of the squared difference that it explains beyond the groups before it.
-    """
-
-    members: tuple[Member, ...]
-    log_odds: float
-    explained: float
+    @property
+    def acts(self) -> bool:
+        """Whether the 95 % interval of its size is on one side of zero, and the size is valid."""
+        return abs(self.share) > INTERVAL_95 * self.std and (self.share > 0 or self.cause.signed)
 
 
 @final
@@ -109,17 +301,17 @@ class Explanation:
     """What the error of a run says about the robot.
 
     Attributes:
-        groups: Groups of causes, as they were found.
+        causes: Sizes of the causes that the run sees, first those that explain most.
         difference: Root mean square, without noise, by which the errors of the run differ from those of the simulated
             robot without gap; shape (n,) [half ranges].
-        rest: Share of the squared difference that none of the groups explains.
+        rest: Share of the squared difference that all causes together do not explain.
         rest_log_odds: Logarithm of the odds that there is such a rest, against noise and inaccurate simulation.
-        alike: Groups of all causes that the run can see.
-        unseen: Causes of usual size that the run does not see.
+        alike: Groups of causes that the run cannot tell apart, since their signatures are alike.
+        unseen: Causes of which the run says nothing.
         failed: Causes of usual size with which the simulated robot does not walk.
     """
 
-    groups: tuple[CauseGroup, ...]
+    causes: tuple[CauseSize, ...]
     difference: Array
     rest: float
     rest_log_odds: float
@@ -130,220 +322,16 @@ class Explanation:
     @property
     def has_rest(self) -> bool:
         """Whether a part of the error is none of the causes."""
-        return self.rest_log_odds > CAUSE_LOG_ODDS and self.rest > 0.05
+        return self.rest_log_odds > REST_LOG_ODDS and self.rest > 0.05
 
 
-Simulate = Callable[[Sequence[Shares]], Sequence[Surface | None]]
-"""Errors of robots with causes of these sizes, each with a scatter of its own; None for a robot that fell."""
-
-
-def alike_groups(signatures: Array, causes: Sequence[Cause]) -> list[int]:
-    """Number of the group of each cause, by the cosines of their signatures (complete linkage).
-
-    Args:
-        signatures: Products of signatures over the steps of a run, as `signature_products` gives them; shape (p, p).
-        causes: The p causes.
-    """
-    if len(causes) < 2:
-        return [1] * len(causes)
-    length = np.sqrt(np.maximum(signatures.diagonal(), 1e-12))
-    cosine = np.clip(signatures / np.outer(length, length), -1, 1)
-    signed = np.array([each.signed for each in causes])
-    either = signed[:, None] | signed[None]
-    distance = 1 - np.where(either, np.abs(cosine), cosine)
-    np.fill_diagonal(distance, 0.0)
-    return fcluster(linkage(squareform(distance, checks=False), "complete"), 1 - ALIKE, "distance").tolist()
-
-
-def signature_products(error: RunError, spread: Array, changes: Sequence[Array]) -> Array:
-    """Products of changes of the simulated error, less what the inaccuracy of simulations makes of them; shape (p, p).
-
-    The metric is that of the noise of the run and of two simulations, of which one is the same for all changes.
-
-    Args:
-        error: Errors of the run.
-        spread: Covariances of the weights of a simulation; shape (n, k, k).
-        changes: The p changes; each (n, k).
-    """
-    rows, inaccuracy = [], 0.0
-    for root, own, weights in zip(error.roots, spread, np.array(changes).swapaxes(0, 1), strict=True):
-        simulated = 2 * root @ own @ root.T
-        factor = np.linalg.cholesky(np.eye(len(root)) + simulated)
-        rows.append(np.linalg.solve(factor, root @ weights.T))
-        inaccuracy += float(np.trace(np.linalg.solve(factor @ factor.T, simulated)))
-    h = np.concatenate(rows)
-    return h.T @ h - inaccuracy * (0.5 + 0.5 * np.eye(h.shape[1]))
-
-
-class _Slope(NamedTuple):
-    """A signature: change of the error by a change of a size, and its covariance, in those of one simulation."""
-
-    weights: Array
-    inaccuracy: float
-
-
-class _Change(NamedTuple):
-    """Change of the error by a cause of some size."""
-
-    share: float
-    weights: Array
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class _Point:
-    """A simulated robot with sizes of causes, and the sizes that follow from it by signatures."""
-
-    shares: Shares
-    surface: Surface
-    slopes: Mapping[str, _Slope]
-    fit: SizeFit
-
-    def std(self, name: str) -> float:
-        return float(np.sqrt(self.fit.covariance.diagonal()[list(self.shares).index(name)]))
-
-    @property
-    def next(self) -> Shares:
-        """The sizes found."""
-        return dict(zip(self.shares, self.fit.sizes.tolist(), strict=True))
-
-
-class _Search:
-    """Simulations about a run, and the signatures that are known from them."""
-
-    def __init__(self, error: RunError, causes: Sequence[Cause], simulate: Simulate):
-        self.error, self.simulate = error, simulate
-        self.causes = {each.name: each for each in causes}
-        nones = [each for each in simulate([{}] * SIMULATED_ROUNDS) if each is not None]
-        if not nones:
-            raise InputError("the simulated robot without gap falls, so nothing can be compared with it")
-        covariance = np.mean([each.covariance for each in nones], axis=0)
-        self.noise = error.spread(covariance)
-        self.none = Surface(np.mean([each.weights for each in nones], axis=0), covariance / len(nones))
-        self.changes: dict[str, list[_Change]] = {}
-        self.points: dict[tuple[frozenset[str], str], _Point] = {}
-
-    def simulate_usual(self) -> None:
-        """Simulates each cause at its usual size or, where the robot falls, at a third of it."""
-        for share in (1.0, 0.3):
-            self._keep({name: share for name in self.causes if name not in self.changes})
-
-    def simulate_whole(self) -> None:
-        """Simulates each cause at the size at which its effect is as large as the error that is to be explained.
-
-        One that seems to lie on the other side of no difference then is simulated there, too.
-        """
-        wanted = dict[str, float]()
-        error = max(float(self.error.squares(self.none.weights).sum()), 0.0)
-        for name in self.changes:
-            share = float(np.sqrt(error / max(self.error.effect(self.slope(name, 1.0).weights), 1e-12)))
-            wanted[name] = float(np.clip(share, 0.3, MOST_USUAL))
-        self._keep(self.shortened(wanted))
-        signed = [name for name in wanted if self.causes[name].signed]
-        backward = [name for name in signed if self.fitted({name: 0.0}, self.none).next[name] < 0]
-        self._keep(self.shortened({name: -wanted[name] for name in backward}))
-
-    def _keep(self, wanted: Shares) -> None:
-        """Keeps the signatures of causes of some sizes, each alone."""
-        for name, found in zip(wanted, self.simulate([{name: wanted[name]} for name in wanted]), strict=True):
-            if found is not None:
-                change = _Change(wanted[name], found.weights - self.none.weights)
-                self.changes.setdefault(name, []).append(change)
-
-    def slope(self, name: str, share: float) -> _Slope:
-        """The signature of a cause about a size.
-
-        It is the mean of what was found at all sizes, weighted by the inverse of the variance there: that of the
-        simulations, and what signatures usually bend between that size and this one.
-        """
-        shares = np.array([each.share for each in self.changes[name]])
-        secants = np.array([each.weights / each.share for each in self.changes[name]])
-        without = self.error.spread(self.none.covariance) / self.noise
-        inaccuracy = (1 + without) * self.noise / shares**2
-        largest = int(np.argmax(np.abs(shares)))
-        square = max(self.error.effect(secants[largest]) - float(inaccuracy[largest]), 0.0)
-        weights = 1 / (inaccuracy + (BENDING * (shares - share)) ** 2 * square)
-        weights /= weights.sum()
-        parts = weights / shares  # of each simulation; that without causes has their sum
-        return _Slope(np.einsum("i,ink->nk", weights, secants), float(np.sum(parts**2) + without * np.sum(parts) ** 2))
-
-    def fitted(
-        self, shares: Shares, surface: Surface, slopes: Mapping[str, _Slope] | None = None, rests: Array = RESTS
-    ) -> _Point:
-        """The sizes that follow from a simulated robot, by the present signatures or others."""
-        near = {name: share or self.changes[name][-1].share for name, share in shares.items()}
-        known = slopes or {name: self.slope(name, share) for name, share in near.items()}
-        rows = np.array([known[name].weights for name in shares]).reshape(len(shares), *surface.weights.shape)
-        unit = self.noise / self.error.spread(surface.covariance)
-        inaccuracy = unit * np.array([known[name].inaccuracy for name in shares])
-        sizes = np.array([*shares.values()])
-        return _Point(shares, surface, known, fit_sizes(self.error, surface, sizes, rows, inaccuracy, rests))
-
-    def predicted(self, point: _Point, shares: Shares) -> Array:
-        """Error of the robot with some sizes, by the signatures of a point; shape (n, k)."""
-        changes = [point.slopes[name].weights * (share - point.shares[name]) for name, share in shares.items()]
-        return point.surface.weights + np.sum(changes, axis=0)
-
-    def joined(self, before: _Point, shares: Shares, surface: Surface) -> Surface:
-        """The mean of a simulated robot and of what the point before predicts for its sizes, by inverse variances.
-
-        The variance of the prediction is that of its robot and signatures and, where they differ by more than these
-        explain, because signatures bend, what else there is.
-        """
-        other = self.predicted(before, shares)
-        steps = np.array([shares[name] - before.shares[name] for name in shares])
-        variance = self.error.spread(before.surface.covariance) / self.noise
-        variance += float(steps**2 @ [before.slopes[name].inaccuracy for name in shares])
-        variance = max(variance, self.error.effect(surface.weights - other) / self.noise - 1)
-        own = variance / (1 + variance)
-        return Surface(own * surface.weights + (1 - own) * other, own * surface.covariance)
-
-    def permitted(self, shares: Shares) -> bool:
-        """Whether sizes are on a side where some are valid."""
-        return all(self.causes[name].signed or share > 0 for name, share in shares.items())
-
-    def shortened(self, shares: Shares) -> Shares:
-        """The valid sizes that are next to these."""
-        return {
-            name: float(np.clip(share, self.causes[name].least, self.causes[name].most))
-            for name, share in shares.items()
-        }
-
-    def walked(self, starts: Sequence[tuple[_Point, str]]) -> dict[str, _Point]:
-        """Simulates robots with one cause more, at the sizes found, some times; by the name of that cause."""
-        points = {name: self.fitted({**start.shares, name: 0.0}, start.surface) for start, name in starts}
-        origins = {name: start for start, name in starts}
-        found = dict[str, _Point]()
-        for _ in range(SIMULATED_ROUNDS):
-            best = max((point.fit.log_evidence for point in found.values()), default=-inf)
-            points = {
-                name: point
-                for name, point in points.items()
-                if self.permitted(point.next) and point.fit.log_evidence > best - HOPELESS
-            }
-            wanted = {name: self.shortened(point.next) for name, point in points.items()}
-            for name, surface in zip(wanted, self.simulate([*wanted.values()]), strict=True):
-                if surface is None:
-                    points.pop(name)
-                    continue
-                self._learn(name, wanted[name], surface, origins[name])
-                points[name] = self.fitted(wanted[name], self.joined(points[name], wanted[name], surface))
-                found[name] = points[name]
-        found = {name: point for name, point in found.items() if point.next == self.shortened(point.next)}
-        self.points |= {(frozenset(origins[name].shares), name): point for name, point in found.items()}
-        return found
-
-    def _learn(self, name: str, shares: Shares, surface: Surface, origin: _Point) -> None:
-        """Keeps the signature of a cause at the size simulated, after the signatures of the others were taken off."""
-        change = surface.weights - origin.surface.weights
-        for each in shares:
-            if each != name:
-                change = change - origin.slopes[each].weights * (shares[each] - origin.shares[each])
-        self.changes[name].append(_Change(shares[name], change))
+Simulate = Callable[[Sequence[tuple[Shares, int]]], Sequence[Surface | None]]
+"""Errors of robots with causes of these sizes; None for a robot that fell. Those of one number have the same targets
+and noise, so that these do not add to their difference."""
 
 
 def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) -> Explanation:
-    """Finds the causes that explain the errors of a run.
+    """Finds the sizes of causes that explain the errors of a run.
 
     Args:
         error: Errors of the run.
@@ -353,82 +341,99 @@ def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) 
     Raises:
         InputError: The simulated robot falls without gap, or with each of the causes.
     """
-    search = _Search(error, causes, simulate)
-    search.simulate_usual()
-    search.simulate_whole()
-    walked = [each for each in causes if each.name in search.changes]
-    if not walked:
-        names = ", ".join(each.name for each in causes)
-        raise InputError(f"the simulated robot falls with a usual size of each of the possible causes: {names}")
-    largest = [max(search.changes[each.name], key=lambda change: abs(change.share)) for each in walked]
-    signatures = signature_products(
-        error, SIMULATED_ROUNDS * search.none.covariance, [each.weights for each in largest]
-    )
-    visible = signatures.diagonal() > LEAST_SIGNATURE**2
-    seen = [each for each, one in zip(walked, visible, strict=True) if one]
-    labels = dict(zip(seen, alike_groups(signatures[np.ix_(visible, visible)], seen), strict=True))
-    now = search.fitted({}, search.none)
-    path, gains, groups_of, possible = [now], list[tuple[str, float]](), dict[str, set[str]](), seen
-    while len(gains) < MOST_GROUPS and (more := _with_one_more(search, now, [each.name for each in possible])):
-        name, point, near = more
-        gains.append((name, point.fit.log_evidence - now.fit.log_evidence))
-        label = labels[search.causes[name]]
-        groups_of[name] = near | {each.name for each in seen if labels[each] == label}
-        possible = [each for each in possible if labels[each] != label]  # one cause of a group has the size of all
-        now = point
-        path.append(now)
-    squares = np.maximum(error.squares(search.none.weights), 0.0)
+    none, signatures = find_signatures(error, causes, simulate)
+    walked = [each for each in causes if each.name in signatures]
+    rows = np.array([signatures[each.name] for each in walked])
+    together = most_probable(error, none, rows)
+    squares = np.maximum(error.squares(none.weights), 0.0)
     total = max(float(squares.sum()), 1e-9)
-    left = [float(np.clip(error.squares(search.predicted(each, each.next)).sum() / total, 0.0, 1.0)) for each in path]
-    groups = []
-    for number, (name, gain) in enumerate(gains):
-        members = _members(search, now, name, [each for each in seen if each.name in groups_of[name]])
-        groups.append(CauseGroup(members, gain, max(left[number] - left[number + 1], 0.0)))
-    without = search.fitted(now.shares, now.surface, now.slopes, rests=RESTS[:1]).fit.log_evidence
+
+    def left(sizes: Array, signatures: Array) -> float:
+        weights = none.weights + np.tensordot(sizes, signatures, 1)
+        return float(np.clip(error.squares(weights).sum() / total, 0.0, 1.0))
+
+    sizes = list[CauseSize]()
+    seen = list[int]()
+    for number, cause in enumerate(walked):
+        signature = rows[number : number + 1]
+        alone = most_probable(error, none, signature)
+        if alone.covariance[0, 0] < UNSEEN_STD**2:
+            seen.append(number)
+            std = float(np.sqrt(together.covariance[number, number]))
+            explained = 1 - left(alone.sizes, signature)
+            sizes.append(CauseSize(cause, float(together.sizes[number]), std, float(alone.sizes[0]), explained))
+    groups = alike_groups(together.cosines[np.ix_(seen, seen)], [walked[number] for number in seen])
     return Explanation(
-        tuple(groups),
+        tuple(sorted(sizes, key=lambda size: -size.explained)),
         error.noise_std * np.sqrt(squares / error.steps),
-        left[-1],
-        now.fit.log_evidence - without,
-        tuple(tuple(each for each in seen if labels[each] == label) for label in dict.fromkeys(labels.values())),
-        tuple(each for each in walked if each not in seen),
-        tuple(each for each in causes if each not in walked),
+        left(together.sizes, rows),
+        together.log_evidence - fit_sizes(error, none, rows, RESTS[0]).log_evidence,
+        tuple(group for group in groups if len(group) > 1),
+        tuple(cause for number, cause in enumerate(walked) if number not in seen),
+        tuple(cause for cause in causes if cause not in walked),
     )
 
 
-def _with_one_more(search: _Search, now: _Point, names: Sequence[str]) -> tuple[str, _Point, set[str]] | None:
-    """The most probable further cause, simulated at the size found, and all that are nearly as probable.
+def find_signatures(
+    error: RunError, causes: Sequence[Cause], simulate: Simulate
+) -> tuple[Surface, Mapping[str, Array]]:
+    """Error of the simulated robot without gap, and change of it by each cause with which it walks, per size (n, k).
 
-    None if none is probable enough.
+    Each cause is simulated alone, at its usual size, and then at the size that it would have alone, since half a
+    millisecond of delay does not do half of what a millisecond does.
+
+    Raises:
+        InputError: The robot falls without gap, or with each of the causes.
     """
-    points = {name: search.fitted({**now.shares, name: 0.0}, now.surface) for name in names if name not in now.shares}
-    likely = [name for name, point in points.items() if point.fit.log_evidence > now.fit.log_evidence]
-    possible = [name for name in likely if search.permitted(points[name].next)]
-    possible.sort(key=lambda name: -points[name].fit.log_evidence)
-    found = search.walked([(now, name) for name in possible[:MOST_SIMULATED]])
-    if not found:
-        return None
-    best = max(found, key=lambda name: found[name].fit.log_evidence)
-    if found[best].fit.log_evidence - now.fit.log_evidence < CAUSE_LOG_ODDS:
-        return None
-    near = {name for name, point in found.items() if point.fit.log_evidence > found[best].fit.log_evidence - TOLD_APART}
-    return best, found[best], near
+    nones = [surface for surface in simulate([({}, 0), ({}, 1)]) if surface]
+    if len(nones) < 2:
+        raise InputError("the simulated robot without gap falls, so nothing can be compared with it")
+    none = nones[0]._replace(
+        weights=(nones[0].weights + nones[1].weights) / 2, covariance=(nones[0].covariance + nones[1].covariance) / 4
+    )
+
+    def signatures(shares: Shares, number: int) -> dict[str, Array]:
+        surfaces = simulate([({name: share}, number) for name, share in shares.items()])
+        pairs = zip(shares.items(), surfaces, strict=True)
+        return {name: (one.weights - nones[number].weights) / share for (name, share), one in pairs if one}
+
+    # At the usual size or, where the robot falls, at a third of it
+    usual = signatures({cause.name: 1.0 for cause in causes}, 0)
+    usual |= signatures({cause.name: 0.3 for cause in causes if cause.name not in usual}, 0)
+    if not usual:
+        names = ", ".join(cause.name for cause in causes)
+        raise InputError(f"the simulated robot falls with a usual size of each of the possible causes: {names}")
+    # At the size that follows
+    sizes = dict[str, float]()
+    for cause in causes:
+        if cause.name in usual:
+            size = float(most_probable(error, none, usual[cause.name][None]).sizes[0])
+            sizes[cause.name] = _simulated_size(cause, size)
+    return none, {**usual, **signatures(sizes, 1)}
 
 
-def _members(search: _Search, now: _Point, name: str, group: Sequence[Cause]) -> tuple[Member, ...]:
-    """What each cause of a group would have as its size, in place of the one that was found."""
-    others = {each: share for each, share in now.shares.items() if each != name}
-    base = search.simulate([others])[0] if others else search.none
-    points = {name: now}
-    if base is not None:
-        start = search.fitted(others, base)
-        wanted = [each.name for each in group if each.name not in now.shares]
-        known = {each: search.points.get((frozenset(others), each)) for each in wanted}
-        points |= {each: point for each, point in known.items() if point}
-        points |= search.walked([(start, each) for each in wanted if not known[each]])
-    best = max(point.fit.log_evidence for point in points.values())
-    members = [
-        Member(search.causes[each], point.next[each], point.std(each), point.fit.log_evidence - best)
-        for each, point in points.items()
+def _simulated_size(cause: Cause, size: float) -> float:
+    """The size next to one that is valid, neither too small nor too large to simulate, and on the same side of zero."""
+    side = -1.0 if size < 0 and cause.least <= -SMALLEST_SIMULATED else 1.0
+    amount = float(np.clip(side * size, SMALLEST_SIMULATED, LARGEST_SIMULATED))
+    return float(np.clip(side * amount, cause.least, cause.most))
+
+
+def alike_groups(cosines: Array, causes: Sequence[Cause]) -> list[tuple[Cause, ...]]:
+    """Groups of causes whose signatures have a cosine of at least `ALIKE` (complete linkage).
+
+    Args:
+        cosines: Cosines of their signatures; shape (p, p). That of causes that act in opposite directions is negative;
+            they are alike if a size may be negative.
+        causes: The p causes.
+    """
+    if len(causes) < 2:
+        return [(cause,) for cause in causes]
+    signed = np.array([cause.signed for cause in causes])
+    distance = 1 - np.where(signed[:, None] | signed, np.abs(cosines), cosines)
+    np.fill_diagonal(distance, 0.0)
+    labels = fcluster(linkage(squareform(distance, checks=False), "complete"), 1 - ALIKE, "distance").tolist()
+    return [
+        tuple(cause for cause, own in zip(causes, labels, strict=True) if own == label)
+        for label in dict.fromkeys(labels)
     ]
-    return tuple(sorted(members, key=lambda each: -each.log_odds))

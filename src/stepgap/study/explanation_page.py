@@ -1,106 +1,128 @@
 """What explains the error of a run: sentences, a table and a figure."""
 
 from collections.abc import Mapping
-from math import exp, isinf
+from math import isinf
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from stepgap.base.normal import INTERVAL_95
 from stepgap.base.ranges import format_value
-from stepgap.records.text import decimal, in_words, listed
-from stepgap.report.drawing import BLUE, LIGHT, draw_figure, new_figure, plain
-from stepgap.report.html import bullets, page, paragraph, picture, safe, section, table
+from stepgap.records.text import in_words, listed
+from stepgap.report.drawing import BLUE, GREY, draw_figure, new_figure, plain
+from stepgap.report.html import bullets, page, paragraph, picture, section, table
 from stepgap.step import StepSpace
-from stepgap.study.cause_sizes import Cause
-from stepgap.study.explanation import CAUSE_LOG_ODDS, TOLD_APART, CauseGroup, Explanation, Member
+from stepgap.study.explanation import REST_LOG_ODDS, CauseSize, Explanation
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from matplotlib.figure import Figure
 
-EXPERIMENTS: Final[Mapping[str, str]] = {
-    "body_com_offset": "hang the body up at two points: its centre of mass is below both",
-    "ground_friction": "pull the foot over the ground under a known load, and measure the force",
-    "mass": "weigh the part, or add a known mass and run again",
-    "payload": "weigh the part, or add a known mass and run again",
-    "inertia": "let the part swing as a pendulum",
-    "torque_scale": "torque steps against a scale",
-    "torque_imbalance": "torque steps of each motor against a scale",
-    "gear": "force steps against a scale",
-    "lag": "torque steps, with a log of when the torque rises",
-    "delay": "torque steps, with a log of when the torque begins to rise",
-    "saturation": "torque steps up to the largest torque",
-    "friction": "move the part slowly by hand, and measure the force at which it moves",
-    "damping": "move the part at several constant speeds, and measure the force",
-    "drag": "move the part at several constant speeds, and measure the force",
-    "stiffness": "press with a known force, and measure how far it yields",
-    "softness": "press with a known force, and measure how far it yields",
-    "offset": "put the part into a known position, and read the sensor",
-    "slope": "a spirit level",
-    "tilt": "a spirit level",
-}
-"""Experiments without a step that measure a difference, by a word in its name."""
+LEAST_EXPLAINED: Final = 0.1
+"""Share of the squared difference from which on a cause is worth a sentence."""
 
-SHARES_CAPTION: Final = (
-    "Share of the squared difference between the errors of the run and of the simulated robot without gap, less noise, "
-    "that each group of causes explains, and what none explains."
+CAPTION: Final = (
+    "Left: share of the squared difference between the errors of the run and of the simulated robot without gap, less "
+    "noise, that each cause explains alone. Right: sizes where all causes may act, with 95 % intervals."
 )
 
 METHOD: Final = (
-    "Each cause was set alone in the simulated robot, which then tracked states of the run; the change of the error is "
-    "its signature. Causes are found one after the other by evidence, simulated again at the sizes found. Causes whose "
-    "signatures are alike form a group. ± is half of a 95 % interval, which includes the inaccuracy of the signatures."
+    "Each cause was set alone in the simulated robot, which then tracked states of the run; the change of the error "
+    "per size is its signature. The sizes follow from the error of the run by one regression on all signatures, and, "
+    "alone, by one on each. Where signatures are alike, the intervals of the sizes together are wide."
 )
 
 
 def explanation_sentences(explanation: Explanation, space: StepSpace) -> list[str]:
     """What explains the error, with sizes, what does not, and what to do."""
     rms = in_words(space.state, explanation.difference * space.state_scale)
-    difference = (
-        f"the errors of this run differ from those of the simulated robot without gap by {rms} (rms, less noise)"
+    silent = (
+        ("whose effect it could not see", explanation.unseen),
+        ("with which the simulated robot falls", explanation.failed),
     )
-    groups = [_group_sentence(each) for each in explanation.groups]
-    if not groups:
-        groups = ["none of the causes makes these errors 20 times more probable than an error of unknown form does"]
-    return [difference, *groups, _rest_sentence(explanation), *_advice(explanation)]
+    return [
+        f"the errors of this run differ from those of the simulated robot without gap by {rms} (rms, less noise)",
+        *_size_sentences(explanation),
+        *_alike_sentences(explanation),
+        _rest_sentence(explanation),
+        *(
+            f"this run says nothing of {listed([cause.name for cause in causes])}, {reason}"
+            for reason, causes in silent
+            if causes
+        ),
+    ]
+
+
+def _size_sentences(explanation: Explanation) -> list[str]:
+    """The cause that explains most alone, and those that act whatever the others do."""
+    best = next(iter(explanation.causes), None)
+    if best is None or best.explained < LEAST_EXPLAINED:
+        return ["none of the causes alone explains a tenth of the squared difference"]
+    alone = _shown(best, best.cause.value(best.alone))
+    share = _percent(best.explained)
+    alike = {cause for group in explanation.alike for cause in group}
+    acting = [
+        f"{size.cause.name} {_shown(size, size.value)} ({_interval(size)})"
+        for size in explanation.causes
+        if size.acts and size.cause not in alike
+    ]
+    return [
+        f"of single causes, {best.cause.name} {alone} explains most: {share} of the squared difference",
+        f"whatever the other causes do, these act: {listed(acting)} (95 % intervals)"
+        if acting
+        else "where all causes may act, no single one is certain to act",
+    ]
+
+
+def _alike_sentences(explanation: Explanation) -> list[str]:
+    """Which causes cannot be told apart, of the groups that explain something."""
+    explained = {size.cause: size.explained for size in explanation.causes}
+    groups = [group for group in explanation.alike if max(explained[cause] for cause in group) >= LEAST_EXPLAINED]
+    return [
+        f"this run cannot tell {listed([cause.name for cause in group])} apart: measure one, and give it as --known"
+        for group in groups
+    ]
 
 
 def explanation_table(explanation: Explanation, meanings: Mapping[str, str]) -> tuple[list[str], list[list[str]]]:
-    """Heads and rows of the table of causes: those of the groups that are in question.
+    """Heads and rows of the table of causes that the run sees.
 
     Args:
         explanation: What was found.
         meanings: Text on each cause.
     """
-    heads = ["cause", "size", "95 % interval", "without gap", "group", "odds in the group", "meaning"]
+    heads = ["cause", "size", "95 % interval", "size alone", "explains alone", "without gap", "meaning"]
     rows = [
         [
-            each.cause.name,
-            _in_interval(each, each.value),
-            " to ".join(_in_interval(each, end) for end in each.interval),
-            format_value(each.cause.exact),
-            str(number),
-            f"1 : {_odds(-each.log_odds)}",
-            _first_sentence(meanings.get(each.cause.name, "")),
+            size.cause.name,
+            _shown(size, size.value),
+            _interval(size),
+            _shown(size, size.cause.value(size.alone)),
+            _percent(size.explained),
+            format_value(size.cause.exact),
+            _first_sentence(meanings.get(size.cause.name, "")),
         ]
-        for number, group in enumerate(explanation.groups, 1)
-        for each in members_in_question(group)
+        for size in explanation.causes
     ]
     return heads, rows
 
 
 def explanation_figure(explanation: Explanation) -> "Figure":
-    """Bars of the shares of the squared difference."""
-    bars = [(_named(group), group.explained, BLUE) for group in explanation.groups]
-    bars.append(("none of the causes", explanation.rest, LIGHT))
-    figure = new_figure(0.7 + 0.3 * len(bars))
-    panel = figure.subplots()
-    for row, (_, share, colour) in enumerate(bars):
-        panel.barh(-row, 100 * share, color=colour, height=0.7)
-        panel.annotate(f" {share:.0%}", (100 * share, -row), va="center")
-    panel.set_yticks([-row for row in range(len(bars))], [plain(name) for name, _, _ in bars])
-    panel.spines[["top", "right"]].set_visible(False)
-    panel.set_xlim(0, 110)
-    panel.set_xlabel("Share of the squared difference [%]")
+    """Bars of what each cause explains alone, and intervals of the sizes where all may act."""
+    sizes = explanation.causes
+    figure = new_figure(0.9 + 0.22 * len(sizes))
+    shares, intervals = figure.subplots(1, 2, sharey=True)
+    for row, size in enumerate(sizes):
+        shares.barh(-row, 100 * size.explained, color=BLUE, height=0.7)
+        colour = BLUE if size.acts else GREY
+        half = INTERVAL_95 * size.std
+        intervals.errorbar(size.share, -row, xerr=half, fmt="o", color=colour, capsize=2)
+    shares.set_yticks([-row for row in range(len(sizes))], [plain(size.cause.name) for size in sizes])
+    shares.set_xlim(0, 100)
+    shares.set_xlabel("Explained alone [%]")
+    intervals.axvline(0, color=GREY, linewidth=0.7)
+    intervals.set_xlabel("Size [usual sizes]")
+    for panel in (shares, intervals):
+        panel.spines[["top", "right"]].set_visible(False)
     return figure
 
 
@@ -113,105 +135,44 @@ def explanation_page(name: str, explanation: Explanation, space: StepSpace, mean
         space: State and command of the run.
         meanings: Text on each cause.
     """
-    drawing = draw_figure(lambda: explanation_figure(explanation), "the shares")
-    alike = [listed([each.name for each in group]) for group in explanation.alike if len(group) > 1]
-    parts = [
-        section(
-            "causes",
-            "Causes",
-            bullets(explanation_sentences(explanation, space)),
-            picture(drawing, "causes-", SHARES_CAPTION),
-        ),
-        section("sizes", "Sizes", table("", *explanation_table(explanation, meanings)), paragraph(METHOD)),
-    ]
-    if alike:
-        parts.append(section("alike", "Causes whose signatures are alike in this run", bullets(alike)))
-    if silent := _silent(explanation):
-        parts.append(section("left-out", "Causes of which this run says nothing", bullets(silent)))
-    return page("StepGap explanation", [f"<h1>What explains the error of {safe(name)}</h1>", *parts])
+    drawing = draw_figure(lambda: explanation_figure(explanation), "the sizes")
+    title = f"What explains the error of {name}"
+    sentences = bullets(explanation_sentences(explanation, space))
+    rows = table("", *explanation_table(explanation, meanings))
+    figure = picture(drawing, "causes-", CAPTION)
+    return page("StepGap explanation", [section("causes", title, sentences, figure, rows, paragraph(METHOD))])
 
 
-def members_in_question(group: CauseGroup) -> list[Member]:
-    """Causes of a group that explain the errors about as well as its first."""
-    return [each for each in group.members if each.log_odds > -TOLD_APART]
+def _interval(size: CauseSize) -> str:
+    return " to ".join(_shown(size, end) for end in size.interval)
 
 
-def _group_sentence(group: CauseGroup) -> str:
-    possible = members_in_question(group)
-    sizes = listed([f"{each.cause.name} {_size(each)}" for each in possible], "or")
-    alike = ", which this run cannot tell apart," if len(possible) > 1 else ""
-    return f"{sizes}{alike} explains {group.explained:.0%} of the squared difference".replace("%", " %")
-
-
-def _size(member: Member) -> str:
-    low, high = member.interval
-    if isinf(high):
-        return f"{_in_interval(member, member.value)} (at least {_in_interval(member, low)})"
-    half = (high - low) / 2
-    lopsided = max(high - member.value, member.value - low) > 1.2 * half
-    ends = f"({_in_interval(member, low)} to {_in_interval(member, high)})" if lopsided else f"± {decimal(half, 1)}"
-    return f"{_in_interval(member, member.value)} {ends}"
-
-
-def _in_interval(member: Member, value: float) -> str:
-    """A value with two digits of the half width of the interval of a cause, at least three of its own."""
-    low, high = member.interval
+def _shown(size: CauseSize, value: float) -> str:
+    """A value of a cause with decimals by its usual one."""
     if isinf(value):
         return "∞"
-    half = high - member.value if not isinf(high) else member.value - low
-    ratio = abs(value) / half if half > 0 else 1.0
-    return decimal(value, min(max(3, 2 + int(np.floor(np.log10(max(ratio, 1.0))))), 8))
+    usual = size.cause.usual if isinf(size.cause.exact) else size.cause.usual - size.cause.exact
+    places = max(0, 2 - int(np.floor(np.log10(abs(usual)))))
+    return f"{value:.{places}f}".replace("-", "−")
 
 
 def _rest_sentence(explanation: Explanation) -> str:
-    share = f"{explanation.rest:.0%}".replace("%", " %")
+    share = _percent(explanation.rest)
     if explanation.has_rest:
         return (
             f"{share} of the squared difference is none of these causes; that is more than noise and inaccurate "
             "simulation explain: something is not in the list, or acts only together with others"
         )
-    if explanation.rest_log_odds > CAUSE_LOG_ODDS:
+    if explanation.rest_log_odds > REST_LOG_ODDS:
         return (
-            f"the rest, {share}, is small, but more than noise: a small cause may act that was not found, or one that "
-            "is not in the list acts nearly as those named here"
+            f"the rest, {share}, is small, but more than noise: signatures are inaccurate, or one that is not in the "
+            "list acts nearly as those named here"
         )
     return f"the rest, {share}, is no larger than noise and inaccurate simulation explain"
 
 
-def _advice(explanation: Explanation) -> list[str]:
-    lines = []
-    for group in explanation.groups:
-        possible = members_in_question(group)
-        known = {each.cause.name: how for each in possible if (how := _experiment(each.cause))}
-        if len(possible) > 1 and known:
-            told = "; ".join(f"for {name}, {how}" for name, how in known.items())
-            lines.append(f"to tell them apart: {told}")
-    large = [_named(group) for group in explanation.groups if group.explained > 0.1]
-    if large:
-        lines.append(f"to mend in the model, after it was measured: {listed(large)}; the residual learns what is left")
-    elif explanation.groups and not explanation.has_rest:
-        lines.append("nothing of this is worth a change of the model: the residual learns it")
-    return lines
-
-
-def _experiment(cause: Cause) -> str:
-    return next((how for word, how in EXPERIMENTS.items() if word in cause.name), "")
-
-
-def _silent(explanation: Explanation) -> list[str]:
-    pairs = (
-        ("has no effect here that this run could see", explanation.unseen),
-        ("the simulated robot falls with a usual size of it", explanation.failed),
-    )
-    return [f"{text}: {listed([each.name for each in causes])}" for text, causes in pairs if causes]
-
-
-def _named(group: CauseGroup) -> str:
-    return listed([each.cause.name for each in members_in_question(group)], "or")
-
-
-def _odds(log: float) -> str:
-    return decimal(exp(log), 2)
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
 
 
 def _first_sentence(text: str) -> str:

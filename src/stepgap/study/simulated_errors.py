@@ -6,7 +6,6 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import count
 from typing import Any, Final, final
 
 import numpy as np
@@ -29,8 +28,15 @@ from stepgap.robots.entry_points import simulations_of
 from stepgap.robots.gap import Gap
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap
-from stepgap.study.cause_sizes import SIGNATURE_DEGREE, Cause, Shares, Surface, causes_of, fit_surface
-from stepgap.study.explanation import MOST_GROUPS, MOST_SIMULATED, SIMULATED_ROUNDS
+from stepgap.study.explanation import (
+    SIGNATURE_DEGREE,
+    Cause,
+    Shares,
+    Simulate,
+    Surface,
+    causes_of,
+    fit_surface,
+)
 
 STEPS_PER_MONOMIAL: Final = 8
 """Number of simulated steps for each monomial of the polynomials."""
@@ -55,8 +61,8 @@ class SimulatedRobots:
 
     Attributes:
         settings: Settings of the experiment, with a robot that has a gap.
-        targets: States to track, about which each simulation has targets of its own; NaN where they are not tracked;
-            shape (N, n).
+        targets: States to track, about which the simulations of each number have targets of their own; NaN where they
+            are not tracked; shape (N, n).
         seed: Random seed of the simulations, which are without noise unless that is known or a cause.
         known: Differences that the robot certainly has, such as the resolution of its encoders, with their values.
     """
@@ -81,7 +87,7 @@ class SimulatedRobots:
 
         Args:
             shares: The sizes.
-            number: Number of the simulation, by which targets and noise scatter.
+            number: Number by which targets and noise scatter.
         """
         values: dict[str, Any] = {name: self.causes[name].value(share) for name, share in shares.items()}
         try:
@@ -90,7 +96,8 @@ class SimulatedRobots:
             return None
         robot = with_gap(self.settings.robot, gap)
         space = self.nominal.space
-        log, targets = Steps(space), self._targets(random_stream(self.seed, number, 0))
+        log = Steps(space)
+        targets = self._targets(random_stream(self.seed, number, 0))
         with one_blas_thread():
             simulation = next(iter(simulations_of(robot).values()))(random_stream(self.seed, number, 1))
             for attempt in range(MOST_FALLS):
@@ -105,8 +112,8 @@ class SimulatedRobots:
                             log += [logged]
                     except RigFault:
                         continue
-            found = observe(log.completed(), self.nominal)
-        return found if len(found) > len(targets) // 2 else None
+            completed = observe(log.completed(), self.nominal)
+        return completed if len(completed) > len(targets) // 2 else None
 
     def _targets(self, rng: np.random.Generator) -> Array:
         space = self.nominal.space
@@ -116,18 +123,13 @@ class SimulatedRobots:
     def surface(self, shares: Shares, number: int) -> Surface | None:
         """The error of such a robot."""
         steps = self.steps(shares, number)
-        return None if steps is None else fit_surface(steps)[0]
+        return None if steps is None else fit_surface(steps)
 
 
 def with_gap(robot: Robot, gap: Gap) -> Robot:
     """A robot with another gap."""
     changed: Any = robot  # a frozen dataclass, which the type of its abstract class does not say
     return replace(changed, gap=gap)
-
-
-def most_simulations(causes: int) -> int:
-    """Number of robots that the explanation by a number of causes simulates at most, but for large groups."""
-    return SIMULATED_ROUNDS + 4 * causes + MOST_GROUPS * SIMULATED_ROUNDS * (MOST_SIMULATED + 1)
 
 
 def gap_of(settings: Experiment) -> Gap:
@@ -147,10 +149,10 @@ def gap_of(settings: Experiment) -> Gap:
 
 def targets_of(run: Observations) -> Array:
     """States of a run, in their order, that simulated robots track; NaN where they are not tracked; shape (N, n)."""
-    space, inputs = run.space, len(run.space.names)
-    wanted = min(STEPS_PER_MONOMIAL * number_of_monomials(inputs, SIGNATURE_DEGREE), MOST_SIMULATED_STEPS)
-    rows = np.linspace(0, len(run) - 1, wanted).round().astype(int)
-    return np.where(space.tracked, run.state[rows], np.nan)
+    monomials = number_of_monomials(len(run.space.names), SIGNATURE_DEGREE)
+    count = min(STEPS_PER_MONOMIAL * monomials, MOST_SIMULATED_STEPS)
+    rows = np.linspace(0, len(run) - 1, count).round().astype(int)
+    return np.where(run.space.tracked, run.state[rows], np.nan)
 
 
 _kept: list[SimulatedRobots] = []
@@ -167,21 +169,19 @@ def _surface(shares: Shares, number: int) -> Surface | None:
 
 
 @contextmanager
-def simulated_on_all_cores(
-    robots: SimulatedRobots, progress: Callable[[int], None]
-) -> Iterator[Callable[[Sequence[Shares]], list[Surface | None]]]:
+def simulated_on_all_cores(robots: SimulatedRobots, progress: Callable[[int], None]) -> Iterator[Simulate]:
     """The function that simulates robots, in as many processes as there are cores.
 
     Args:
         robots: The robots.
         progress: Called with the number of robots that have been simulated.
     """
-    numbers, done = count(), 0
+    done = 0
     pool = ProcessPoolExecutor(usable_cores(), process_context(), _keep_robots, (robots,))
 
-    def simulate(wanted: Sequence[Shares]) -> list[Surface | None]:
+    def simulate(asked: Sequence[tuple[Shares, int]]) -> list[Surface | None]:
         nonlocal done
-        waiting = [pool.submit(_surface, shares, next(numbers)) for shares in wanted]
+        waiting = [pool.submit(_surface, shares, number) for shares, number in asked]
         for _ in as_completed(waiting):
             done += 1
             progress(done)

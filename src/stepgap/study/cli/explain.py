@@ -14,8 +14,7 @@ from stepgap.cli.terminal import announces_compilation
 from stepgap.robots.gap import Gap, differences
 
 if TYPE_CHECKING:  # slow imports are made where they are used
-    from stepgap.study.cause_sizes import Cause
-    from stepgap.study.explanation import Explanation
+    from stepgap.study.explanation import Cause, Explanation
     from stepgap.study.simulated_errors import SimulatedRobots
 
 LEAST_PER_MONOMIAL = 2
@@ -35,8 +34,7 @@ def explain(
 ) -> None:
     """Explain the error of a run: which differences from the model the robot may have, of what size, and what is left.
 
-    Some hundred robots that differ from the model in one or a few ways are simulated, on all cores, which takes a
-    minute to some minutes.
+    Two robots with each difference alone are simulated, on all cores, which takes up to some minutes.
 
     Args:
         run: Folder of the run.
@@ -52,16 +50,9 @@ def explain(
     from stepgap.experiment.settings_text import meanings
     from stepgap.gauss.monomials import number_of_monomials
     from stepgap.learning.observations import observe
-    from stepgap.study.cause_sizes import SIGNATURE_DEGREE, RunError
-    from stepgap.study.explanation import explain_error
+    from stepgap.study.explanation import SIGNATURE_DEGREE, RunError, explain_error
     from stepgap.study.explanation_page import explanation_page, explanation_sentences, explanation_table
-    from stepgap.study.simulated_errors import (
-        SimulatedRobots,
-        gap_of,
-        most_simulations,
-        simulated_on_all_cores,
-        targets_of,
-    )
+    from stepgap.study.simulated_errors import SimulatedRobots, gap_of, simulated_on_all_cores, targets_of
 
     if not 0 <= seed < 2**63:
         raise InputError(f"--seed {seed}: it must lie between 0 and 2⁶³")
@@ -75,21 +66,21 @@ def explain(
         raise InputError(f"{run}: {len(steps)} completed steps say too little; {needed} are needed")
     robots = SimulatedRobots(settings, targets_of(steps), seed, _known(known, gap))
     chosen = _chosen(causes, robots)
-    with progress_bar("simulated robots", quiet) as progress:
-        total = most_simulations(len(chosen))
-        with simulated_on_all_cores(robots, lambda done: progress(min(done, total), total)) as simulate:
-            found = explain_error(RunError.of(steps), chosen, simulate)
-    for sentence in explanation_sentences(found, steps.space):
+    total = 2 + 2 * len(chosen)  # a few more where robots fall
+    with (
+        progress_bar("simulated robots", quiet) as progress,
+        simulated_on_all_cores(robots, lambda done: progress(min(done, total), total)) as simulate,
+    ):
+        explanation = explain_error(RunError.of(steps), chosen, simulate)
+    for sentence in explanation_sentences(explanation, steps.space):
         print(sentence)
     texts = meanings(type(gap))
-    if found.groups:
-        _print_table(*explanation_table(found, texts))
+    _print_table(*explanation_table(explanation, texts))
     if out:
-        content = (
-            explanation_page(opened.folder.resolve().name, found, steps.space, texts)
-            if form == "html"
-            else _figure(found, form)
-        )
+        if form == "html":
+            content = explanation_page(opened.folder.resolve().name, explanation, steps.space, texts)
+        else:
+            content = _figure(explanation, form)
         with writing(out, "--out"):
             create(out, content)
         print(out)
@@ -106,16 +97,18 @@ def _chosen(names: str | None, robots: "SimulatedRobots") -> "list[Cause]":
     Raises:
         InputError: There is no such cause, or none at all.
     """
-    possible = {name: each for name, each in robots.causes.items() if name not in robots.known}
+    possible = {name: cause for name, cause in robots.causes.items() if name not in robots.known}
     if not possible:
         raise InputError("--known: it names all differences, so none can be a cause")
-    wanted = [each.strip() for each in names.split(",")] if names is not None else [*possible]
-    for name in wanted:
+    if names is None:
+        return [*possible.values()]
+    chosen = [name.strip() for name in names.split(",")]
+    for name in chosen:
         if name in robots.known:
             raise InputError(f"--causes {name}: --known says that the robot has it, so it is no possible cause")
         if name not in possible:
             raise InputError(f"--causes {name}: no such cause; it must be one of {', '.join(possible)}")
-    return [possible[name] for name in dict.fromkeys(wanted)]
+    return [possible[name] for name in dict.fromkeys(chosen)]
 
 
 def _known(text: str | None, gap: Gap) -> dict[str, float]:
@@ -124,33 +117,34 @@ def _known(text: str | None, gap: Gap) -> dict[str, float]:
     Raises:
         InputError: There is no such difference, or it cannot have this value.
     """
-    found, keys = dict[str, float](), differences(gap)
+    values = dict[str, float]()
+    keys = differences(gap)
     for part in text.split(",") if text is not None else ():
         name, _, number = part.strip().partition("=")
         try:
-            if name in found:
+            if name in values:
                 raise ValueError("each can have one value")
             if name not in keys:
                 raise ValueError("no such difference")
-            found[name] = float(number)
+            values[name] = float(number)
         except ValueError as error:
             raise InputError(
                 f"--known {part}: {error}; give NAME=VALUE, where NAME is one of {', '.join(keys)}"
             ) from None
     try:
-        replace(type(gap).none(), **found)
+        replace(type(gap).none(), **values)
     except ValueError as error:
         raise InputError(f"--known {text}: {error}") from None
-    return found
+    return values
 
 
-def _figure(found: "Explanation", form: str) -> bytes:
+def _figure(explanation: "Explanation", form: str) -> bytes:
     from stepgap.report.own_style import own_style
     from stepgap.study.explanation_page import explanation_figure
 
     content = BytesIO()
     with own_style():
-        explanation_figure(found).savefig(content, dpi=150, format=form)
+        explanation_figure(explanation).savefig(content, dpi=150, format=form)
     return content.getvalue()
 
 
