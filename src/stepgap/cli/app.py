@@ -27,7 +27,7 @@ from stepgap.cli.terminal import (
     replace_unwritable_characters,
     warn,
 )
-from stepgap.cli.verbs import command_line
+from stepgap.cli.verbs import GONE_OPTIONS, command_line
 
 OVERRIDE = re.compile(r"--(robot|[a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTALL)
 
@@ -157,8 +157,13 @@ def _hint_of_numba() -> str:
 
 
 def _hint(error: Exception) -> str:
-    """Hint that an unknown option may be a setting, if the verb takes settings."""
-    if not isinstance(error, cyclopts.UnknownOptionError) or "Did you mean" in str(error) or not error.target:
+    """Hint that an unknown option is gone, or that it may be a setting, if the verb takes settings."""
+    if not isinstance(error, cyclopts.UnknownOptionError):
+        return ""
+    option = (*(error.command_chain or ()), error.token.keyword or error.token.value)
+    if option in GONE_OPTIONS:
+        return f" {GONE_OPTIONS[option]}"
+    if "Did you mean" in str(error) or not error.target:
         return ""
     if "overrides" not in signature(error.target).parameters:
         return ""

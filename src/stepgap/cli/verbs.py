@@ -39,6 +39,11 @@ GONE_VERBS = {
 }
 """Verbs of earlier versions, with what replaces them."""
 
+GONE_OPTIONS = {
+    ("map", "--tick"): "It is gone: in a clone of StepGap, python -m benchmarks.twin_fidelity compares held torques.",
+}
+"""Options of earlier versions, with what replaces them."""
+
 
 def command_line(only: str = "") -> App:
     """The command line with its verbs; a verb of another package that cannot be loaded is left out with a warning.
