@@ -9,6 +9,7 @@ from time import sleep
 import numpy as np
 import pytest
 
+from stepgap.hardware.bus_rig import HostTime
 from stepgap.hardware.ethercat.emulator.clock import ClockError, ComputedTime
 from stepgap.hardware.ethercat.emulator.device import EmulatedDevice
 from stepgap.hardware.ethercat.emulator.emulator import emulated
@@ -20,7 +21,6 @@ from stepgap.hardware.hopper.ethercat import RigSettings, hopper_on_ethercat
 from stepgap.hardware.hopper.ring_rig import emulated_settings
 from stepgap.hardware.hopper.still import still_hopper
 from stepgap.hardware.hopper.twin_machine import hopper_devices
-from stepgap.hardware.bus_rig import HostTime
 from stepgap.hardware.realtime.pace import TickClock
 from stepgap.rigs.rig import Torques
 from stepgap.robots.hopper.parameters import RobotParameters

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stepgap.hardware.bus_rig import HostTime
 from stepgap.hardware.commissioning.check import ClockCheck, clock_check
 from stepgap.hardware.ethercat import bus
 from stepgap.hardware.ethercat.distributed_clocks import DcSettings, Steering, offset_from_grid
 from stepgap.hardware.ethercat.emulator.clock import ClockError
 from stepgap.hardware.ethercat.emulator.faults import Fault
 from stepgap.hardware.ethercat.emulator.network import NoNetwork, wire
-from stepgap.hardware.bus_rig import HostTime
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import RigFault
 from tests.hardware.ethercat.computed_time import TICK, TimedRig, drifting_clocks, settings_with_sync0, timed_rig

@@ -5,9 +5,9 @@ from math import nan
 
 import pytest
 
+from stepgap.hardware.bus_rig import HostTime
 from stepgap.hardware.commissioning.check import Check, Timing, with_watchdog
 from stepgap.hardware.hopper.moteus import MoteusSettings
-from stepgap.hardware.bus_rig import HostTime
 from stepgap.hardware.moteus.can_bus import CanBus, stream_of
 from stepgap.hardware.moteus.moteus_rig import MoteusRig
 from stepgap.hardware.moteus.watchdog import check_timeout
