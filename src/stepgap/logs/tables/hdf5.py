@@ -1,11 +1,12 @@
 """HDF5 files, among them MATLAB's MAT files of version 7.3; nothing outside the file is read."""
 
 from collections.abc import Sequence
+from math import prod
 from pathlib import Path
 from typing import Any
 
 from stepgap.logs.tables.arrays import only_for_matlab, part_name, tables_of_arrays
-from stepgap.logs.tables.files import check_file_size, leaving_out, library, reading
+from stepgap.logs.tables.files import LARGEST_PART, check_file_size, leaving_out, library, reading
 from stepgap.logs.tables.log_table import LogTable, check_size
 from stepgap.records.steps_csv import RecordError
 
@@ -27,7 +28,8 @@ def read_hdf5(path: Path, matlab: bool, unread: dict[str, str]) -> dict[str, Log
     check_file_size(path)
     with reading(path, "HDF5"), h5py.File(path, "r") as file:
         datasets = _datasets(h5py, file, path, unread)
-        check_size(str(path), sum(float(dataset.size) for dataset in datasets.values()))
+        sizes = [max(float(dataset.size), dataset.nbytes / 8) for dataset in datasets.values()]  # text may be long
+        check_size(str(path), sum(sizes))
         arrays: list[tuple[str, str, Any]] = []
         for names, dataset in datasets.items():
             with leaving_out(_part(names), unread):
@@ -63,6 +65,8 @@ def _datasets(h5py: Any, file: Any, path: Path, unread: dict[str, str]) -> dict[
             entry = file[place]
             if isinstance(entry, h5py.Dataset) and (entry.external or entry.is_virtual):
                 raise ValueError("its values lie in another file, which is not read")
+            if isinstance(entry, h5py.Dataset) and prod(entry.chunks or ()) * entry.dtype.itemsize > LARGEST_PART:
+                raise ValueError(f"parts larger than {LARGEST_PART} bytes")
             if isinstance(entry, h5py.Dataset) and entry.shape is not None:
                 datasets[names] = entry
         return None
