@@ -24,7 +24,7 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.observations import observe
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
-from stepgap.study.individuals import ComparedRobots, Individual, compare_individuals
+from stepgap.study.individuals import ComparedRobots, Individual, compare_individuals, difference_sentences
 
 ROBOTS, STEPS, HELD = 10, 160, 8
 SLOW, TURNS_LITTLE = 3, 7
@@ -71,13 +71,9 @@ def compared(learners: Sequence[Learner]) -> ComparedRobots:
 
 def named(comparison: ComparedRobots) -> str:
     """Whom the comparison names, and in what."""
-    space, found = comparison.space, list[str]()
-    for row, column in zip(*np.nonzero(comparison.unlike), strict=True):
-        trait, ends = comparison.traits[column], comparison.interval[row, column]
-        by = f" by {space.command[trait.command].name}" if trait.kind == "gain" else ""
-        number = f"{comparison.difference[row, column]:+.3f} ± {ends:.3f}"
-        found.append(f"{comparison.names[row]} {trait.kind} of {space.state[trait.state].name}{by} {number}")
-    return "; ".join(found) or "nobody"
+    if not comparison.unlike.any():
+        return "nobody"
+    return "; ".join(difference_sentences(comparison))
 
 
 def write_models(learners: Sequence[Learner], folder: Path) -> None:

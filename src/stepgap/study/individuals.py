@@ -7,9 +7,11 @@ command, about one middle for all robots:
     remaining error = offset + gains · (command − middle) + noise
 
 Offset, gains and the standard deviation of the noise are the *traits* of a robot, three kinds of numbers for each state
-coordinate. A robot is unlike the others in a trait if Rosner's test says so (generalized extreme Studentized deviate,
-Percentage points for a generalized ESD many-outlier procedure, Technometrics 1983): one after the other the value that
-is farthest from the mean of the rest is left out, so a second odd robot does not hide the first one.
+coordinate. Each is compared with mean and standard deviation of the other R − 1 robots:
+
+    t = (trait − mean) / (deviation √(1 + 1 / (R − 1))),    z: as improbable of N(0, 1) as t is of Student's t
+
+with R − 2 degrees of freedom, so z means the same for few robots as for many.
 """
 
 from collections.abc import Sequence
@@ -19,28 +21,34 @@ from typing import Final, Literal, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtr
 
 from stepgap.base.errors import InputError
-from stepgap.base.normal import INTERVAL_95
+from stepgap.gauss.linear_regression import fit_linear
 from stepgap.learning.residual import HistoryInputs, Residual
+from stepgap.records.text import decimal, in_scale, trimmed, unit_suffix, with_unit
+from stepgap.report.html import bullets, paragraph, section, table
 from stepgap.step import Array, StepMap, StepSpace
 
-FALSE_ALARMS: Final = 0.05
-"""Share of the sets of robots, alike but for a normal spread, in which some robot is named; of ten robots it is 0.07 to
-0.09, since Rosner's test is exact for many only."""
+LARGEST_Z: Final = 3.5
+"""Value of z from which on a robot is unlike the others; of ten robots that are alike, with fifteen traits, some robot
+exceeds it by chance in 7 % of cases at most."""
 
-LEAST_KNOWN: Final = 20
+LEAST_STEPS: Final = 20
 """Number of steps of each robot from which its traits can be found."""
 
-LEAST_ROBOTS: Final = 5
-"""With fewer robots, the spread among them is not known well enough to name one."""
-
-MOST_ODD: Final = 5
-"""Of this number of robots, at most one is odd in a trait; with more, the test names too often."""
+MOST_UNCERTAIN: Final = 2.0
+"""A map knows a point if its standard deviation there is at most this [standard deviations of a step's noise]; where it
+follows a drift of the robot, it is seldom less than one."""
 
 LEAST_DRIVEN: Final = 0.05
 """A gain is a trait if the standard deviation of its command is larger than this for every robot [half ranges]."""
+
+EXPLANATION: Final = (
+    "The steps of each robot are compared with the median of what was learned of all, at the same state and command. "
+    "The table has each robot's difference from the mean of the others, and in brackets z, that difference in standard "
+    f"deviations, corrected for the number of robots; * marks |z| > {LARGEST_Z}."
+)
 
 
 @final
@@ -84,8 +92,6 @@ class ComparedRobots:
         traits: The T traits.
         middle: Command about which gains are taken; shape (m,).
         values: Shape (R, T).
-        stds: Standard deviations of these estimates; shape (R, T).
-        steps: Number of steps of each robot that were compared; shape (R,).
     """
 
     names: tuple[str, ...]
@@ -93,50 +99,31 @@ class ComparedRobots:
     traits: tuple[Trait, ...]
     middle: Array
     values: Array
-    stds: Array
-    steps: NDArray[np.int64]
-
-    @cached_property
-    def unlike(self) -> NDArray[np.bool_]:
-        """Which robots are unlike the others, and in which traits; shape (R, T)."""
-        return self._outlying & (np.abs(self.difference) > 2 * INTERVAL_95 * self.stds)
-
-    @cached_property
-    def _outlying(self) -> NDArray[np.bool_]:
-        """The same by the test alone, with which the false alarms are shared equally by the three kinds of traits."""
-        kinds = [each.kind for each in self.traits]
-        shares = [FALSE_ALARMS / len(set(kinds)) / kinds.count(each) for each in kinds]
-        return np.array([outlying(*each) for each in zip(self.values.T, shares, strict=True)]).T
 
     @cached_property
     def difference(self) -> Array:
-        """Each robot's trait minus the mean of the others that are alike; shape (R, T)."""
-        return self.values - self._of_others[0]
+        """Each robot's trait minus the mean of the others; shape (R, T)."""
+        return self.values - np.array([others.mean(axis=0) for others in self._others])
 
     @cached_property
-    def interval(self) -> Array:
-        """Half of the 95 % interval of the differences; shape (R, T)."""
-        return INTERVAL_95 * np.hypot(self.stds, self._of_others[1])
+    def z(self) -> Array:
+        """The same in standard deviations of the others; NaN for two robots; shape (R, T)."""
+        others = len(self.names) - 1
+        if others < 2:
+            return np.full_like(self.values, np.nan)
+        deviation = np.array([each.std(axis=0, ddof=1) for each in self._others]) * np.sqrt(1 + 1 / others)
+        t = self.difference / np.maximum(deviation, np.finfo(float).tiny)
+        return -np.sign(t) * ndtri(np.maximum(stdtr(others - 1, -np.abs(t)), np.finfo(float).tiny))
 
-    @cached_property
-    def spread(self) -> Array:
-        """Standard deviation of each trait among the robots that are alike; shape (T,)."""
-        return np.nanstd(np.where(self._outlying, np.nan, self.values), axis=0, ddof=1)
+    @property
+    def unlike(self) -> NDArray[np.bool_]:
+        """Which robots are unlike the others, and in which traits; shape (R, T)."""
+        return np.abs(self.z) > LARGEST_Z
 
-    @cached_property
-    def _of_others(self) -> tuple[Array, Array]:
-        """Mean of the others that are alike, and the standard deviation of that; shapes (R, T)."""
-        means, stds = [], []
-        for row in range(len(self.names)):
-            kept = ~self._outlying
-            kept[row] = False
-            count = np.maximum(kept.sum(axis=0), 1)
-            mean = np.where(kept, self.values, 0.0).sum(axis=0) / count
-            squares = np.where(kept, (self.values - mean) ** 2, 0.0).sum(axis=0)
-            own = np.where(kept, self.stds**2, 0.0).sum(axis=0)
-            means.append(mean)
-            stds.append(np.sqrt(np.maximum(squares / np.maximum(count - 1, 1) / count, own / count**2)))
-        return np.array(means), np.array(stds)
+    @property
+    def _others(self) -> list[Array]:
+        """Traits of the robots other than each; (R − 1, T)."""
+        return [np.delete(self.values, row, axis=0) for row in range(len(self.names))]
 
 
 def compare_individuals(individuals: Sequence[Individual]) -> ComparedRobots:
@@ -148,108 +135,157 @@ def compare_individuals(individuals: Sequence[Individual]) -> ComparedRobots:
     Raises:
         InputError: Their states or commands differ, one has too few steps, or they have none in common.
     """
-    first = individuals[0]
     _check(individuals)
-    space, n = first.nominal.space, len(first.nominal.space.state)
-    data = [_steps_of(each) for each in individuals]
-    remaining = []
-    for each, (points, ends) in zip(individuals, data, strict=True):
+    space = individuals[0].nominal.space
+    n = len(space.state)
+    commands = list[Array]()
+    errors = list[Array]()
+    for one in individuals:
+        points, ends = _steps_of(one)
         usual, common = _usual_step(individuals, points)
-        if np.count_nonzero(common) < LEAST_KNOWN:
+        if np.count_nonzero(common) < LEAST_STEPS:
             raise InputError(
-                f"{each.name}: only {np.count_nonzero(common)} of its steps are at states and commands that the others "
-                f"know; {LEAST_KNOWN} are needed: let all robots track the same reference"
+                f"{one.name}: only {np.count_nonzero(common)} of its steps are at states and commands that the others "
+                f"know; {LEAST_STEPS} are needed: let all robots track the same reference"
             )
-        remaining.append((points[common, n:], (ends - usual)[common]))
-    scale, commands = space.command_scale, [command for command, _ in remaining]
+        commands.append(points[common, n:])
+        errors.append((ends - usual)[common])
     middle = np.median(np.vstack(commands), axis=0)
-    driven = np.flatnonzero(np.min([each.std(axis=0) for each in commands], axis=0) > LEAST_DRIVEN * scale)
+    smallest = np.min([command.std(axis=0) for command in commands], axis=0)
+    driven = np.flatnonzero(smallest > LEAST_DRIVEN * space.command_scale)
     traits = [
         *(Trait("offset", row) for row in range(n)),
         *(Trait("gain", row, int(column)) for row in range(n) for column in driven),
         *(Trait("noise", row) for row in range(n)),
     ]
-    found = [_traits(command[:, driven] - middle[driven], error) for command, error in remaining]
-    values, stds = (np.array(part) for part in zip(*found, strict=True))
-    steps = np.array([len(error) for _, error in remaining])
-    names = tuple(each.name for each in individuals)
-    return ComparedRobots(names, space, tuple(traits), middle, values, stds, steps)
-
-
-def outlying(values: Array, probability: float) -> NDArray[np.bool_]:
-    """Which values (R,) do not belong to the normal distribution of the others, by Rosner's test.
-
-    Args:
-        values: The values.
-        probability: That some value is named although all are of one normal distribution.
-    """
-    size, left, removed, last = len(values), np.ones(len(values), bool), list[int](), 0
-    if size < LEAST_ROBOTS:
-        return ~left
-    for _ in range(size // MOST_ODD):
-        count = int(left.sum())
-        spread = values[left].std(ddof=1)
-        if not spread > 0:
-            break
-        distance = np.where(left, np.abs(values - values[left].mean()) / spread, -1.0)
-        farthest = int(np.argmax(distance))
-        removed.append(farthest)
-        left[farthest] = False
-        t = stdtrit(count - 2, 1 - probability / (2 * count))
-        if distance[farthest] > (count - 1) * t / np.sqrt((count - 2 + t**2) * count):
-            last = len(removed)
-    found = np.zeros(size, bool)
-    found[removed[:last]] = True
-    return found
+    values = [
+        _trait_values(command[:, driven] - middle[driven], error)
+        for command, error in zip(commands, errors, strict=True)
+    ]
+    return ComparedRobots(tuple(one.name for one in individuals), space, tuple(traits), middle, np.array(values))
 
 
 def _check(individuals: Sequence[Individual]) -> None:
     first = individuals[0].nominal.space
-    for each in individuals:
-        space = each.nominal.space
+    for one in individuals:
+        space = one.nominal.space
         if (space.state_names, space.command_names) != (first.state_names, first.command_names):
             raise InputError(
-                f"{each.name}: its state and command are {', '.join(space.names)}, those of {individuals[0].name} "
+                f"{one.name}: its state and command are {', '.join(space.names)}, those of {individuals[0].name} "
                 f"{', '.join(first.names)}; only robots of one type can be compared"
             )
-        if each.residual.kind == "none" or each.residual.history_inputs != HistoryInputs():
+        if one.residual.kind == "none" or one.residual.history_inputs != HistoryInputs():
             raise InputError(
-                f"{each.name}: residual '{each.residual.name}' is no function of state and command that was learned; "
-                "run with another learning.residual, and without inputs from before or of a touchdown"
+                f"{one.name}: residual '{one.residual.kind}' is no function of state and command that was learned; "
+                "run with another learning.residual, and without forgetting or inputs of a touchdown"
             )
 
 
 def _steps_of(individual: Individual) -> tuple[Array, Array]:
     """States and commands (N, n + m) and measured next states (N, n) of the steps that were learned from."""
-    points, n = individual.residual.regressions[0].points, len(individual.nominal.space.state)
-    errors = np.stack([each.values for each in individual.residual.regressions], axis=1)
+    points = individual.residual.regressions[0].points
+    n = len(individual.nominal.space.state)
+    errors = np.stack([regression.values for regression in individual.residual.regressions], axis=1)
     return points, individual.nominal.evaluate(points[:, :n], points[:, n:]).next_state + errors
 
 
 def _usual_step(individuals: Sequence[Individual], points: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Median next state (N, n) of the robots that know a point, and which points (N,) more than half of them know."""
-    n, predicted, known = len(individuals[0].nominal.space.state), list[Array](), list[NDArray[np.bool_]]()
-    for each in individuals:
-        mean = each.nominal.evaluate(points[:, :n], points[:, n:]).next_state + each.residual.mean(points)
-        certain = each.residual.std(points) <= each.residual.noise_std
+    n = len(individuals[0].nominal.space.state)
+    predicted = list[Array]()
+    for one in individuals:
+        mean = one.nominal.evaluate(points[:, :n], points[:, n:]).next_state + one.residual.mean(points)
+        certain = one.residual.std(points) <= MOST_UNCERTAIN * one.residual.noise_std
         sure = np.all(certain & np.isfinite(mean), axis=1)
         predicted.append(np.where(sure[:, None], mean, np.nan))
-        known.append(sure)
-    common = np.mean(np.array(known), axis=0) > 0.5
+    common = np.mean(np.isfinite(predicted)[:, :, 0], axis=0) > 0.5
     usual = np.full((len(points), n), np.nan)
     usual[common] = np.nanmedian(np.array(predicted)[:, common], axis=0)
     return usual, common
 
 
-def _traits(commands: Array, errors: Array) -> tuple[Array, Array]:
-    """Offsets, gains and noise of one robot, and their standard deviations, from commands about the middle (N, k)."""
-    features = np.column_stack([np.ones(len(commands)), commands])
-    weights = np.linalg.lstsq(features, errors, rcond=None)[0]
-    freedom = max(len(features) - features.shape[1], 1)
-    variance = np.maximum(np.sum((errors - features @ weights) ** 2, axis=0) / freedom, np.finfo(float).tiny)
-    shape = np.sqrt(np.diag(np.linalg.pinv(features.T @ features)))
-    stds = shape[:, None] * np.sqrt(variance)
-    of_noise = np.full(errors.shape[1], np.sqrt(0.5 / freedom))
-    parts = [(weights[0], stds[0]), (weights[1:].T.ravel(), stds[1:].T.ravel()), (np.log(variance) / 2, of_noise)]
-    values, deviations = zip(*parts, strict=True)
-    return np.concatenate(values), np.concatenate(deviations)
+def _trait_values(commands: Array, errors: Array) -> Array:
+    """Offsets, gains and logarithms of the noise of one robot, from commands about the middle (N, k); shape (T,)."""
+    fit = fit_linear(np.column_stack([np.ones(len(commands)), commands]), errors)
+    variance = np.sum(fit.residual**2, axis=0) / max(len(errors) - fit.rank, 1)
+    log_noise = np.log(np.maximum(variance, np.finfo(float).tiny)) / 2
+    return np.concatenate([fit.weights[0], fit.weights[1:].T.ravel(), log_noise])
+
+
+def difference_sentences(comparison: ComparedRobots) -> list[str]:
+    """Which robots are unlike the others, and in what; one sentence that none is, or can be named."""
+    count = len(comparison.names)
+    if count < 3:
+        return ["2 robots are too few to say which one is unlike the others; 3 are needed"]
+    unlike = [_sentence(comparison, int(row), int(column)) for row, column in np.argwhere(comparison.unlike)]
+    largest = np.abs(comparison.z).max()
+    return unlike or [f"no robot is unlike the others: the largest |z| is {largest:.1f}, and {LARGEST_Z} counts"]
+
+
+def _sentence(comparison: ComparedRobots, row: int, column: int) -> str:
+    trait = comparison.traits[column]
+    state = comparison.space.state[trait.state]
+    command = comparison.space.command[trait.command]
+    difference = float(comparison.difference[row, column])
+    size = decimal(abs(difference), 2)
+    if trait.kind == "noise":
+        what = f"scatters {decimal(float(np.exp(difference)), 2)} times as much as that of the others"
+    elif trait.kind == "offset":
+        comparative = "lower" if difference < 0 else "higher"
+        where = _middle(comparison)
+        what = f"is {size}{unit_suffix(state)} {comparative} than that of the others at {where}"
+    else:
+        comparative = "less" if difference < 0 else "more"
+        unit = _per(state.unit, command.unit)
+        amount = f"{size} {unit}" if unit else size
+        what = f"grows by {amount} {comparative} with {command.name} than that of the others"
+    return f"{comparison.names[row]}: its {state.name} {what} (z = {_signed(comparison.z[row, column], 1)})"
+
+
+def differences_section(comparison: ComparedRobots) -> str:
+    """HTML section of a page on these robots: sentences, and a table with a row for each trait."""
+    rows = [
+        [_trait_name(comparison, trait), *(_cell(comparison, row, column) for row in range(len(comparison.names)))]
+        for column, trait in enumerate(comparison.traits)
+    ]
+    return section(
+        "individuals",
+        "What was learned of the robots",
+        bullets(difference_sentences(comparison)),
+        paragraph(f"{EXPLANATION} Offsets are those at {_middle(comparison)}."),
+        table("", ["", *comparison.names], rows),
+    )
+
+
+def _trait_name(comparison: ComparedRobots, trait: Trait) -> str:
+    state = comparison.space.state[trait.state]
+    if trait.kind == "offset":
+        return with_unit(state)
+    if trait.kind == "noise":
+        return f"logarithm of the noise of {state.name}"
+    command = comparison.space.command[trait.command]
+    unit = _per(state.unit, command.unit)
+    return f"{state.name} by {command.name}{f' [{unit}]' if unit else ''}"
+
+
+def _middle(comparison: ComparedRobots) -> str:
+    pairs = zip(comparison.space.command, comparison.middle.tolist(), strict=True)
+    return ", ".join(f"{one.name} {trimmed(in_scale(value, one, 2))}{unit_suffix(one)}" for one, value in pairs)
+
+
+def _per(unit: str, command_unit: str) -> str:
+    """Unit of a gain; none where both are the same, or one is unknown."""
+    return "" if unit == command_unit or not (unit and command_unit) else f"{unit} per {command_unit}"
+
+
+def _cell(comparison: ComparedRobots, row: int, column: int) -> str:
+    """A difference, with decimals by the largest of its trait, and z."""
+    largest = float(np.max(np.abs(comparison.difference[:, column]), initial=0.0))
+    places = 1 - int(np.floor(np.log10(largest))) if largest > 0 else 3
+    difference = _signed(comparison.difference[row, column], min(max(places, 0), 6))
+    mark = " *" if comparison.unlike[row, column] else ""
+    return f"{difference} ({_signed(comparison.z[row, column], 1)}){mark}"
+
+
+def _signed(value: float, places: int) -> str:
+    return f"{value:+.{places}f}".replace("-", "−") if np.isfinite(value) else "–"

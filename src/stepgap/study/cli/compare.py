@@ -39,7 +39,7 @@ def compare_robots(robots: list[Path], /, *, out: Path | None = None) -> None:
         out: New HTML file. [default: comparison.html next to the first one, or the next free name]
     """
     from stepgap.study.comparison_page import run_names
-    from stepgap.study.individuals_page import difference_sentences
+    from stepgap.study.individuals import difference_sentences
 
     if len(robots) < 2:
         raise InputError("one run or model file cannot be compared; give at least two")
@@ -47,9 +47,9 @@ def compare_robots(robots: list[Path], /, *, out: Path | None = None) -> None:
         raise InputError("a run is given twice; give each run once")
     target = out or free_name(robots[0].resolve().parent / "comparison.html")
     check_new(target, "--out")
-    known = [_robot(path, name) for path, name in zip(robots, run_names(robots), strict=True)]
-    compared = _compared(known)
-    text = _page(known, compared)
+    opened = [_robot(path, name) for path, name in zip(robots, run_names(robots), strict=True)]
+    compared = _compared(opened)
+    text = _page(opened, compared)
     with writing(target, "--out"):
         create(target, text)
     for line in [compared] if isinstance(compared, str) else difference_sentences(compared):
@@ -66,7 +66,6 @@ def _robot(path: Path, name: str) -> _Robot:
     from stepgap.experiment.run import Run
     from stepgap.export.controller.model_reading import read_portable
     from stepgap.export.controller.passport import passport_of
-    from stepgap.export.controller.portable_controller import without_lagged_inputs
     from stepgap.study.individuals import Individual
 
     if path.is_file():
@@ -75,7 +74,7 @@ def _robot(path: Path, name: str) -> _Robot:
         return _Robot(name, controller.passport, Individual(name, controller.nominal, controller.learned))
     run = Run(path).checked()
     try:
-        residual = without_lagged_inputs(run.learner()).learned
+        residual = run.learner().learned
         return _Robot(name, passport_of(run, None), Individual(name, run.needed(run.nominal), residual), run)
     except InputError as error:
         return _Robot(name, {}, str(error), run)
@@ -85,28 +84,33 @@ def _compared(robots: Sequence[_Robot]) -> "ComparedRobots | str":
     """The comparison of what was learned, or why there is none; that is an error if there are no runs to compare."""
     from stepgap.study.individuals import Individual, compare_individuals
 
-    learned = [each.learned for each in robots if isinstance(each.learned, Individual)]
-    reasons = [each.learned for each in robots if isinstance(each.learned, str)]
+    learned = [robot.learned for robot in robots if isinstance(robot.learned, Individual)]
+    reasons = [robot.learned for robot in robots if isinstance(robot.learned, str)]
     try:
         if reasons:
             raise InputError(reasons[0])
         return compare_individuals(learned)
     except InputError as error:
-        if any(each.run is None for each in robots):
+        if any(robot.run is None for robot in robots):
             raise
         return f"what was learned is not compared: {error}"
 
 
 def _page(robots: Sequence[_Robot], compared: "ComparedRobots | str") -> str:
     """HTML of the page: what was learned, and of runs the errors, as far as these can be compared."""
-    from stepgap.report.html import page, paragraph, section
+    from stepgap.report.html import page, paragraph, section, table
     from stepgap.study.comparison_page import MOST_RUNS, comparison_html
-    from stepgap.study.individuals_page import differences_section, passports_table
+    from stepgap.study.individuals import differences_section
 
-    passports = [(each.name, _in_words(each.passport)) for each in robots]
+    passports = [_in_words(robot.passport) for robot in robots]
+    keys = list(dict.fromkeys(key for passport in passports for key in passport))
+    rows = [
+        [robot.name, *(passport.get(key, "–") for key in keys)]
+        for robot, passport in zip(robots, passports, strict=True)
+    ]
     learned = paragraph(f"{compared}.") if isinstance(compared, str) else differences_section(compared)
-    sections = [learned, section("passports", "Passports", passports_table(passports))]
-    runs = [each.run for each in robots if each.run is not None]
+    sections = [learned, section("passports", "Passports", table("", ["", *keys], rows))]
+    runs = [robot.run for robot in robots if robot.run is not None]
     if len(runs) == len(robots) and len(runs) <= MOST_RUNS:
         return comparison_html(runs, sections)
     return page("StepGap comparison", [f"<h1>StepGap comparison of {len(robots)} robots</h1>", *sections])
