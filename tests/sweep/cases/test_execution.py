@@ -20,6 +20,7 @@ from tests.sweep.cases.quick_cases import (
     fail_at_one,
     full_disk,
     sleep_after,
+    square,
     square_of_caller,
 )
 
@@ -42,6 +43,14 @@ def test_a_case_that_fails_does_not_stop_the_others(folder: CaseFolder, make: Ca
         execute(PLAN, folder, range(5), fail_at_one, executor, 2, lambda number, _: stored.append(number))
     assert outcomes(folder) == [0, "ZeroDivisionError: one is bad", 4, "case 3: bad", 16]
     assert sorted(stored) == [0, 1, 2, 3, 4]
+
+
+def test_a_first_case_that_cannot_be_described_does_not_stop_the_others(tmp_path: Path) -> None:
+    plan = Squares(3, bad=0)
+    folder = CaseFolder(tmp_path / "out", plan, join=False)
+    with ThreadPoolExecutor(1) as executor:
+        execute(plan, folder, range(3), square, executor, 1)
+    assert outcomes(folder) == ["case 0: bad", 1, 4]
 
 
 def test_a_case_that_ends_its_process_fails_and_the_others_go_on(folder: CaseFolder) -> None:

@@ -84,15 +84,17 @@ def execute(
         on_result(number, result)
 
     while True:
-        for number in islice(waiting, at_once - len(running)):
+        begun = list(islice(waiting, at_once - len(running)))
+        for number in begun:
             try:
                 running[executor.submit(computed, compute, plan.case(number))] = number
             except InputError as error:
                 store(number, CaseResult(failed=reason_of(error)))
-        if not running:
+        if running:
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                store(running.pop(future), _result_of(future))
+        elif not begun:
             return
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
-            store(running.pop(future), _result_of(future))
 
 
 def _result_of(future: "Future[CaseResult]") -> CaseResult:
