@@ -61,7 +61,7 @@ def test_a_wrong_row_is_named_and_changes_nothing(part: str, value: float) -> No
 
 def test_a_wrong_error_of_numbers_that_are_not_far_is_found() -> None:
     arrays = log()
-    arrays["state"][5], arrays["after"][30] = 1e5, arrays["after"][30] + 1.2
+    arrays["state"][5], arrays["after"][30] = 1e5, arrays["after"][30] + 0.9
     assert list(without_suspicious(data(arrays))[1]) == ["line 7", "line 32"]
     assert "error of v = 1." in without_suspicious(data(arrays))[1]["line 32"]
 
