@@ -17,9 +17,7 @@ BLOCKS = re.findall(r"```(\w+)\n(.*?)```", PAGE, re.DOTALL)
 def test_the_page_of_steps_runs(
     stepgap: Command, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        "stepgap.learning.entry_points.names_by_complexity", lambda: ("none", "constant", "linear")
-    )
+    monkeypatch.setattr("stepgap.learning.entry_points.names_by_complexity", lambda: ("none", "constant", "linear"))
     printed, rules = list[str](), list[str]()
     for language, block in BLOCKS:
         if language == "python":

@@ -443,8 +443,10 @@ def difference_jacobian(step_map: StepMap, state: ArrayLike, command: ArrayLike,
         command: Shape (…, m).
         relative_step: Step as a fraction of each coordinate's half range.
     """
-    state, command = np.asarray(state, float), np.asarray(command, float)
-    n, m = state.shape[-1], command.shape[-1]
+    state = np.asarray(state, float)
+    command = np.asarray(command, float)
+    n = state.shape[-1]
+    m = command.shape[-1]
     leading = np.broadcast_shapes(state.shape[:-1], command.shape[:-1])
     point = np.concatenate([np.broadcast_to(state, (*leading, n)), np.broadcast_to(command, (*leading, m))], axis=-1)
     step = relative_step * np.concatenate([step_map.space.state_scale, step_map.space.command_scale])

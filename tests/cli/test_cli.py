@@ -324,7 +324,10 @@ def drop_row(text: str) -> str:
 @pytest.mark.parametrize(
     ("spoil", "parts"),
     [
-        (lambda text: text.replace("0.1,0.56", "0.1,0.57", 1), ["steps.csv: its steps are not those that summary.json counts"]),
+        (
+            lambda text: text.replace("0.1,0.56", "0.1,0.57", 1),
+            ["steps.csv: its steps are not those that summary.json counts"],
+        ),
         (drop_row, ["steps.csv, line 3: not the next step"]),
         (lambda text: text + "rubbish\n", ["steps.csv, line 10: not the next step"]),
         (lambda text: "rubbish\n", ["steps.csv, line 1: the columns must be iteration,"]),

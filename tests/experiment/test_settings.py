@@ -291,7 +291,9 @@ def test_former_settings_of_a_robot_are_read_where_they_had_no_effect(tmp_path: 
     assert read_experiment(tmp_path / "e.toml") == read_experiment(None, [("command.fx_upper", "20.0")])
     (tmp_path / "e.toml").write_text('[command]\npair = ["speed_setpoint", "fy"]\n')
     for recorded in (False, True):
-        with pytest.raises(InputError, match=r"\[command\] pair = \['speed_setpoint', 'fy'\], but this setting is gone"):
+        with pytest.raises(
+            InputError, match=r"\[command\] pair = \['speed_setpoint', 'fy'\], but this setting is gone"
+        ):
             read_experiment(tmp_path / "e.toml", recorded=recorded)
     with pytest.raises(InputError, match=r"^--gains\.thrust_stiffness = 5, but this setting is gone"):
         read_experiment(None, [("gains.thrust_stiffness", "5")])

@@ -122,7 +122,7 @@ def test_a_sweep_compares_it(tmp_path: Path) -> None:
     (tmp_path / "sweep.toml").write_text(SWEEP, "utf-8")
     plan = read_sweep(tmp_path / "sweep.toml")
     assert len(plan) == 2 * 4
-    cases = [tomllib.loads(plan.case(number))["files"]["experiment.toml"] for number in range(len(plan))]
+    cases = [plan.case(number)["files"]["experiment.toml"] for number in range(len(plan))]
     kinds = {tomllib.loads(case)["learning"]["residual"] for case in cases}
     assert kinds == {"none", "linear", "gp_on_linear", NAME}
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stepgap.experiment.run import Run
 from stepgap.experiment.outcome import offset_sentences
+from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
 from stepgap.report.diagnosis_sentences import diagnosis_sentences

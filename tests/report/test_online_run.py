@@ -15,9 +15,9 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
 from stepgap.report.analysis import Analysis
-from stepgap.report.tables import band_table
 from stepgap.report.figures.steps import command_figure, error_figure, map_figure, tracking_figure
 from stepgap.report.run_report import write_report
+from stepgap.report.tables import band_table
 from stepgap.robots.hopper.paper import paper_result
 from stepgap.study.comparison_page import comparison_html
 from tests.control.maps import LossyHopper

@@ -146,8 +146,6 @@ def test_run_report_resume_export_fit_and_view(
         assert (f"<caption>Error of {quantity.name} [{quantity.unit}]" in page) == (quantity.weight > 0)
     source = Source(folder)
     assert source.iterations == [0, 1]
-    source.want(1)
-    assert source.residual(1, 2) is not None
 
 
 @pytest.mark.usefixtures("no_repeats", "no_report")

@@ -128,9 +128,11 @@ class ContentLocator:
 
     def __init__(self, function: Callable[..., Any], file: str):
         source = Path(file).resolve()
-        package, home = _package_folder(source), cache_folder()
+        package = _package_folder(source)
+        home = cache_folder()
         assert home is not None, "Numba is asked to use a cache only if there is one"
-        self._py_file, self._line = file, function.__code__.co_firstlineno
+        self._py_file = file
+        self._line = function.__code__.co_firstlineno
         self._stamp = f"{_digest(_package_folder(Path(__file__).resolve()))}-{_digest(package)}"
         self._folder = _used(home / self._stamp) / ".".join(source.relative_to(package.parent).parent.parts)
 

@@ -39,7 +39,8 @@ def as_record(value: Any) -> Record:
 
 def from_record(kind: Any, record: np.void | Record) -> Any:
     """Returns a named tuple of the given kind with the numbers of a record."""
-    hints, record = get_type_hints(kind), record[0] if isinstance(record, np.ndarray) else record
+    hints = get_type_hints(kind)
+    record = record[0] if isinstance(record, np.ndarray) else record
     return kind(*(_value(hints[name], record[name]) for name in _names(kind)))
 
 
@@ -90,7 +91,8 @@ def _store(context, builder, kinds, values):
     """Generates the code of `assign`; a nested named tuple is written field by field."""
     (record_kind, tuple_kind), (record, value) = kinds, values
     for index, name in enumerate(tuple_kind.fields):
-        kind, element = tuple_kind.types[index], builder.extract_value(value, index)
+        kind = tuple_kind.types[index]
+        element = builder.extract_value(value, index)
         if isinstance(kind, types.BaseNamedTuple):
             inner_kind = record_kind.typeof(name)
             inner = context.get_getattr(record_kind, name)(context, builder, record_kind, record, name)

@@ -22,7 +22,10 @@ class _Compilation(Listener):
     """Calls a function when Numba compiles for the first time, and from time to time later on."""
 
     def __init__(self, callback: Callable[[int, float], None]):
-        self._callback, self._count, self._begin, self._last = callback, 0, 0.0, 0.0
+        self._callback = callback
+        self._count = 0
+        self._begin = 0.0
+        self._last = 0.0
 
     def on_start(self, event: Event) -> None:  # noqa: ARG002  (the signature is Numba's)
         if not self._begin:
@@ -51,7 +54,9 @@ class _DelayedSignals(Listener):
     """Delays signals that Python handles, such as that of Ctrl-C, to the end of a pass of Numba in the main thread."""
 
     def __init__(self):
-        self._passes, self._pending, self._handled = 0, list[int](), ExitStack()
+        self._passes = 0
+        self._pending = list[int]()
+        self._handled = ExitStack()
 
     def on_start(self, event: Event) -> None:  # noqa: ARG002  (the signature is Numba's)
         if current_thread() is not main_thread():

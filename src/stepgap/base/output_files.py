@@ -63,7 +63,8 @@ def write_together(contents: Mapping[Path, str | bytes], option: str) -> None:
 
 def free_name(path: Path) -> Path:
     """The first of NAME.SUFFIX, NAME_2.SUFFIX, … that does not exist."""
-    free, number = path, 1
+    free = path
+    number = 1
     while free.exists():
         number += 1
         free = path.with_stem(f"{path.stem}_{number}")

@@ -206,7 +206,8 @@ def _values(
     known = list(entries)
     values: dict[str, Any] = {}
     for key, value in table.items():
-        here, inner = locate(prefix + key), f"{prefix}{key}."
+        here = locate(prefix + key)
+        inner = f"{prefix}{key}."
         if key not in known:
             for entry in entries.values():
                 if entry.metadata.get(FORMER_NAME) == key:
@@ -219,7 +220,8 @@ def _values(
         elif is_dataclass(wanted):
             values[key] = build(cast("type", wanted), _as_table(value, here), locate, inner)
         elif get_origin(wanted) is Mapping:
-            kind, given = get_args(wanted)[1], _as_table(value, here).items()
+            kind = get_args(wanted)[1]
+            given = _as_table(value, here).items()
             values[key] = current[key] | {name: as_type(each, kind, locate(inner + name)) for name, each in given}
         elif get_origin(wanted) is tuple:
             values[key] = _as_list(get_args(wanted)[0], value, locate, prefix + key)
@@ -249,7 +251,8 @@ def _as_table(value: Any, here: str) -> Mapping[str, Any]:
 
 def _as_list(kind: type, value: Any, locate: Locate, name: str) -> tuple[Any, ...]:
     """Converts an array to strings or numbers, or an array of tables to dataclasses; messages count from 1."""
-    here, of_tables = locate(name), is_dataclass(kind)
+    here = locate(name)
+    of_tables = is_dataclass(kind)
     if not isinstance(value, list):
         wanted = f"tables, each headed [[{name}]]" if of_tables else f"a list of {_ITEMS.get(kind, 'strings')}"
         raise InputError(f"{here} = {format_value(value)}, but it must be {wanted}")

@@ -160,7 +160,8 @@ def _hint(error: Exception) -> str:
     """Hint that an unknown option is gone, or that it may be a setting, if the verb takes settings."""
     if not isinstance(error, cyclopts.UnknownOptionError):
         return ""
-    option = (*(error.command_chain or ()), error.token.keyword or error.token.value)
+    verb = " ".join(error.command_chain or ())
+    option = (verb, error.token.keyword or error.token.value)
     if option in GONE_OPTIONS:
         return f" {GONE_OPTIONS[option]}"
     if "Did you mean" in str(error) or not error.target:

@@ -133,7 +133,8 @@ def describe_step(
     """The point, its next state and the Jacobian there as text."""
     heads = [f"by {q.name} [{q.unit}]" for q in (*space.state, *space.command)]
     rows = [f"of next {q.name} [{q.unit}]" for q in space.state]
-    first, width = 3 + max(map(len, rows)), max(18, 2 + max(map(len, heads)))
+    first = 3 + max(map(len, rows))
+    width = max(18, 2 + max(map(len, heads)))
     lines = [
         f"state         {named_values(space.state, state)}",
         f"command       {named_values(space.command, command)}",

@@ -159,7 +159,8 @@ def _steps_of_run(path: Path) -> "tuple[Steps, StepSpace | None]":
 
     file = path / "steps.csv" if path.is_dir() else path
     try:
-        space, settings = space_of_header(file), Run(file.parent).settings
+        space = space_of_header(file)
+        settings = Run(file.parent).settings
         known = None if isinstance(settings, Missing) else settings.space
         return read_step_log(file, space), known if known and known.has_names_of(space) else None
     except (OSError, RecordError, ValueError) as error:
@@ -184,7 +185,8 @@ def _covered_space(log: "Steps") -> "StepSpace":
     from stepgap.step import StepSpace
 
     def covered(quantities: "Sequence[Quantity]", values: "Array") -> "tuple[Quantity, ...]":
-        low, high = values.min(axis=0), values.max(axis=0)
+        low = values.min(axis=0)
+        high = values.max(axis=0)
         high = np.where(high > low, high, low + np.maximum(np.abs(low), 1.0) * 1e-3)
         digits = [2 - floor(log10(width)) for width in high - low]
         ends = zip(quantities, low.tolist(), high.tolist(), digits, strict=True)

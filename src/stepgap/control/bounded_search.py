@@ -17,7 +17,7 @@ ZOOMED = 25
 ZOOM_ROUNDS = 13
 
 
-def solve(function: Function, jacobian: Jacobian, start: Array) -> Solution:
+def bounded_solution(function: Function, jacobian: Jacobian, start: Array) -> Solution:
     """Searches the zero, or else the least norm, of a function within |point| ≤ 1; it may miss the global minimum."""
     best = minimise(function, jacobian, start)
     if best.distance <= REACHED:
@@ -62,12 +62,15 @@ def _separate_starts(points: Array, distance: Array) -> list[int]:
 
 def _zoom(function: Function, best: Solution) -> Solution:
     """Searches nearer and nearer around a point without convergence, such as one at the border of the domain."""
-    point, distance, width = best.point, best.distance, SEPARATION
+    point = best.point
+    distance = best.distance
+    width = SEPARATION
     offsets = box_points(ZOOMED, len(point))
     for _ in range(ZOOM_ROUNDS):
         points = np.clip(point + width * offsets, -1.0, 1.0)
         distances = norms(function(points))
         if distances.min() < distance:
-            point, distance = points[np.argmin(distances)], float(distances.min())
+            point = points[np.argmin(distances)]
+            distance = float(distances.min())
         width = width / 2
     return Solution(point, distance, converged=False)

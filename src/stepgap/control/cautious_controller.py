@@ -101,8 +101,10 @@ class CautiousController:
             StepFailed: No command that was searched makes a step.
             ValueError: State, target or guess has the wrong size, a target is infinite, or the guess is not finite.
         """
-        searching, checking = self._with_half_the_budget(), self._with_half_the_budget()
-        space, predicting = self.step_map.space, searching.step_map
+        searching = self._with_half_the_budget()
+        checking = self._with_half_the_budget()
+        space = self.step_map.space
+        predicting = searching.step_map
         targets = np.array([checked_target(space, each) for each in (target, *np.asarray(ahead))])
         goals = goals_for(self._with_half_the_budget().step_map, targets)
         goal = goals.onward[0]
@@ -113,7 +115,8 @@ class CautiousController:
         nominal = [] if certain else searching._nominal_commands(state, goal, exact.command)
         plans = [exact] if certain else []
         if len(targets) > 1:
-            cautious, together = self.settings.cautious, goals.together
+            cautious = self.settings.cautious
+            together = goals.together
             joint = plan_ahead(predicting, state, together, exact, nominal, cautious, self.change)
             plans = [joint, *plans] if joint is not exact else plans
         for plan in plans:
@@ -168,7 +171,8 @@ class CautiousController:
 
     def _local_minimum(self, state: Array, goal: Goal, start: Array) -> Array:
         """The command of least cautious cost that is found from `start`; shape (m,)."""
-        space, n = self.bounds, len(state)
+        space = self.bounds
+        n = len(state)
 
         def deviations(point: Array) -> Array:
             command = space.command_at(point)

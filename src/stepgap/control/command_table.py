@@ -64,7 +64,9 @@ class CommandTable:
             StepFailed: No command makes a step from a surrounding node, or the state is not finite.
             ValueError: State or target has the wrong size, or the target is not finite.
         """
-        space, n, m = self.space, len(self.space.state), len(self.space.command)
+        space = self.space
+        n = len(self.space.state)
+        m = len(self.space.command)
         state = as_vector("state", state, n)
         target = as_vector("target", target, n)
         if not np.isfinite(state).all():
@@ -100,7 +102,9 @@ def build_table(
         ValueError: There are fewer than 2 points.
         InputError: Some state coordinate is not tracked, or has a weight of its own.
     """
-    space, n, m = step_map.space, len(step_map.space.state), len(step_map.space.command)
+    space = step_map.space
+    n = len(step_map.space.state)
+    m = len(step_map.space.command)
     if others := [quantity.name for quantity in space.state if quantity.weight != 1]:
         raise InputError(
             f"a table of commands needs a weight of 1 of every state coordinate; {others[0]} has another one"

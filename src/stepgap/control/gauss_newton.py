@@ -70,13 +70,17 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, improvement: 
         improvement: The search ends where the squared norm can fall by no more than this fraction.
     """
     point = np.clip(start, -1.0, 1.0)
-    value, matrix, origin, damping = function(point), jacobian(point), point, 0.0
+    value = function(point)
+    matrix = jacobian(point)
+    origin = point
+    damping = 0.0
     if not (np.isfinite(value).all() and np.isfinite(matrix).all()):
         return Solution(point, float(norms(value)), converged=False)
     # `value` is the function at `point`, the best point so far. `matrix` is the Jacobian at `origin` with Broyden's
     # updates since then: that no step helps is believed only near `origin`; elsewhere the Jacobian is renewed.
     for _ in range(MOST_TRIALS):
-        cost, size = _square(value), float(np.sum(matrix**2))
+        cost = _square(value)
+        size = float(np.sum(matrix**2))
         if cost <= TOLERANCE**2 or damping > MOST_DAMPING * size:
             break
         damping = damping if damping > NO_DAMPING * size else 0.0
@@ -87,7 +91,8 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, improvement: 
         if expected <= improvement * cost:
             if _is_near(point, origin):
                 return Solution(point, float(norms(value)), converged=True)
-            matrix, origin = _renewed(jacobian, point, matrix), point
+            matrix = _renewed(jacobian, point, matrix)
+            origin = point
             continue
         trial = function(point + step)
         if not np.isfinite(trial).all():
@@ -97,7 +102,9 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, improvement: 
             fraction = _least_on_parabola(cost, 2 * float(value @ change), _square(trial))
             shorter = function(point + fraction * step)
             if _square(shorter) < cost:
-                step, change, trial = fraction * step, fraction * change, shorter
+                step = fraction * step
+                change = fraction * change
+                trial = shorter
                 linear = _square(value + change)
                 expected = cost - linear
         # A trial that is not taken teaches as much as one that is: the damping with which |linear|² + damping |step|²
@@ -107,11 +114,13 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, improvement: 
         matrix = matrix + (trial - value - change)[:, None] * (step / _square(step))
         stays_near = _is_near(point, origin)
         if gain > ACCEPTED * expected:
-            point, value = point + step, trial
+            point = point + step
+            value = trial
         elif cost <= REACHED**2:
             break
         if gain < 0.25 * expected and not stays_near:
-            matrix, origin = _renewed(jacobian, point, matrix), point
+            matrix = _renewed(jacobian, point, matrix)
+            origin = point
     distance = float(norms(value))
     return Solution(point, distance, converged=distance <= REACHED)
 
@@ -134,7 +143,8 @@ def box_step(matrix: Array, value: Array, lower: Array, upper: Array, damping: f
             return step
     matrix = np.vstack([matrix, np.sqrt(damping) * np.eye(k)])
     value = np.append(value, np.zeros(k))
-    step, free = np.zeros(k), np.ones(k, bool)
+    step = np.zeros(k)
+    free = np.ones(k, bool)
     # `step` stays in the box, and each coordinate that is not `free` rests on a bound. A turn ends at the first bound
     # that the move meets, or at the minimum among the free ones; there the coordinate is freed whose bound costs most.
     for _ in range(4 * k + 4):

@@ -153,7 +153,8 @@ def _regulated(step_map: StepMap, plain: Targets) -> tuple[Goal, Goal]:
     """The cost of a step alone and its cost-to-go, about a state that has the values of a target and repeats itself."""
     space = step_map.space
     state, command = whole_state(step_map, plain.target)
-    matrix, n = step_map.jacobian(state, command), len(space.state)
+    matrix = step_map.jacobian(state, command)
+    n = len(space.state)
     if not np.isfinite(matrix).all():
         return plain, plain
     by_state = matrix[:, :n] * space.state_scale / space.state_scale[:, None]
@@ -166,7 +167,8 @@ def _regulated(step_map: StepMap, plain: Targets) -> tuple[Goal, Goal]:
 
 def _cost_to_go(by_state: Array, by_command: Array, weights: Array) -> Array:
     """Solves the Riccati equation of the linear-quadratic regulator backwards from the last step; shape (n, n)."""
-    form, effort = weights, EFFORT_WEIGHT * np.eye(by_command.shape[1])
+    form = weights
+    effort = EFFORT_WEIGHT * np.eye(by_command.shape[1])
     for _ in range(LATER_STEPS):
         to_command = by_command.T @ form
         gain = np.linalg.solve(effort + to_command @ by_command, to_command @ by_state)

@@ -63,7 +63,9 @@ def plan_ahead(
 
 def _one_by_one(step_map: StepMap, goals: Sequence[Goal], first: StepPlan, change: CommandChange) -> tuple[Array, bool]:
     """Commands (k, m) of steps that are planned one after the other, and whether all of them have no error."""
-    plan, commands, reached = first, [first.command], first.reached
+    plan = first
+    commands = [first.command]
+    reached = first.reached
     for goal in goals[1:]:
         try:
             controller = StepController(change.after(plan.command).limited(step_map))
@@ -116,7 +118,8 @@ class _Sequence:
         """
         key = points.ndim, points.tobytes()
         if key not in self._paths:
-            states, stds = [np.broadcast_to(self.state, (*points.shape[:-1], len(self.state)))], list[Array]()
+            states = [np.broadcast_to(self.state, (*points.shape[:-1], len(self.state)))]
+            stds = list[Array]()
             for command in self.commands_at(points):
                 stds.append(self.step_map.std(states[-1], command))
                 states.append(self.step_map.evaluate(states[-1], command).next_state)
@@ -132,7 +135,9 @@ class _Sequence:
 
     def jacobian(self, point: Array) -> Array:
         """∂errors/∂point, by the chain rule along the steps; shape (r, k m)."""
-        means, spreads, by_point = [], [], np.zeros((len(self.state), len(point)))
+        means = []
+        spreads = []
+        by_point = np.zeros((len(self.state), len(point)))
         own = np.split(np.eye(len(point)), len(self.goals))
         steps = zip(self.goals, self._bounds, self._path(point)[0], self.commands_at(point), own, strict=False)
         for goal, box, before, command, rows in steps:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepgap.base.ranges import require
-from stepgap.control.bounded_search import solve
+from stepgap.control.bounded_search import bounded_solution
 from stepgap.control.box_points import box_grid, box_points
 from stepgap.control.gauss_newton import minimise
 from stepgap.control.reach import repeated_state, whole_states, within_noise
@@ -78,7 +78,8 @@ class ReachableSet:
         Raises:
             ValueError: There are not two commands, so the border is no polygon.
         """
-        grid, commands = self.next_states, self.commands.shape[-1]
+        grid = self.next_states
+        commands = self.commands.shape[-1]
         if commands != 2:
             raise ValueError(f"the border is a polygon for two commands, not for {commands}")
         return np.concatenate([grid[:-1, 0], grid[-1, :-1], grid[:0:-1, -1], grid[0, :0:-1]])
@@ -130,7 +131,8 @@ def reachable_set(step_map: StepMap, state: ArrayLike, samples: int = 21) -> Rea
     """
     require(samples >= 2, "samples", samples, "be at least 2: both ends of each command")
     space = step_map.space
-    state, m = as_vector("state", state, len(space.state)), len(space.command)
+    state = as_vector("state", state, len(space.state))
+    m = len(space.command)
     commands = space.command_at(box_grid(samples, m) if m <= 2 else box_points(samples**2, m))
     next_states, statuses = step_map.evaluate(state, commands)
     return ReachableSet(commands, np.where((statuses == StepStatus.OK)[..., None], next_states, np.nan), statuses)
@@ -160,7 +162,8 @@ def nearest_fixed_point(step_map: StepMap, target: Array) -> Array:
         target: NaN in coordinates without a target; shape (n,).
     """
     space = step_map.space
-    n, wanted = len(space.state), np.flatnonzero(space.has_target(target))
+    n = len(space.state)
+    wanted = np.flatnonzero(space.has_target(target))
     change = repeated_state(step_map, space.state_centre, np.arange(n))
     start = np.zeros(change.size)
     start[wanted] = space.scaled_state(target)[wanted]
@@ -169,7 +172,7 @@ def nearest_fixed_point(step_map: StepMap, target: Array) -> Array:
     def pulled(point: Array) -> Array:
         return np.concatenate([change.function(point), PULL * (point - start)[..., wanted]], axis=-1)
 
-    near = solve(pulled, lambda point: np.vstack([change.jacobian(point), pull]), start)
+    near = bounded_solution(pulled, lambda point: np.vstack([change.jacobian(point), pull]), start)
     return change.state_at(minimise(change.function, change.jacobian, near.point).point)
 
 

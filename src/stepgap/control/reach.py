@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from stepgap.control.bounded_search import solve
+from stepgap.control.bounded_search import bounded_solution
 from stepgap.control.box_points import composite_design
 from stepgap.control.gauss_newton import REACHED, Function, Jacobian
 from stepgap.control.reference import Indices
@@ -59,7 +59,7 @@ def whole_state(step_map: StepMap, target: Array) -> tuple[Array, Array]:
     known = space.has_target(target)
     free = np.flatnonzero(~known)
     change = repeated_state(step_map, np.where(known, target, space.state_centre), free)
-    point = solve(change.function, change.jacobian, np.zeros(change.size)).point
+    point = bounded_solution(change.function, change.jacobian, np.zeros(change.size)).point
     return change.state_at(point), space.command_at(point[len(free) :])
 
 
@@ -90,7 +90,8 @@ def repeated_state(step_map: StepMap, base: Array, free: Indices) -> RepeatedSta
         free: Numbers of the coordinates that vary.
     """
     space = step_map.space
-    n, scale = len(space.state), space.state_scale
+    n = len(space.state)
+    scale = space.state_scale
     columns = np.r_[free, n : n + len(space.command)]
     by_point = np.concatenate([scale[free], space.command_scale])
 
@@ -143,7 +144,8 @@ def command_effect(space: StepSpace, jacobian: Array, unit: Array) -> CommandEff
     n = len(space.state)
     by_state = jacobian[:, :n] * unit / unit[:, None]
     by_command = 2 * jacobian[:, n:] * space.command_scale / unit[:, None]  # from one end of the bounds to the other
-    delays, moved = np.zeros(n, np.int64), by_command
+    delays = np.zeros(n, np.int64)
+    moved = by_command
     for steps in range(1, n + 1):
         moves = np.abs(moved).sum(axis=1) >= 1
         delays[moves & (delays == 0)] = steps

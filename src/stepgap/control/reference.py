@@ -127,7 +127,8 @@ class Reference:
 
     def _age(self) -> Indices:
         """Steps since the latest change, 0 at the change itself and -1 before the first; shape (steps,)."""
-        steps, changes = np.arange(len(self)), self.changes
+        steps = np.arange(len(self))
+        changes = self.changes
         count = np.searchsorted(changes, steps, side="right")
         return np.where(count > 0, steps - np.append(0, changes)[count], -1)
 
@@ -147,7 +148,8 @@ def same_target(one: Array, other: Array) -> NDArray[np.bool_]:
 def mean_of_known(values: Array) -> Array:
     """Means over the steps whose values, such as targets or errors, are finite; (N, n) to (n,), NaN without any."""
     known = np.isfinite(values)
-    count, total = known.sum(axis=0), np.where(known, values, 0.0).sum(axis=0)
+    count = known.sum(axis=0)
+    total = np.where(known, values, 0.0).sum(axis=0)
     return np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.control.bounded_search import solve
+from stepgap.control.bounded_search import bounded_solution
 from stepgap.control.gauss_newton import REACHED
 from stepgap.control.goal import Goal, Targets
 from stepgap.step import Array, StepFailed, StepMap, StepSpace, StepStatus
@@ -79,8 +79,10 @@ class StepController:
             ValueError: State or guess has the wrong size, or the guess is not finite.
         """
         space = self.step_map.space
-        n, m = len(space.state), len(space.command)
-        command_at, state = space.command_at, as_vector("state", state, n)
+        n = len(space.state)
+        m = len(space.command)
+        command_at = space.command_at
+        state = as_vector("state", state, n)
         start = space.command_centre if guess is None else as_vector("guess", guess, m)
         if not np.isfinite(state).all():
             raise StepFailed(StepStatus.INVALID, space)
@@ -100,7 +102,7 @@ class StepController:
             """∂error/∂point; shape (r, m)."""
             return goal.errors_by(self.step_map.jacobian(state, command_at(point))[:, n:] * space.command_scale)
 
-        solution = solve(error, jacobian, space.point_of(start))
+        solution = bounded_solution(error, jacobian, space.point_of(start))
         command = command_at(solution.point)
         predicted = next_states.get(solution.point.tobytes())
         if predicted is None:

@@ -143,7 +143,8 @@ class BudgetedMap(WrappedMap):
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails or the budget is spent."""
-        leading, n = self._leading(state, command), len(self.space.state)
+        leading = self._leading(state, command)
+        n = len(self.space.state)
         inputs = n + len(self.space.command)
         if self.budget.spend(2 * inputs * int(np.prod(leading))):
             return self.inner.jacobian(state, command)

@@ -51,12 +51,15 @@ def command_response(log: Steps, nominal: StepMap) -> CommandResponse | None:
         nominal: Map that says which effect is expected.
     """
     rows = np.flatnonzero(log.follows & np.isfinite(log.next_state).all(axis=1) & ~log.doubtful)
-    known, before = log.selected(rows), log.selected(rows - 1)
+    known = log.selected(rows)
+    before = log.selected(rows - 1)
     plain = np.hstack([np.ones((len(rows), 1)), known.state])
-    n, m = len(log.space.state), len(log.space.command)
+    n = len(log.space.state)
+    m = len(log.space.command)
     if len(rows) < FEWEST_STEPS_PER_WEIGHT * (1 + n + 2 * m):
         return None
-    now, later = known.requested, before.requested
+    now = known.requested
+    later = before.requested
     both = fit_linear(np.hstack([plain, now, later]), known.next_state)
     acts, acts_later = (
         _explains(fit_linear(np.hstack([plain, other]), known.next_state).residual, both.residual, m, len(rows))
@@ -73,7 +76,8 @@ def command_response(log: Steps, nominal: StepMap) -> CommandResponse | None:
 
 def _explains(without: Array, both: Array, added: int, count: int) -> NDArray[np.bool_]:
     """Whether some columns reduce the residual (N, n) by more than chance does; shape (n,)."""
-    before, after = np.sum(without**2, axis=0), np.sum(both**2, axis=0)
+    before = np.sum(without**2, axis=0)
+    after = np.sum(both**2, axis=0)
     free = count - 1 - both.shape[1] - 2 * added
     statistic = np.maximum(before - after, 0) / added / np.maximum(after / free, 1e-300)
     return np.asarray(fdtrc(added, free, statistic) < CONFIDENT)

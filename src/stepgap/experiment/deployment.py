@@ -137,7 +137,8 @@ class DeploymentController:
 
     def logged_first(self, iteration: int, number: int, record: StepRecord) -> LoggedStep:
         """The step that a robot took before the first planned one, without a target, with what the map predicts."""
-        controller, point = self.step_controller, (record.state, record.requested)
+        controller = self.step_controller
+        point = (record.state, record.requested)
         predicted = controller.step_map.evaluate(*point).next_state
         nowhere = np.full_like(record.state, np.nan)
         return LoggedStep(iteration, number, nowhere, predicted, controller.step_std(*point), record)
@@ -152,7 +153,8 @@ class DeploymentController:
         )
 
     def _calibration_after(self, logged: LoggedStep) -> IntervalCalibration | None:
-        record, known = logged.record, logged.std > 0
+        record = logged.record
+        known = logged.std > 0
         if not (known.any() and logged.planned):
             return self.calibration
         step_map = self.learner.step_map()
@@ -216,7 +218,8 @@ def deploy(
             if record.status != StepStatus.OK:
                 return
             begin = perf_counter()
-            controller, state = controller.after(logged), record.next_state
+            controller = controller.after(logged)
+            state = record.next_state
             on_time("learning", perf_counter() - begin)
             on_learner(controller.learner)
 
@@ -276,7 +279,8 @@ def beyond_reach(step_map: StepMap, found: Touchdown, target: Array, plan: Cauti
         return
     least, most = reach_from(step_map, found.state)
     for number in np.flatnonzero(missed & ~((least <= target) & (target <= most))):
-        each, wanted = space.state[number], target[number]
+        each = space.state[number]
+        wanted = target[number]
         yield (
             f"the next {each.above}, at {found.context[each.above] + wanted:.3f} {each.unit}, is {wanted:.3f} "
             f"{each.unit} away, but commands reach {least[number]:.3f} to {most[number]:.3f} {each.unit}"
@@ -325,7 +329,8 @@ def _explored(controller: DeploymentController, reference: Reference, state: Arr
 
 def _share_of_map(step_map: StepMap, state: Array, command: Array) -> Array:
     """Part of the variance of a measured step that is due to the map and not noise, from 0 to 1; shape (n,)."""
-    std, noise_std = step_map.std(state, command), step_map.noise_std
+    std = step_map.std(state, command)
+    noise_std = step_map.noise_std
     return np.divide(std**2, std**2 + noise_std**2, out=np.zeros(len(std)), where=std > 0)
 
 
@@ -360,6 +365,7 @@ def _checked(step_map: StepMap, state: Array, plan: CautiousPlan) -> CautiousPla
     """Returns a plan; raises ResidualError if it lacks a prediction because the residual of the map has none."""
     predicted = np.isfinite([plan.predicted, plan.std]).all()
     if not predicted and np.isfinite(state).all() and isinstance(step_map, CorrectedMap):
-        residual, point = step_map.residual, join_points(state, plan.command)
+        residual = step_map.residual
+        point = join_points(state, plan.command)
         check_prediction(residual.kind, residual.mean(point), residual.std(point))
     return plan

@@ -61,7 +61,8 @@ class Goals:
                 noise seems smaller than it is, and the variances in proportion.
             noise_std: Standard deviation of the noise of a step before that; shape (n,).
         """
-        noise, loss = float(np.sum((noise_std / self.scale) ** 2)), 0.0
+        noise = float(np.sum((noise_std / self.scale) ** 2))
+        loss = 0.0
         for point in self.points:
             std = residual.std(point) * noise_std / residual.noise_std
             loss += float(np.sum((std / self.scale) ** 2))
@@ -75,7 +76,10 @@ def goals_of(reference: Reference, step_map: StepMap) -> Goals:
     targets = whole_states(step_map, reference.targets[first])[number]
     before = np.concatenate([targets[:1], targets[:-1]])
     steps, at, counts = np.unique(np.stack([before, targets], axis=1), axis=0, return_index=True, return_counts=True)
-    points, weights, controller, order = [], [], StepController(step_map), np.argsort(at)
+    points = []
+    weights = []
+    controller = StepController(step_map)
+    order = np.argsort(at)
     for (state, target), count in zip(steps[order], counts[order], strict=True):
         try:
             points.append(np.append(state, controller(state, target).command))
@@ -94,8 +98,11 @@ def worth_of_steps(controller: CautiousController, residual: Residual, reference
         reference: Its first target is where the first step begins.
         most: Largest number of steps.
     """
-    worths, before, noise_std = list[float](), 0.0, residual.noise_std
-    state, goals = whole_states(controller.nominal, reference.targets[:1])[0], goals_of(reference, controller.step_map)
+    worths = list[float]()
+    before = 0.0
+    noise_std = residual.noise_std
+    state = whole_states(controller.nominal, reference.targets[:1])[0]
+    goals = goals_of(reference, controller.step_map)
     for number in range(most + 1):
         loss = goals.expected_loss(residual, noise_std)
         if number:
@@ -104,7 +111,9 @@ def worth_of_steps(controller: CautiousController, residual: Residual, reference
             break
         plan = exploration_plan(controller, residual, state, goals)
         point = np.append(state, plan.command)
-        residual, state, before = residual.append(point, residual.mean(point)), plan.predicted, loss
+        residual = residual.append(point, residual.mean(point))
+        state = plan.predicted
+        before = loss
         step_map = CorrectedMap(controller.nominal, residual)
         controller = replace(controller, step_map=step_map, previous=plan.command)
     return worths
@@ -123,14 +132,17 @@ def exploration_plan(controller: CautiousController, residual: Residual, state: 
     Raises:
         StepFailed: None of the compared commands makes a step.
     """
-    step_map, space = controller.step_map, controller.bounds
-    n, m = len(space.state), len(space.command)
+    step_map = controller.step_map
+    space = controller.bounds
+    n = len(space.state)
+    m = len(space.command)
     commands = space.command_at(box_points(TRIED, m))
     safe = np.array([command for command in commands if controller.is_safe(state, command)]).reshape(-1, m)
     if not len(safe):
         return controller(state, goals.points[0, :n])
     ends = step_map.evaluate(state, safe).next_state
-    lower, upper = goals.points[:, :n].min(axis=0), goals.points[:, :n].max(axis=0)
+    lower = goals.points[:, :n].min(axis=0)
+    upper = goals.points[:, :n].max(axis=0)
     outside = np.linalg.norm((ends - np.clip(ends, lower, upper)) / space.state_scale, axis=-1)
     allowed = np.flatnonzero(outside <= max(float(outside.min()), MARGIN))
 

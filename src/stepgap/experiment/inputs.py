@@ -36,7 +36,8 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
     if experiment.reference in built_in:
         return _tracked(built_in[experiment.reference](), experiment).of(space)
     names = " or ".join(f"'{name}'" for name in built_in)
-    path, wanted = Path(experiment.reference), f"reference must be {names} or a CSV file of targets"
+    path = Path(experiment.reference)
+    wanted = f"reference must be {names} or a CSV file of targets"
     try:
         return read_reference(path, space)
     except OSError as error:
@@ -74,7 +75,8 @@ def load_known(experiment: Experiment, space: StepSpace) -> Steps:
     """
     if not experiment.warm_start:
         return Steps(space)
-    path, wanted = Path(experiment.warm_start), "a warm start needs the folder of a run, its steps.csv, or many runs"
+    path = Path(experiment.warm_start)
+    wanted = "a warm start needs the folder of a run, its steps.csv, or many runs"
     files = [path]
     if path.is_dir():
         runs = run_folders(path)
@@ -97,8 +99,10 @@ def load_priors(experiment: Experiment, space: StepSpace) -> list[PriorFile]:
     Raises:
         InputError: A file does not exist, is not a prior, or is that of another state, command or nominal map.
     """
-    nominal, linear = experiment.nominal.kind, experiment.nominal.linear
-    built_in, path = experiment.prior == PRIOR_OF_ROBOT, Path(experiment.prior)
+    nominal = experiment.nominal.kind
+    linear = experiment.nominal.linear
+    built_in = experiment.prior == PRIOR_OF_ROBOT
+    path = Path(experiment.prior)
     if built_in:
         shipped = experiment.robot.prior()
         believes = experiment.learning.drift and experiment.learning.residual == LearningSettings().residual
@@ -120,7 +124,8 @@ def load_priors(experiment: Experiment, space: StepSpace) -> list[PriorFile]:
 
 def check_prior_is_used(experiment: Experiment) -> None:
     """Raises InputError if a prior is wanted, but what is learned cannot begin with it."""
-    learning, usual = experiment.learning, LearningSettings().residual
+    learning = experiment.learning
+    usual = LearningSettings().residual
     wanted = experiment.prior not in (PRIOR_OF_ROBOT, NO_PRIOR)
     if wanted and not (learning.drift and learning.residual == usual):
         raise InputError(

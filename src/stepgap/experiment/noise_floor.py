@@ -74,7 +74,8 @@ def measure_noise_floor(
         return NoiseFloor.unknown(len(reference.names))
     starts = np.unique([0, *reference.changes])
     chosen = starts[np.unique(np.linspace(0, len(starts) - 1, REPEATED_TARGETS).round().astype(int))]
-    size, groups = len(reference.names), list[Array]()
+    size = len(reference.names)
+    groups = list[Array]()
     no_failures = np.empty((0, size + len(step_map.space.command)))
     repeated = partial(_repeated, make_plant, CautiousController(step_map, step_map, no_failures, EXACT))
     jobs = zip(reference.targets[chosen], rng.spawn(len(chosen)), strict=True)
@@ -129,7 +130,8 @@ def _pooled(groups: Sequence[Array], size: int) -> NoiseFloor:
     within = np.array([np.sum((x - m[:, None]) ** 2, axis=(0, 1)) for x, m in zip(groups, means, strict=True)])
     between = np.array([REPEATS * np.sum((m - m.mean(axis=0)) ** 2, axis=0) for m in means])
     counts = np.array([len(found) for found in groups])
-    within_freedom, between_freedom = counts * (REPEATS - 1), counts - 1
+    within_freedom = counts * (REPEATS - 1)
+    between_freedom = counts - 1
     noise = within.sum(axis=0) / within_freedom.sum()
     # The mean square between phases is σ² of the noise + REPEATS · σ² of the phase, which is not negative.
     varies = between.sum(axis=0) / between_freedom.sum() > noise

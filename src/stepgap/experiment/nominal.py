@@ -92,7 +92,9 @@ def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] 
 
 def _load_map(settings: Experiment, on_samples: Callable[[int, Array], None]) -> Nominal:
     """The nominal map of an experiment as it is."""
-    kind, file, robot = settings.nominal.kind, settings.nominal.file, settings.robot
+    kind = settings.nominal.kind
+    file = settings.nominal.file
+    robot = settings.robot
     if kind in (FROM_TEMPLATE, FROM_LOG):
         if not file:
             example = "template.toml" if kind == FROM_TEMPLATE else "steps.csv"
@@ -171,7 +173,8 @@ def slowness(kind: str, nominal: StepMap, evaluations: int) -> str:
 
 def _seconds_per_step(nominal: StepMap) -> float:
     """Shortest of some durations of a step [s]."""
-    centre, durations = (nominal.space.state_centre, nominal.space.command_centre), []
+    centre = (nominal.space.state_centre, nominal.space.command_centre)
+    durations = []
     for _ in range(TIMED_STEPS):
         begin = perf_counter()
         nominal.evaluate(*centre)

@@ -35,7 +35,8 @@ def steps_of_robot(folder: Path) -> RobotSteps:
         InputError: It is not a run, its files are not of one run, or its nominal map is not known.
     """
     run = Run(folder).checked()
-    nominal, settings = run.needed(run.nominal), run.needed(run.settings)
+    nominal = run.needed(run.nominal)
+    settings = run.needed(run.settings)
     kind = "" if settings.nominal.linear else settings.nominal.kind
     return RobotSteps(folder, settings.robot.name, kind, observe(run.recorded.planned(), nominal))
 

@@ -56,12 +56,14 @@ def replay_of(run: Run) -> Replay | Missing:
 
 def _replay_of(run: Run, kinematics: Kinematics) -> Replay:
     """The same, where the kinematics is known; raises InputError if the ticks are not, or differ from the steps."""
-    measured, scene = [*kinematics.units, "step"], kinematics.scene
+    measured = [*kinematics.units, "step"]
+    scene = kinematics.scene
     file = run.settings_file
     text = None if isinstance(file, Missing) else file.text
 
     def motion(iteration: int) -> Motion:
-        path, steps = motion_path(run.folder, iteration), digest(run.recorded.of_iteration(iteration))
+        path = motion_path(run.folder, iteration)
+        steps = digest(run.recorded.of_iteration(iteration))
         origin = sha256(f"measured {INTERVAL} {scene} {iteration} {steps} {text}".encode()).hexdigest()
         kept = read_motion(path, scene, origin)
         return kept or write_motion(path, kinematics.motion(ticks(iteration).selected(measured)), origin)
@@ -88,7 +90,8 @@ def ground_of(run: Run, iteration: int, scene: Scene) -> GroundPieces | None:
     Raises:
         InputError: The simulation cannot be made.
     """
-    settings, space = run.needed(run.settings), run.space
+    settings = run.needed(run.settings)
+    space = run.space
     if not space.is_above_context:
         return None
     if settings.simulated:
@@ -126,7 +129,9 @@ def replay(
         InputError: The run cannot be read, has no such deployment, was not simulated, or has no ticks.
         RecordError: The simulated steps differ from the recorded ones.
     """
-    settings, steps, tables = run.needed(run.settings), _steps_of(run, iteration), list[TickTable]()
+    settings = run.needed(run.settings)
+    steps = _steps_of(run, iteration)
+    tables = list[TickTable]()
     for done, table in enumerate(_replayed_steps(run, steps, every), int(steps.unplanned[0])):
         tables.append(table)
         progress(done, len(steps))
@@ -176,9 +181,11 @@ def logged_ticks(run: Run, iteration: int) -> TickTable:
     Raises:
         InputError: The run has no such deployment, or the log does not exist, is incomplete, or has fewer steps.
     """
-    robot, recorded = run.needed(run.robot), _steps_of(run, iteration)
+    robot = run.needed(run.robot)
+    recorded = _steps_of(run, iteration)
     steps = recorded.planned()
-    path, control = run.folder / "ticks" / f"ticks-{iteration}.mcap", robot.control()
+    path = run.folder / "ticks" / f"ticks-{iteration}.mcap"
+    control = robot.control()
     if control is None:
         raise InputError(f"robot '{robot.name}' has no control for a rig, so its ticks cannot be read")
     try:
@@ -213,7 +220,8 @@ def _replayed_steps(run: Run, steps: Steps, every: int) -> Iterator[TickTable]:
         raise InputError(
             f"plant '{settings.plant}': a deployment of a rig cannot be simulated again; its ticks are in ticks/"
         )
-    units, rows = tick_units_of(settings), list[Array]()
+    units = tick_units_of(settings)
+    rows = list[Array]()
     first, *_ = steps
     before = first.step - 1 + int(steps.unplanned[0])  # number of the step that the plant takes when it starts
 

@@ -95,7 +95,8 @@ class Run:
         Raises:
             InputError: A file is not valid, there is no step, or the files are not of one run; the message names it.
         """
-        path, steps = self.folder / "steps.csv", self.steps
+        path = self.folder / "steps.csv"
+        steps = self.steps
         if not len(steps):
             raise InputError(f"{path}: no step yet; it must have a header and at least one row below it")
         columns = np.hstack([steps.state, steps.target, steps.next_state, steps.predicted, steps.std])
@@ -141,7 +142,8 @@ class Run:
         """The robot of the settings, which knows units and ranges; missing if its state is not that of the steps."""
         if isinstance(self.settings, Missing):
             return self.settings
-        robot, path = self.settings.robot, self.folder / "steps.csv"
+        robot = self.settings.robot
+        path = self.folder / "steps.csv"
         if path.is_file() and path.stat().st_size and not robot.space.has_names_of(self._header):
             return Missing(f"steps.csv is not of the state and command of robot '{robot.name}' in experiment.toml")
         return robot
@@ -276,7 +278,8 @@ class Run:
             InputError: There is no such deployment, the settings or the nominal map are missing, or the model in the
                 folder is not that of this run and its nominal map.
         """
-        nominal, settings = self.needed(self.nominal), self.needed(self.settings)
+        nominal = self.needed(self.nominal)
+        settings = self.needed(self.settings)
         after = max(self.recorded.iterations, default=-1) + 1
         number = after if iteration is None else iteration
         if not 0 <= number <= after:
@@ -448,7 +451,8 @@ def _check_same_run(summary: Summary, steps: Steps, path: Path) -> None:
     """Raises InputError unless the summary describes these steps, or the first of them."""
     for deployment in summary.deployments:
         rows = steps.of_iteration(deployment.iteration).planned()
-        recorded, failed = len(rows), rows.failed_steps
+        recorded = len(rows)
+        failed = rows.failed_steps
         if (recorded, failed) != (deployment.steps, deployment.failed_steps):
             raise InputError(
                 f"{path}: deployment {deployment.iteration} has {deployment.steps} steps, {deployment.failed_steps} of "

@@ -398,7 +398,8 @@ def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: 
             rest[name] = {key: value for key, value in part.items() if key != "preset"}
     more = (ROBOT, "method", *(f"{name}.preset" for name in robot.presets))
     experiment, robot = merge_all((experiment, robot), rest, locate, more=more)
-    built_in, reference = robot.references(), experiment.reference
+    built_in = robot.references()
+    reference = experiment.reference
     if "reference" not in table and reference in experiment.robot.references() and reference not in built_in:
         reference = next(iter(built_in))
     experiment = replace(experiment, robot=robot, reference=reference)

@@ -43,9 +43,11 @@ def meanings(settings: type) -> Mapping[str, str]:
 def experiment_toml(experiment: Experiment) -> str:
     """The TOML file of an experiment, with the meaning of every setting as a comment."""
     known = {name: text for name, text, _ in described_settings(experiment)}
-    lines, table = [], ""
+    lines = []
+    table = ""
     for line in tomli_w.dumps(experiment_table(experiment)).splitlines():
-        key, header = _KEY.match(line), _HEADER.match(line)
+        key = _KEY.match(line)
+        header = _HEADER.match(line)
         name = ""
         if header:
             name = header[1]
@@ -113,11 +115,13 @@ def _tables(experiment: Experiment, wanted: set[str]) -> list[str]:
 
 def _described(settings: Any, prefix: str) -> Iterator[tuple[str, str, Any]]:
     """Yields dotted name, meaning and value of every setting of a dataclass and of the tables in it."""
-    texts, types = meanings(type(settings)), get_type_hints(type(settings))
+    texts = meanings(type(settings))
+    types = get_type_hints(type(settings))
     entries = [entry for entry in fields(settings) if entry.metadata.get(IS_KEY, True)]
     tables = [entry for entry in entries if is_dataclass(getattr(settings, entry.name))]
     for entry in (*(entry for entry in entries if entry not in tables), *tables):
-        name, value = prefix + entry.name, getattr(settings, entry.name)
+        name = prefix + entry.name
+        value = getattr(settings, entry.name)
         if entry in tables:
             yield name, texts.get(entry.name, ""), None
             yield from _described(value, f"{name}.")

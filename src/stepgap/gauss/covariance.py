@@ -133,7 +133,8 @@ def evidence_gradient(K_inv: Array, alpha: Array, dk_dr: Array, X: Array, Phi: A
     """
     size, inputs = X.shape
     by_length_scale = np.zeros(inputs)
-    by_slope_scale, by_noise = 0.0, 0.0
+    by_slope_scale = 0.0
+    by_noise = 0.0
     pair = 0
     for i in range(size):
         excess = alpha[i, 0] ** 2 + alpha[i, 1] ** 2 - K_inv[i, i]

@@ -102,7 +102,8 @@ class Evidence:
         # K is in units of signal². The signal is the best one for these parameters, where the loss does not
         # change with it to first order, so its gradient is that at a fixed signal, but for the exception below.
         log_density, alpha = self._log_density(solved, signal)
-        K_inv, dk_dr = inverse_triangle(solved.factor), self.kernel.radial_derivative(squared)
+        K_inv = inverse_triangle(solved.factor)
+        dk_dr = self.kernel.radial_derivative(squared)
         by_length_scale, by_slope, by_noise = evidence_gradient(K_inv, alpha, dk_dr, self.points, linear_features)
         by_ratio = float(np.exp(2 * parameters.noise_ratio)) * by_noise
         # This part is zero except where the noise is at its lower bound: there the signal follows from the ratio.
@@ -146,7 +147,8 @@ class Evidence:
         """
         if self.value_scale is None:
             return math.sqrt(quadratic_form / self.degrees_of_freedom)
-        median, twice = PRIOR_SIGNAL * self.value_scale, 2.0 * self.degrees_of_freedom
+        median = PRIOR_SIGNAL * self.value_scale
+        twice = 2.0 * self.degrees_of_freedom
         omega = float(wrightomega(np.log(2 * quadratic_form / median**2) + twice)) if quadratic_form > 0 else 0.0
         return median * math.exp(0.5 * (omega - twice))
 

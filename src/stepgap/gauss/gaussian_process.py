@@ -140,7 +140,8 @@ class GaussianProcess(ABC):
     def append(self, point: ArrayLike, value: float) -> Self:
         """The process conditioned on one more point (d,) and value, with the same hyper-parameters."""
         new_point, new_value, _ = checked_data(np.asarray(point, float)[None], np.asarray([value]), self.input_scale)
-        points, values = np.concatenate([self.points, new_point]), np.concatenate([self.values, new_value])
+        points = np.concatenate([self.points, new_point])
+        values = np.concatenate([self.values, new_value])
         return replace(self, points=points, values=values)
 
     def mean(self, point: ArrayLike) -> Array:
@@ -246,7 +247,8 @@ class ExactGaussianProcess(GaussianProcess):
     def least_squares(self) -> LeastSquares:
         """β and the weights of the data, with K / signal² = L Lᵀ."""
         covariance = self.covariance
-        correlation, noise = covariance.correlation_of_centres(), self.hyper_parameters.noise_variance
+        correlation = covariance.correlation_of_centres()
+        noise = self.hyper_parameters.noise_variance
         matrix = covariance_matrix(correlation, covariance.centre_features, noise)
         return fit_least_squares(factorise(matrix), self.values)
 
@@ -255,8 +257,13 @@ class ExactGaussianProcess(GaussianProcess):
         """β by generalised least squares [unit of the values]."""
         return self.least_squares.coefficient
 
-    @cached_property
+    @property
     def weights(self) -> tuple[Array, Array]:
+        """Weights in the mean: of the covariances with the points and of the linear features."""
+        return self._weights
+
+    @cached_property
+    def _weights(self) -> tuple[Array, Array]:
         """Weights in the mean: of the covariances with the points (N,) and of the linear features (d,)."""
         weights = self.least_squares.weights
         return weights, self.covariance.centre_features.T @ weights
@@ -267,7 +274,8 @@ class ExactGaussianProcess(GaussianProcess):
         RW Eq. 5.12, for blocks, for the variance at the β of the others; with K⁻¹ − K⁻¹1 1ᵀK⁻¹ / 1ᵀK⁻¹1 for K⁻¹, as β
         is estimated without the block, too, for the mean and the variance of universal kriging.
         """
-        solved, values = self.least_squares, self.values
+        solved = self.least_squares
+        values = self.values
         mean, variance, kriging_variance = (np.full(len(values), each) for each in (np.nan, np.inf, np.inf))
         whitened = solve(solved.factor, np.eye(len(values)))
         basis = solved.basis / np.linalg.norm(solved.basis)
@@ -282,12 +290,15 @@ class ExactGaussianProcess(GaussianProcess):
         return LeftOut(mean, signal * np.sqrt(variance), signal * np.sqrt(kriging_variance))
 
     def _variances(self, query: Array) -> tuple[Array, Array]:
-        whitened, basis = self._whiten(query), self.least_squares.basis
+        whitened = self._whiten(query)
+        basis = self.least_squares.basis
         from_constant = (1 - basis @ whitened) ** 2 / (basis @ basis)
         return self.covariance.prior_variance(query) - (whitened**2).sum(axis=0), from_constant
 
     def _half_variance_gradient(self, query: Array, *, kriging: bool) -> Array:
-        covariance, solved, whitened = self.covariance, self.least_squares, self._whiten(query)
+        covariance = self.covariance
+        solved = self.least_squares
+        whitened = self._whiten(query)
         if kriging:
             basis = solved.basis
             whitened = whitened + np.outer(basis, (1 - basis @ whitened) / (basis @ basis))
@@ -320,7 +331,8 @@ class SparseGaussianProcess(GaussianProcess):
     @cached_property
     def inducing_factor(self) -> Array:
         """L, the Cholesky factor of the covariance of the inducing points / signal²; shape (M, M)."""
-        correlation, nothing = self.covariance.correlation_of_centres(), np.zeros((len(self.inducing), 0))
+        correlation = self.covariance.correlation_of_centres()
+        nothing = np.zeros((len(self.inducing), 0))
         return factorise(covariance_matrix(correlation, nothing, 0.0))
 
     @cached_property
@@ -342,8 +354,13 @@ class SparseGaussianProcess(GaussianProcess):
         """β [unit of the values]."""
         return float(self.weight_mean[-1])
 
-    @cached_property
+    @property
     def weights(self) -> tuple[Array, Array]:
+        """Weights in the mean: of the covariances with the points and of the linear features."""
+        return self._weights
+
+    @cached_property
+    def _weights(self) -> tuple[Array, Array]:
         """Weights in the mean: of the covariances with the inducing points (M,) and of the linear features (d,)."""
         size = len(self.inducing)
         return solve_transposed(self.inducing_factor, self.weight_mean[:size]), self.weight_mean[size:-1]
@@ -354,9 +371,11 @@ class SparseGaussianProcess(GaussianProcess):
         With H = φᵀA⁻¹φ/ν of a block, its errors are (1 − H)⁻¹ times those with it, and the variance of its values, less
         that of f given the inducing points, is H (1 − H)⁻¹ ν = ((1 − H)⁻¹ − 1) ν.
         """
-        noise, count = self.hyper_parameters.noise_variance, len(self.values)
+        noise = self.hyper_parameters.noise_variance
+        count = len(self.values)
         features = self._features(self.points)
-        whitened, error = solve(self.weight_factor, features), self.values - features.T @ self.weight_mean
+        whitened = solve(self.weight_factor, features)
+        error = self.values - features.T @ self.weight_mean
         mean, growth, kriging_growth = (np.full(count, each) for each in (np.nan, np.inf, np.inf))
         for block in blocks:
             if len(self.values[block]) < count:
@@ -384,7 +403,9 @@ class SparseGaussianProcess(GaussianProcess):
         return self._conditional_variance(features) + squares[:-1].sum(axis=0), squares[-1]
 
     def _half_variance_gradient(self, query: Array, *, kriging: bool) -> Array:
-        covariance, size, features = self.covariance, len(self.inducing), self._features(query)
+        covariance = self.covariance
+        size = len(self.inducing)
+        features = self._features(query)
         whitened = solve(self.weight_factor, features)
         if not kriging:
             whitened[-1] = 0
@@ -466,7 +487,8 @@ def process_from_dict(data: Mapping[str, Any], kernel: Kernel = MATERN_52) -> Ga
     """
     name = data.get("kernel", kernel.name)  # which former versions did not write
     require(name == kernel.name, "kernel", name, f"be {kernel.name!r}")
-    points, values = numbers(data, "points", 2), numbers(data, "values", 1)
+    points = numbers(data, "points", 2)
+    values = numbers(data, "values", 1)
     input_scale = numbers(data, "input_scale", 1)
     stds = (number(data, name) for name in ("signal_std", "noise_std", "slope_std"))
     hyper_parameters = HyperParameters(numbers(data, "length_scale", 1), *stds)
@@ -484,14 +506,16 @@ def _left_out(whitened: Array, noise: float) -> Array:
     """(1 − H)⁻¹ for H = whitenedᵀ whitened / noise; shape (F, k) to (k, k)."""
     kept = np.eye(whitened.shape[1]) - whitened.T @ whitened / noise
     np.fill_diagonal(kept, np.maximum(kept.diagonal(), np.finfo(float).eps))
-    return np.linalg.inv(kept)
+    return np.asarray(np.linalg.inv(kept), float)
 
 
 def checked_data(
     points: ArrayLike, values: ArrayLike, input_scale: ArrayLike, hyper_parameters: HyperParameters | None = None
 ) -> tuple[Array, Array, Array]:
     """Copies of the data; raises ValueError, which names the argument, if a shape or a number is wrong."""
-    points, values, input_scale = np.array(points, float), np.array(values, float), np.array(input_scale, float)
+    points = np.array(points, float)
+    values = np.array(values, float)
+    input_scale = np.array(input_scale, float)
     require(input_scale.ndim == 1 and input_scale.size > 0, "input_scale.shape", input_scale.shape, "be (d,)")
     require(_positive(input_scale), "input_scale", input_scale, "be positive and finite")
     sized = points.ndim == 2 and len(points) > 0 and points.shape[1] == len(input_scale)

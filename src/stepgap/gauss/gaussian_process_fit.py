@@ -122,7 +122,8 @@ def fit_hyper_parameters(
     if value_scale is None:
         value_scale = max(0.5 * float(np.ptp(values)), 1e-6 * float(np.abs(values).max()), 1e-12)
     require(0 < value_scale < math.inf, "value_scale", value_scale, "be positive and finite")
-    some, inputs = searched_rows(len(values)), points.shape[1]
+    some = searched_rows(len(values))
+    inputs = points.shape[1]
     evidence = Evidence(
         points=points[some] / input_scale,
         values=values[some],
@@ -133,7 +134,8 @@ def fit_hyper_parameters(
         kernel=kernel,
     )
     log_parameters = _search(evidence, _starts(inputs, basis))
-    found, fitted = evidence.hyper_parameters(log_parameters), len(log_parameters.vector) + 1
+    found = evidence.hyper_parameters(log_parameters)
+    fitted = len(log_parameters.vector) + 1
     return _widened(found, len(some), fitted)
 
 
@@ -173,7 +175,8 @@ def fit_like_fitrgp(points: ArrayLike, values: ArrayLike) -> GaussianProcess:
 
 def _like_fitrgp(points: Array, values: Array) -> HyperParameters:
     some = searched_rows(len(values))
-    points, values = points[some], values[some]
+    points = points[some]
+    values = values[some]
     spread, values_spread = (points.std(axis=0, ddof=1).mean(), values.std(ddof=1)) if len(values) > 1 else (0.0, 0.0)
     initial = spread if spread > 0 else 1.0
     least_noise = max(1e-6 * float(np.abs(values).max()), 1e-12, 0.01 * values_spread)
@@ -206,7 +209,8 @@ def condition_as_needed(
     if len(values) <= EXACT_SIZE:
         return condition(points, values, input_scale, found, kernel)
     held_out = np.arange(len(values)) % 5 == 4
-    size, best = INDUCING_SIZES[0], -np.inf
+    size = INDUCING_SIZES[0]
+    best = -np.inf
     for candidate in INDUCING_SIZES:
         inducing = spread_points(points[~held_out], input_scale, found, candidate, kernel)
         process = condition_sparse(points[~held_out], values[~held_out], input_scale, found, inducing, kernel)
@@ -214,7 +218,8 @@ def condition_as_needed(
         score = float(np.mean(log_density(values[held_out] - process.mean(points[held_out]), std)))
         if score < best + LEAST_GAIN:
             break
-        size, best = candidate, score
+        size = candidate
+        best = score
     inducing = spread_points(points, input_scale, found, size, kernel)
     return condition_sparse(points, values, input_scale, found, inducing, kernel)
 
@@ -228,7 +233,8 @@ def spread_points(
     """
     scaled = points / (input_scale * hyper_parameters.length_scale)
     columns = np.empty((count, len(points)))
-    remaining, chosen = np.ones(len(points)), []
+    remaining = np.ones(len(points))
+    chosen = []
     # `columns` has the Cholesky factor of the chosen points, continued to all points, and `remaining` the variance of
     # f at each point given them [signal²]. A column costs O(N · row), and no matrix of all points is ever made.
     for row in range(min(count, len(points))):

@@ -15,6 +15,7 @@ def log_student(error: Array, variance: Array, freedom: float) -> float:
         variance: Squared scales of the uncorrelated coordinates; shape (n,).
         freedom: Degrees of freedom.
     """
-    n, half = len(error), (freedom + len(error)) / 2
+    n = len(error)
+    half = (freedom + len(error)) / 2
     constant = lgamma(half) - lgamma(freedom / 2) - n / 2 * log(freedom * pi)
     return constant - float(np.sum(np.log(variance))) / 2 - half * log(1 + float(np.sum(error**2 / variance)) / freedom)

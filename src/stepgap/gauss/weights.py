@@ -70,7 +70,8 @@ class Weights:
 
     def restarted(self, places: Sequence[int], variance: Array) -> "Weights":
         """Weights of which nothing is known at some places but that they are zero with variances (n, places)."""
-        mean, covariance = self.mean.copy(), self.covariance
+        mean = self.mean.copy()
+        covariance = self.covariance
         mean[:, places] = 0.0
         covariance[:, places, :] = 0.0
         covariance[:, :, places] = 0.0
@@ -82,7 +83,8 @@ class Weights:
 def _conditioned(mean, root, features, values, noise):
     """Mean and root of the weights of each value after it was measured (Carlson's algorithm)."""
     count, size = mean.shape
-    new_mean, new_root = np.empty_like(mean), np.zeros_like(root)
+    new_mean = np.empty_like(mean)
+    new_root = np.zeros_like(root)
     cross = np.empty(size)
     for n in range(count):
         # From the last column to the first, `total` grows from the noise to φᵀPφ + noise and `cross` to P φ. Column j
@@ -106,7 +108,8 @@ def _conditioned(mean, root, features, values, noise):
 @compiled
 def _walked(root, places, std):
     """Roots after std² was added on the diagonal at some places (rank-one updates by Givens rotations)."""
-    new, size = root.copy(), root.shape[1]
+    new = root.copy()
+    size = root.shape[1]
     added = np.empty(size)
     for n in range(len(root)):
         for place in places:
@@ -114,7 +117,8 @@ def _walked(root, places, std):
             added[place] = std[n]
             for j in range(place, size):
                 radius = np.sqrt(new[n, j, j] ** 2 + added[j] ** 2)
-                cosine, sine = new[n, j, j] / radius, added[j] / radius
+                cosine = new[n, j, j] / radius
+                sine = added[j] / radius
                 column = new[n, j:, j].copy()
                 new[n, j:, j] = cosine * column + sine * added[j:]
                 added[j:] = cosine * added[j:] - sine * column

@@ -123,7 +123,8 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         command = np.clip(self.space.command_at(point), bounds.command_lower, bounds.command_upper)
         self._change = self._change.after(command)
         record = self._plant.take_step(command)
-        target, remaining = self._tracked.targets[self._done], len(self._tracked) - self._done
+        target = self._tracked.targets[self._done]
+        remaining = len(self._tracked) - self._done
         predicted, status = self.nominal.evaluate(record.state, record.requested)
         info = {"command": record.command, "applied": record.applied, "status": record.status.label}
         info |= {"predicted": predicted} if status == StepStatus.OK else {}
@@ -135,7 +136,8 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         else:
             squared = float(np.nansum(((record.next_state - target) / self.space.error_scale) ** 2))
             reward = -min(squared, LARGEST_COST)
-            self._state, self._done = record.next_state, self._done + 1
+            self._state = record.next_state
+            self._done = self._done + 1
         truncated = not failed and remaining == 1
         if failed or truncated:
             self.close()

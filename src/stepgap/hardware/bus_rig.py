@@ -31,8 +31,10 @@ class TorqueWatch:
     """
 
     def __init__(self, tolerance: float, readings: int):
-        self._tolerance, self._sent = tolerance, deque[float](maxlen=max(2, readings))
-        self._wrong, self.actual = 0, 0.0
+        self._tolerance = tolerance
+        self._sent = deque[float](maxlen=max(2, readings))
+        self._wrong = 0
+        self.actual = 0.0
 
     def restart(self) -> None:
         """Forgets all commands, as before torque is enabled."""
@@ -55,7 +57,8 @@ class TorqueWatch:
         self.actual = actual
         if not self._sent:
             return False
-        least, most = min(self._sent), max(self._sent)
+        least = min(self._sent)
+        most = max(self._sent)
         allowed = self._tolerance + TORQUE_SHARE * max(-least, most)
         self._wrong = self._wrong + 1 if not least - allowed <= actual <= most + allowed else 0
         return self._wrong >= MOST_WRONG
@@ -63,7 +66,8 @@ class TorqueWatch:
     @property
     def commanded(self) -> str:
         """The commands of that time, for messages."""
-        least, most = min(self._sent), max(self._sent)
+        least = min(self._sent)
+        most = max(self._sent)
         return f"{least:.4g}" if least == most else f"{least:.4g} to {most:.4g}"
 
 
@@ -128,8 +132,10 @@ class BusRig(Rig):
     """
 
     def __init__(self, settings: BusTiming, sensor_model: SensorModel):
-        self._budgets, self._sensor_model = settings.budgets, sensor_model
-        self._fault, self._lost = "", 0
+        self._budgets = settings.budgets
+        self._sensor_model = sensor_model
+        self._fault = ""
+        self._lost = 0
 
     @property
     def sensor_model(self) -> SensorModel:

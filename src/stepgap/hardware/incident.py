@@ -117,7 +117,8 @@ def _described_word(word: int) -> str:
 
 def changes_of(incident: Incident) -> list[Occurrence]:
     """Changes of states, names, reasons and status words, and the events, in the order of their times."""
-    shown, found = incident.shown, list[Occurrence]()
+    shown = incident.shown
+    found = list[Occurrence]()
     for field, name in namers_of(incident).items():
         found += _renamed(shown, field, name)
     for field, names in incident.description.meaning.bits.items():
@@ -136,7 +137,8 @@ def bit_numbers(ticks: TickTable, field: str) -> np.ndarray:
 
 def _renamed(ticks: TickTable, field: str, name: Callable[[int], str]) -> list[Occurrence]:
     known = np.isfinite(ticks[field])
-    time, texts = ticks["time"][known], [name(int(value)) for value in ticks[field][known]]
+    time = ticks["time"][known]
+    texts = [name(int(value)) for value in ticks[field][known]]
     return [
         Occurrence(float(time[i]), f"{field}: {texts[i - 1]} → {texts[i]}")
         for i in range(1, len(texts))
@@ -145,7 +147,8 @@ def _renamed(ticks: TickTable, field: str, name: Callable[[int], str]) -> list[O
 
 
 def _first_bits(ticks: TickTable, field: str, names: Mapping[int, str]) -> list[Occurrence]:
-    time, numbers = ticks["time"], bit_numbers(ticks, field)
+    time = ticks["time"]
+    numbers = bit_numbers(ticks, field)
     return [
         Occurrence(
             float(time[at[0]]), f"{field}: {text.lower().replace('_', ' ')}, in {len(at)} tick{'s' * (len(at) > 1)}"
@@ -160,7 +163,8 @@ def _lateness(incident: Incident) -> list[Occurrence]:
     shown = incident.shown
     if "late" not in shown.units or len(shown) < 2:
         return []
-    time, late = shown["time"], shown["late"]
+    time = shown["time"]
+    late = shown["late"]
     tick = float(np.median(np.diff(incident.ticks["time"])))
     return [Occurrence(float(time[i]), f"late by {1e3 * late[i]:.2f} ms") for i in np.flatnonzero(late >= tick / 2)]
 
@@ -188,7 +192,8 @@ class Margin:
         """Largest part of the way from the middle of the range, or from zero, to a limit; more than 1 is beyond it."""
         low, high = self.limits
         if isfinite(low) and isfinite(high):
-            middle, half = (low + high) / 2, (high - low) / 2
+            middle = (low + high) / 2
+            half = (high - low) / 2
             return max(self.most - middle, middle - self.least) / half if half > 0 else inf
         if isfinite(high):
             return self.most / high if high > 0 else inf
@@ -197,7 +202,8 @@ class Margin:
 
 def margins_of(incident: Incident) -> list[Margin]:
     """Fields with limits, the nearest to its limit first."""
-    found, shown = list[Margin](), incident.shown
+    found = list[Margin]()
+    shown = incident.shown
     before = shown["time"] <= incident.time
     for field, limits in incident.description.meaning.ranges.items():
         if field in incident.ticks.units and (limits[0] > -inf or limits[1] < inf):
@@ -219,7 +225,8 @@ def reaction_of(incident: Incident) -> tuple[float, float] | None:
 
     None if there is no fault or no torque in the log. After a tick without values the rig has switched torque off.
     """
-    fields, time = torque_fields(incident.ticks), incident.ticks["time"]
+    fields = torque_fields(incident.ticks)
+    time = incident.ticks["time"]
     if not incident.fault or not fields:
         return None
     first = int(np.searchsorted(time, incident.time))
@@ -232,14 +239,18 @@ def reaction_of(incident: Incident) -> tuple[float, float] | None:
 
 def describe_incident(incident: Incident) -> str:
     """Describes the incident in lines of text."""
-    description, ticks = incident.description, incident.ticks
+    description = incident.description
+    ticks = incident.ticks
     versions = ", ".join(f"{name} {version}" for name, version in description.versions.items())
     lines = [f"{incident.path}: {len(ticks)} ticks, {ticks['time'][-1]:.3f} s"]
     lines += [f"recorded with {versions}"] if versions else []
     lines += [f"damaged: {fault}" for fault in incident.damage]
-    utc, last = utc_of(incident, incident.time), int(ticks["state"][-1])
+    utc = utc_of(incident, incident.time)
+    last = int(ticks["state"][-1])
     ends = f"the log ends in the state {RigState(last).name if last in set(RigState) else last}"
-    what = "no fault; the log ends" if not incident.fault else "fault" if last == RigState.FAULT else f"fault: {ends}"
+    what = "no fault; the log ends"
+    if incident.fault:
+        what = "fault" if last == RigState.FAULT else f"fault: {ends}"
     lines.append(f"{what} at {incident.time:.3f} s{f', {utc} UTC' if utc else ''}")
     changes = changes_of(incident)
     lines += ["", f"{'time':>9}  change"]

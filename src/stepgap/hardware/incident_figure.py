@@ -24,7 +24,9 @@ def incident_picture(incident: Incident, form: str) -> bytes:
         incident: The incident.
         form: File format: pdf, png or svg.
     """
-    shown, namers, bits = incident.shown, namers_of(incident), incident.description.meaning.bits
+    shown = incident.shown
+    namers = namers_of(incident)
+    bits = incident.description.meaning.bits
     drawn: list[tuple[float, Callable[[Any], None]]] = [
         (0.6, partial(_draw_names, time=_time(incident), ticks=shown, field=field, name=name))
         for field, name in sorted(namers.items(), key=lambda item: item[0] != "state")
@@ -85,9 +87,12 @@ def _draw_bits(panel: Any, time: Array, ticks: TickTable, field: str, names: Map
 
 def _draw_fields(panel: Any, incident: Incident, fields: list[str]) -> None:
     """Fields with the same unit, and their limits if they come near; counts from their first value on."""
-    shown, unit, time = incident.shown, incident.ticks.units[fields[0]], _time(incident)
+    shown = incident.shown
+    unit = incident.ticks.units[fields[0]]
+    time = _time(incident)
     for number, field in enumerate(fields):
-        values, colour = shown[field], CURVES[number % len(CURVES)]
+        values = shown[field]
+        colour = CURVES[number % len(CURVES)]
         known = values[np.isfinite(values)]
         offset = known[0] if unit == "counts" and len(known) else 0.0
         panel.plot(time, values - offset, color=colour, linewidth=0.9, label=plain(field))

@@ -40,7 +40,8 @@ def rig_plants(request: PlantRequest) -> Plants:
         )
     simulated = require_limits(settings.rig, limits).simulated
     loop, consent = supervised(LoopSettings(), control.consent_request, simulated)
-    setup, logs = RealtimeSetup(make_rig, control, loop), request.folder / "ticks"
+    setup = RealtimeSetup(make_rig, control, loop)
+    logs = request.folder / "ticks"
 
     def require_proofs() -> None:
         checked(Path(settings.rig))

@@ -144,11 +144,19 @@ def _crossing(system, span, first, last):
         first: Guards at its start.
         last: Guards at its end.
     """
-    middle, earliest, which = _guards_at(system, span, 0.5), 2.0, -1
+    middle = _guards_at(system, span, 0.5)
+    earliest = 2.0
+    which = -1
     for j in range(len(last)):
-        low, g_low, high, g_high = 0.0, max(first[j], 0.0), 0.5, middle[j]
+        low = 0.0
+        g_low = max(first[j], 0.0)
+        high = 0.5
+        g_high = middle[j]
         if not g_high < 0.0:  # nor NaN
-            low, g_low, high, g_high = 0.5, g_high, 1.0, last[j]
+            low = 0.5
+            g_low = g_high
+            high = 1.0
+            g_high = last[j]
         if not g_high < 0.0:
             high = _dip(first[j], middle[j], last[j])
             if high == 0.0:
@@ -157,10 +165,12 @@ def _crossing(system, span, first, last):
             if not g_high < 0.0:
                 continue
             if high < 0.5:
-                low, g_low = 0.0, max(first[j], 0.0)
+                low = 0.0
+                g_low = max(first[j], 0.0)
         fraction = _root(system, span, j, low, g_low, high, g_high)
         if fraction < earliest:
-            earliest, which = fraction, j
+            earliest = fraction
+            which = j
     return earliest, which
 
 
@@ -185,10 +195,14 @@ def _root(system, span, which, low, g_low, high, g_high):
         if abs(g) <= tolerance:
             return s
         if g < 0.0:
-            high, g_high, g_low = s, g, 0.5 * g_low if side < 0 else g_low
+            high = s
+            g_high = g
+            g_low = 0.5 * g_low if side < 0 else g_low
             side = -1
         else:
-            low, g_low, g_high = s, g, 0.5 * g_high if side > 0 else g_high
+            low = s
+            g_low = g
+            g_high = 0.5 * g_high if side > 0 else g_high
             side = 1
     return high
 
@@ -209,7 +223,9 @@ def _to_guard(system, time, state, evaluated, which, begin, largest):
         begin: Start of the piece [s].
         largest: Largest change of the time in either direction [s].
     """
-    dt, earliest, latest = 1e-6, max(begin, time - largest), time + largest
+    dt = 1e-6
+    earliest = max(begin, time - largest)
+    latest = time + largest
     for _ in range(8):
         here, guards = evaluated
         later, guards_later = rate_and_guards(system, time + dt, axpy(state, dt, (1.0,), (here,)))
@@ -217,7 +233,8 @@ def _to_guard(system, time, state, evaluated, which, begin, largest):
         delay = guards[which] / decrease if decrease != 0.0 else 0.0
         delay = min(latest, max(earliest, time + delay)) - time
         half = 0.5 * delay / dt
-        state, time = axpy(state, delay, (1.0 - half, half), (here, later)), time + delay
+        state = axpy(state, delay, (1.0 - half, half), (here, later))
+        time = time + delay
         if abs(delay) < 1e-10:
             break
         evaluated = rate_and_guards(system, time, state)
@@ -241,7 +258,8 @@ def integrate(system, time, state, time_limit, tolerance, h, trace):
         (time, state, event, h): the end; index of the guard that is zero there, TIME_OUT or BROKEN; size of the first
         step of the next piece.
     """
-    event, begin = BROKEN, time
+    event = BROKEN
+    begin = time
     here, guards = rate_and_guards(system, time, state)
     jacobian = rate_jacobian(system, state, here)
     # `here`, `guards` and `jacobian` are those at (time, state), and no guard has crossed zero since `begin`. Only
@@ -285,13 +303,16 @@ def retrace(system, time, state, trace):
     Returns:
         (time, state, event) as `integrate`; the event is the recorded one.
     """
-    begin, h = time, 0.0
-    stop, event = trace.pieces[trace.cursor[1], 0], trace.pieces[trace.cursor[1], 1]
+    begin = time
+    h = 0.0
+    stop = trace.pieces[trace.cursor[1], 0]
+    event = trace.pieces[trace.cursor[1], 1]
     evaluated = rate_and_guards(system, time, state)
     while trace.cursor[0] < stop:
         h = trace.sizes[trace.cursor[0]]
         end, evaluated, _ = _step(system, time, state, evaluated[0], rate_jacobian(system, state, evaluated[0]), h)
-        time, state = time + h, end
+        time = time + h
+        state = end
         trace.cursor[0] += 1
     trace.cursor[1] += 1
     time, state = _to_guard(system, time, state, evaluated, event, begin, h)

@@ -48,8 +48,10 @@ def factorised(jacobian, h):
     """
     c = 1.0 / (GAMMA * h)
     (p11, p12, v11, v12), (p21, p22, v21, v22) = jacobian
-    a, b = c * c - p11 - c * v11, -p12 - c * v12
-    d, e = -p21 - c * v21, c * c - p22 - c * v22
+    a = c * c - p11 - c * v11
+    b = -p12 - c * v12
+    d = -p21 - c * v21
+    e = c * c - p22 - c * v22
     inverse = 1.0 / (a * e - b * d)
     return c, (v11, v12, v21, v22), (e * inverse, -b * inverse, -d * inverse, a * inverse)
 
@@ -60,7 +62,8 @@ def _solved(factors, right):
     c, v, inverse = factors
     p = right[2] + c * right[0] - v[0] * right[0] - v[1] * right[1]
     q = right[3] + c * right[1] - v[2] * right[0] - v[3] * right[1]
-    u1, u2 = inverse[0] * p + inverse[1] * q, inverse[2] * p + inverse[3] * q
+    u1 = inverse[0] * p + inverse[1] * q
+    u2 = inverse[2] * p + inverse[3] * q
     return u1, u2, c * u1 - right[0], c * u2 - right[1]
 
 
@@ -69,7 +72,8 @@ def rosenbrock_step(system, time, state, here, jacobian, h):
     """Takes a step of size h from `state`, whose rate is `here`: (end, (rate, guards) there, local error)."""
     # A stage solves for u instead of the rate k, so no product with J is needed. In this stiffly accurate method, each
     # of the last three points is the one before plus its u; the last u is the difference to the solution of order 4.
-    factors, w = factorised(jacobian, h), 1.0 / h
+    factors = factorised(jacobian, h)
+    w = 1.0 / h
     u1 = _solved(factors, here)
     k2 = rate(system, axpy(state, 1.0, _A2, (u1,)))
     u2 = _solved(factors, axpy(k2, w, _C2, (u1,)))
@@ -92,7 +96,8 @@ def rosenbrock_step(system, time, state, here, jacobian, h):
 @generic
 def difference_rate_jacobian(system, state, here):
     """∂(acceleration)/∂(coordinates, rates) by finite differences of the rate; rows as in `factorised`."""
-    s, d = state, 1e-7
+    s = state
+    d = 1e-7
     a = rate(system, (s[0] + d, s[1], s[2], s[3]))
     b = rate(system, (s[0], s[1] + d, s[2], s[3]))
     e = rate(system, (s[0], s[1], s[2] + d, s[3]))

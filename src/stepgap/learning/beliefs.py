@@ -180,7 +180,8 @@ class Beliefs:
 
     def _after_run(self, steps: Sequence[tuple[Observed, bool]], log_weight: float) -> Belief:
         """The belief that the robot is that of an earlier run."""
-        beliefs, belief = self, self.beliefs[0]
+        beliefs = self
+        belief = self.beliefs[0]
         for step, follows in steps:
             side = (beliefs if follows else beliefs._forgetting()).side(step.phase)
             features = self.all_features(step.point, side)
@@ -226,7 +227,8 @@ class Beliefs:
         ]
         total = sum(share for share, _ in kept)
         mean = sum(share / total * belief.weights.mean for share, belief in kept)
-        covariance, noise = np.zeros_like(self.change), np.zeros(len(self.change))
+        covariance = np.zeros_like(self.change)
+        noise = np.zeros(len(self.change))
         for share, belief in kept:
             away = belief.weights.mean - mean
             covariance += share / total * (belief.weights.covariance + away[:, :, None] * away[:, None, :])
@@ -316,7 +318,8 @@ class Beliefs:
         """The beliefs after their judgement: one may become the current one, equal ones are joined."""
         yes, no = self.wrong_measurements
         if elsewhere is not None and self.suspicion is not None:
-            yes, no = yes + judged.elsewhere, no + max(0.0, self.suspicion.wrong - judged.elsewhere)
+            yes = yes + judged.elsewhere
+            no = no + max(0.0, self.suspicion.wrong - judged.elsewhere)
         suspicion = None
         if judged.wrong > SUSPECT:
             mean, variance = best.weights.predicted(features)
@@ -377,7 +380,9 @@ def _judged(
     # A wrong step is as wide as the widest belief at least: otherwise every large error would be a change.
     wide = np.maximum(np.max(totals, axis=0), WRONG_WIDTH**2 * best.noise)
     doubt = elsewhere.probability if elsewhere else 0.0
-    found, wrongs, moved = list[Belief](), list[float](), list[float]()
+    found = list[Belief]()
+    wrongs = list[float]()
+    moved = list[float]()
     for belief, (mean, _), total in zip(beliefs, predictions, totals, strict=True):
         # The density of the error by each explanation, in logarithms.
         regular = log(max(1 - WRONG - doubt, 1e-9)) + belief.log_density(error - mean, total)

@@ -69,13 +69,16 @@ def _belief_from(saved: Mapping[str, Any], n: int, size: int, features: Features
     kinds: dict[str, Kind] = {each: each for each in get_args(Kind)}
     if (kind := kinds.get(str(saved.get("kind")))) is None:
         raise ValueError(f"beliefs: kind must be one of {', '.join(kinds)}, not {saved.get('kind')!r:.40}")
-    mean, freedom, squares = numbers(saved, "mean", 2), numbers(saved, "freedom", 1), numbers(saved, "squares", 1)
+    mean = numbers(saved, "mean", 2)
+    freedom = numbers(saved, "freedom", 1)
+    squares = numbers(saved, "squares", 1)
     require(mean.shape == (n, size), "beliefs: mean.shape", mean.shape, f"be {(n, size)} with these {features.count}")
     _check_size(mean, "mean")
     for name, values, least in (("freedom", freedom, 2.0), ("squares", squares, LEAST)):
         require(values.shape == (n,) and bool((values > least).all()), f"beliefs: {name}", values, f"exceed {least:g}")
         _check_size(values, name)
-    rate, age = number(saved, "rate"), integer(saved, "age", 0)
+    rate = number(saved, "rate")
+    age = integer(saved, "age", 0)
     require(0 <= rate <= 1, "beliefs: rate", rate, "lie between 0 and 1")
     weights = Weights(mean, _roots(saved, "root", n, size))
     return Belief(kind, weights, freedom, squares, number(saved, "log_weight"), rate, age)

@@ -28,7 +28,8 @@ def observed(record: StepRecord, nominal: StepMap, error: Array, phase: float) -
         error: What is believed about: its error, less that of a fitted residual; shape (n,) [units of the state].
         phase: Phase at which it started [rad], NaN if it is unknown.
     """
-    space, context = nominal.space, context_inputs_of(record.context, nominal.space)
+    space = nominal.space
+    context = context_inputs_of(record.context, nominal.space)
 
     def point(state: Array) -> Array:
         return np.concatenate([space.scaled_inputs(space.onward(state), record.requested), context])
@@ -44,7 +45,8 @@ def observed(record: StepRecord, nominal: StepMap, error: Array, phase: float) -
         slope = slope * space.state_scale / space.state_scale[:, None]
         return (point(start), found, slope) if np.isfinite(found).all() and np.isfinite(slope).all() else None
 
-    inputs, scaled = point(record.state), error / space.state_scale
+    inputs = point(record.state)
+    scaled = error / space.state_scale
     if not (np.abs(np.concatenate([inputs, scaled])) <= LARGEST).all():
         return None
     return Observed(inputs, scaled, phase, command=space.point_of(record.requested), from_elsewhere=from_elsewhere)
@@ -94,7 +96,8 @@ def believed(residual: Residual, features: Features, mixture: Mixture, seen: Obs
     base = residual if residual.kind != "none" else None
     context = len(space.context_inputs)
     inputs = base.history_inputs if base else HistoryInputs(context_inputs=context)
-    n, m = len(space.state), len(space.command)
+    n = len(space.state)
+    m = len(space.command)
     data = [seen.training_data(inputs, coordinate) for coordinate in range(n)]
     first = len(data[0].scale) - context - inputs.timed
     used = (*range(n + m), *range(first, first + context))

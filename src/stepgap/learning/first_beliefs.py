@@ -115,8 +115,10 @@ def _belief(
 ) -> Belief:
     """A belief before the first step."""
     n, m = sizes
-    count, size = features.monomials, features.count + 2 + n + m
-    mean, covariance = np.zeros((n, size)), np.zeros((n, size, size))
+    count = features.monomials
+    size = features.count + 2 + n + m
+    mean = np.zeros((n, size))
+    covariance = np.zeros((n, size, size))
     mean[:, :count], covariance[:, :count, :count] = family.mean, family.covariance
     for coordinate, noise in enumerate(family.noise_std):
         parts = [(features.waves, WAVE_STD), (2, PERIODIC_STD * noise), (n, ERROR_BEFORE_STD), (m, COMMAND_BEFORE_STD)]

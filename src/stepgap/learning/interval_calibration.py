@@ -95,7 +95,8 @@ class IntervalCalibration:
                 not finite says nothing.
         """
         features = self._features(state, predicted, share) * np.isfinite(ratio)[:, None]
-        size, precision = np.abs(np.nan_to_num(ratio)), WEIGHT_STD**-2
+        size = np.abs(np.nan_to_num(ratio))
+        precision = WEIGHT_STD**-2
         likelihood = np.minimum(size, LARGEST_RATIO) ** 2 - 1
         score = likelihood + QUANTILE_WEIGHT * ((size > INTERVAL_95) - _MISSED)
         information = _DECAY * self.information + _CURVATURE * features[:, :, None] * features[:, None, :]

@@ -111,7 +111,8 @@ class Learner:
         A residual is fitted again. Beliefs go on. They begin again, with all steps, where the number of known steps
         gives them other features, or after a deployment some of whose steps proved doubtful.
         """
-        iteration, settings = self.iteration + 1, self.settings
+        iteration = self.iteration + 1
+        settings = self.settings
         beliefs = self.beliefs if settings.residual == POSTERIOR.name else None
         same = beliefs is not None and beliefs.features.waves == features_of(beliefs.features.inputs, len(known)).waves
         if beliefs is None or not same or known.of_iteration(self.iteration).doubtful.any():
@@ -232,7 +233,9 @@ def _fitted(nominal: StepMap, known: Steps, settings: LearningSettings, *, belie
 def _begun(nominal: StepMap, known: Steps, residual: Residual, priors: Sequence[Prior]) -> Beliefs:
     """The beliefs before a deployment: about what a fitted residual leaves, or about all steps known."""
     space = nominal.space
-    n, m, context = len(space.state), len(space.command), len(space.context_inputs)
+    n = len(space.state)
+    m = len(space.command)
+    context = len(space.context_inputs)
     features = features_of(n + m + context, len(known))
     if residual.kind != "none":
         return Beliefs.start(features, (n, m), (), residual.noise_std / space.state_scale)
@@ -249,7 +252,10 @@ def _begun(nominal: StepMap, known: Steps, residual: Residual, priors: Sequence[
 
 def _observed_in(steps: Steps, nominal: StepMap) -> Iterator[tuple[Observed, bool]]:
     """The steps of one or more deployments that have an error and no doubtful state; whether each follows the last."""
-    phases, doubtful, follows, last = steps.phase, steps.doubtful, steps.follows, -1
+    phases = steps.phase
+    doubtful = steps.doubtful
+    follows = steps.follows
+    last = -1
     for row, logged in enumerate(steps):
         error = error_of(logged.record, nominal)
         if logged.planned and np.isfinite(error).all() and not doubtful[row]:

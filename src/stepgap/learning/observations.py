@@ -41,7 +41,8 @@ class Observations:
     history: Array | None = None
 
     def __post_init__(self) -> None:
-        state, command = self.space.state_names, self.space.command_names
+        state = self.space.state_names
+        command = self.space.command_names
         _check_rows(self.state, "state", state)
         _check_rows(self.command, "command", command)
         _check_rows(self.error, "error", state)
@@ -72,7 +73,8 @@ class Observations:
 
     def training_data(self, history_inputs: HistoryInputs, coordinate: int) -> TrainingData:
         """Training data of the regression of one state coordinate."""
-        space, points = self.space, self.points(history_inputs)
+        space = self.space
+        points = self.points(history_inputs)
         others = points.shape[1] - len(space.state) - len(space.command)
         return TrainingData(
             points,
@@ -86,7 +88,8 @@ class Observations:
 
 def no_observations(space: StepSpace) -> Observations:
     """Observations of no step."""
-    n, m = len(space.state), len(space.command)
+    n = len(space.state)
+    m = len(space.command)
     history = np.empty((0, 1 + len(space.context_inputs)))
     return Observations(space, np.empty((0, n)), np.empty((0, m)), np.empty((0, n)), history)
 
@@ -124,7 +127,8 @@ def context_inputs_of(context: Mapping[str, float], space: StepSpace) -> Array:
 
 def _context_inputs(space: StepSpace, log: Steps) -> Array:
     """Context inputs of all steps of a log; shape (N, q)."""
-    found, names = np.zeros((len(log), len(space.context_inputs))), log.space.context_names
+    found = np.zeros((len(log), len(space.context_inputs)))
+    names = log.space.context_names
     for column, each in enumerate(space.context_inputs):
         if each.name in names:
             found[:, column] = np.nan_to_num(log.context[:, names.index(each.name)] / each.input_scale)

@@ -73,8 +73,10 @@ class Polynomial(BatchRegression):
 
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
         """Predictions, with noise, of each value from those outside its block."""
-        basis, counts = self._basis(self.points), self._counts
-        mean, std = np.empty(len(self.values)), np.empty(len(self.values))
+        basis = self._basis(self.points)
+        counts = self._counts
+        mean = np.empty(len(self.values))
+        std = np.empty(len(self.values))
         for block in blocks:
             others = self._known.learned(basis[block], self.values[block], -counts[block])
             weights, spread, noise_variance = others.solve(basis[block])
@@ -155,7 +157,8 @@ def _from_dict(saved: Mapping[str, Any], degree: int) -> Polynomial:
 
 def _model(name: str, degree: int, description: str) -> ResidualModel:
     """Creates the residual model of a degree."""
-    fit, from_dict = partial(_fit, degree=degree), partial(_from_dict, degree=degree)
+    fit = partial(_fit, degree=degree)
+    from_dict = partial(_from_dict, degree=degree)
     description = f"{description}, fitted by Bayesian linear regression"
     return ResidualModel(name, description, fit, from_dict, candidate=True, complexity=degree + 1)
 

@@ -94,18 +94,22 @@ class Posterior(BatchRegression):
         cannot be taken back. Nothing is known of the steps before, so the noise is that of all values about the
         features of their points (predicted residual sum of squares: Allen, 1974).
         """
-        rows, unit = self._features(self.points), self.data.value_scale
+        rows = self._features(self.points)
+        unit = self.data.value_scale
         values = (self.values - (self.base.mean(self.points) if self.base else 0.0)) / unit
         prior = unknown_belief(self.features)
-        information, noise = np.linalg.inv(prior.weights.covariance[0]), self.noise**2
-        known, error = np.empty((0, 0)), values
+        information = np.linalg.inv(prior.weights.covariance[0])
+        noise = self.noise**2
+        known = np.empty((0, 0))
+        error = values
         for _ in range(NOISE_ROUNDS):
             spread = np.linalg.inv(information + rows.T @ rows / noise)
             known = rows @ spread / noise
             error = values - known @ (rows.T @ values)
             freedom = float(prior.freedom[0]) - 2 + len(values) - float(np.sum(known * rows))
             noise = (float(prior.squares[0]) + float(error @ error)) / freedom
-        mean, std = np.empty(len(values)), np.empty(len(values))
+        mean = np.empty(len(values))
+        std = np.empty(len(values))
         for block in blocks:
             kept = np.eye(len(rows[block])) - known[block] @ rows[block].T
             mean[block] = self.values[block] - unit * np.linalg.solve(kept, error[block])
@@ -127,7 +131,8 @@ class Posterior(BatchRegression):
 
     def parameters(self) -> list[Parameter]:
         """Noise, and the value and slopes in the middle of the range of use."""
-        middle, centre = self.data.centre, "in the middle"
+        middle = self.data.centre
+        centre = "in the middle"
         slopes = Parameter(f"slope {centre}", self.mean_gradient(middle), "value per input")
         return [*super().parameters(), Parameter(centre, float(self.mean(middle)), "value"), slopes]
 
@@ -183,8 +188,10 @@ def posterior_from_dict(saved: Mapping[str, Any]) -> Posterior:
         features = features_from_dict(as_object(saved.get("features"), "features"))
     except ValueError as error:
         raise ValueError(f"features {str(error).removeprefix('features').lstrip('. ')}") from None
-    weights, covariance = numbers(saved, "weights", 1), numbers(saved, "covariance", 2)
-    size, used = len(weights), tuple(int(each) for each in numbers(saved, "used", 1))
+    weights = numbers(saved, "weights", 1)
+    covariance = numbers(saved, "covariance", 2)
+    size = len(weights)
+    used = tuple(int(each) for each in numbers(saved, "used", 1))
     require(size >= features.count, "weights", weights, f"have at least {features.count} numbers")
     require(covariance.shape == (size, size), "covariance.shape", covariance.shape, f"be {(size, size)}")
     require(len(used) == features.inputs, "used", used, f"have {features.inputs} numbers")
@@ -206,7 +213,9 @@ def features_to_dict(features: Features) -> dict[str, Any]:
 
 def features_from_dict(saved: Mapping[str, Any]) -> Features:
     """Restores features; a ValueError names the wrong key."""
-    inputs, degree, shifts = integer(saved, "inputs"), integer(saved, "degree"), numbers(saved, "shifts", 1)
+    inputs = integer(saved, "inputs")
+    degree = integer(saved, "degree")
+    shifts = numbers(saved, "shifts", 1)
     require(1 <= inputs <= MOST_FEATURES_READ, "features.inputs", inputs, f"lie between 1 and {MOST_FEATURES_READ}")
     require(degree in (1, 2), "features.degree", degree, "be 1 or 2")
     frequencies = numbers(saved, "frequencies", 2) if len(shifts) else np.empty((0, inputs))
@@ -226,13 +235,16 @@ def _fit(data: TrainingData) -> Posterior:
     inputs = len(data.scale) - data.timed
     features = features_of(inputs, len(data.values))
     belief = unknown_belief(features)
-    points, values = data.scaled(data.points)[:, :inputs], data.values / data.value_scale
+    points = data.scaled(data.points)[:, :inputs]
+    values = data.values / data.value_scale
     for row, value in zip(features(points), values, strict=True):
         belief = belief.learned(row, np.array([value]), 1.0)
     weights = unknown_belief(features).weights  # again, since the noise was not known from the first value on
     for row, value in zip(features(points), values, strict=True):
         weights = weights.learned(row, np.array([value]), belief.noise)
-    mean, covariance, noise = weights.mean[0], weights.covariance[0], float(np.sqrt(belief.noise[0]))
+    mean = weights.mean[0]
+    covariance = weights.covariance[0]
+    noise = float(np.sqrt(belief.noise[0]))
     return Posterior(data, features, mean, covariance, np.zeros(0), noise, used=tuple(range(inputs)))
 
 

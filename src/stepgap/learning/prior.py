@@ -73,7 +73,8 @@ class Prior:
             space: Ranges of state and command, which may differ from those of the prior.
             features: Of state, command and context inputs, on which robots of the family do not depend.
         """
-        d, n = len(self.names), len(space.state)
+        d = len(self.names)
+        n = len(space.state)
         centre = np.concatenate([space.state_centre, space.command_centre])
         back = self._converted(centre, np.concatenate([space.state_scale, space.command_scale]))
         size = number_of_monomials(d, features.degree)
@@ -121,8 +122,11 @@ def fit_prior(robots: Sequence[Observations]) -> Prior:
 
 def _fitted(basis: Sequence[Array], values: Sequence[Array]) -> CoordinatePrior:
     """Expectation maximisation for one coordinate: monomials (N, k) and errors (N,) of each robot [half ranges]."""
-    size, count = basis[0].shape[1], len(basis)
-    mean, covariance, noise = np.zeros(size), 0.1 * np.eye(size), np.full(count, 0.05**2)
+    size = basis[0].shape[1]
+    count = len(basis)
+    mean = np.zeros(size)
+    covariance = 0.1 * np.eye(size)
+    noise = np.full(count, 0.05**2)
     grams = [each.T @ each for each in basis]
     sums = [each.T @ value for each, value in zip(basis, values, strict=True)]
     for _ in range(_ROUNDS):

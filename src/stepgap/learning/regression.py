@@ -68,7 +68,8 @@ class TrainingData:
     def __post_init__(self) -> None:
         require(self.scale.ndim == 1, "scale.shape", self.scale.shape, "be (d,)")
         require(self.points.ndim == 2, "points.shape", self.points.shape, "be (N, d)")
-        size, inputs = len(self.points), len(self.scale)
+        size = len(self.points)
+        inputs = len(self.scale)
         shapes = {"scale": (inputs,), "centre": (inputs,), "points": (size, inputs), "values": (size,)}
         for name, shape in shapes.items():
             array = getattr(self, name)
@@ -204,7 +205,8 @@ class BatchRegression(Regression):
 
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
         """Predicts each value from those outside its block; costs as much as computing the model once per block."""
-        mean, std = np.full(len(self.values), np.nan), np.full(len(self.values), np.inf)
+        mean = np.full(len(self.values), np.nan)
+        std = np.full(len(self.values), np.inf)
         for block in blocks:
             if len(self.values[block]) < len(self.values):
                 others = replace(self, data=self.data.without(block))

@@ -145,7 +145,8 @@ class Residual:
             point: State and requested command of the step; shape (n + m,).
             error: Actual − nominal next state; shape (n,).
         """
-        inputs, values = self._inputs(point), np.asarray(error, float)
+        inputs = self._inputs(point)
+        values = np.asarray(error, float)
         pairs = zip(self.regressions, values, strict=True)
         return replace(self, regressions=tuple(each.append(inputs, float(value)) for each, value in pairs))
 
@@ -177,8 +178,10 @@ def no_residual(state_size: int, command_size: int) -> Residual:
 
 def join_points(state: ArrayLike, command: ArrayLike) -> Array:
     """Concatenates states (…, n) and commands (…, m), which broadcast over their leading axes; shape (…, n + m)."""
-    state, command = np.asarray(state, float), np.asarray(command, float)
-    n, m = state.shape[-1], command.shape[-1]
+    state = np.asarray(state, float)
+    command = np.asarray(command, float)
+    n = state.shape[-1]
+    m = command.shape[-1]
     leading = np.broadcast(state[..., :1], command[..., :1]).shape[:-1]
     points = np.empty((*leading, n + m))
     points[..., :n], points[..., n:] = state, command

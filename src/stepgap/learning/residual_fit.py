@@ -75,7 +75,8 @@ def held_out_score(residual: Residual, observations: Observations) -> float:
         Mean log predictive density of an error, summed over the coordinates; −inf where a prediction is missing.
     """
     parts = np.array_split(np.arange(len(observations)), min(SELECTION_FOLDS, len(observations)))
-    blocks, score = [slice(part[0], part[-1] + 1) for part in parts], 0.0
+    blocks = [slice(part[0], part[-1] + 1) for part in parts]
+    score = 0.0
     for regression, error in zip(residual.regressions, observations.error.T, strict=True):
         mean, std = regression.left_out(blocks)
         score += float(np.mean(log_density(error - mean, std)))
@@ -114,7 +115,8 @@ def residual_from_dict(data: Mapping[str, Any]) -> Residual:
 
 def _fit(model: ResidualModel, history_inputs: HistoryInputs, observations: Observations) -> Residual:
     """Fits a residual of one model; what it returns is checked."""
-    n, m = len(observations.space.state), len(observations.space.command)
+    n = len(observations.space.state)
+    m = len(observations.space.command)
     data = [observations.training_data(history_inputs, coordinate) for coordinate in range(n)]
     with naming_model(model):
         residual = Residual(model, tuple(model.fit(each) for each in data), m, history_inputs)

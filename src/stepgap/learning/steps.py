@@ -77,7 +77,8 @@ class Steps:
     """
 
     def __init__(self, space: StepSpace, steps: Iterable[LoggedStep] = ()):
-        self.space, self._memory = space, _Memory()
+        self.space = space
+        self._memory = _Memory()
         self.rows = _rows_of(space, steps)
 
     @classmethod
@@ -87,7 +88,8 @@ class Steps:
         Of the other columns, what is missing is unknown, but `requested` and `applied` are `command` by default,
         `iteration` is 0, and `number` counts from 1.
         """
-        count, known = len(np.asarray(columns["state"])), dict[str, ArrayLike](columns)
+        count = len(np.asarray(columns["state"]))
+        known = dict[str, ArrayLike](columns)
         if "command" in columns:
             known = dict.fromkeys(("requested", "applied"), columns["command"]) | known
         labels = {"iteration": 0, "number": np.arange(1, count + 1), "status": StepStatus.OK}
@@ -222,7 +224,8 @@ class Steps:
         The fault may have begun before it was found, so that the states at the ends of the steps before are doubtful,
         too. The same holds for a fall, which may be due to a wrong state.
         """
-        follows, doubtful = self.follows, self.status == StepStatus.DOUBTFUL
+        follows = self.follows
+        doubtful = self.status == StepStatus.DOUBTFUL
         for status, count in TAINTED.items():
             reached = self.status == status
             for _ in range(count):
@@ -244,7 +247,8 @@ class _Memory:
     """Memory that rows and those that continue them share, each being a beginning of it."""
 
     def __init__(self) -> None:
-        self._rows, self._used = np.empty(0, np.void), 0
+        self._rows = np.empty(0, np.void)
+        self._used = 0
 
     def joined(self, rows: NDArray[np.void], more: NDArray[np.void]) -> tuple[NDArray[np.void], "_Memory"]:
         """Rows followed by others. They are copied only where there is no room, or where others follow them already."""

@@ -143,7 +143,9 @@ def _model_parts(path: str) -> dict[str, Any]:
     mujoco.MjData(model)
     joints = [model.joint(number) for number in range(model.njnt)]
     keys = [model.key(number) for number in range(model.nkey)]
-    geoms, touching, ground = dict[str | int, list[str | int]](), [], False
+    geoms = dict[str | int, list[str | int]]()
+    touching = []
+    ground = False
     for number, body in enumerate(model.geom_bodyid):
         geom = model.geom(number).name or number
         geoms.setdefault(model.body(body).name or int(body), []).append(geom)
@@ -178,7 +180,8 @@ def _coordinates(model: Any) -> dict[str, int]:
 
     found: dict[str, int] = {}
     for number in range(model.njnt):
-        position, rate = int(model.jnt_qposadr[number]), int(model.jnt_dofadr[number])
+        position = int(model.jnt_qposadr[number])
+        rate = int(model.jnt_dofadr[number])
         axis = abs(model.jnt_axis[number])
         if model.jnt_type[number] == mujoco.mjtJoint.mjJNT_FREE:
             return {"height": position + 2, "rise": rate + 2, "speed": rate}

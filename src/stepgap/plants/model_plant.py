@@ -29,10 +29,12 @@ class ModelPlant(RepeatablePlant):
         rng: np.random.Generator | None = None,
     ):
         start = step_map.space.state_centre if start_state is None else start_state
-        self._map, self._start = step_map, np.asarray(start, float)
+        self._map = step_map
+        self._start = np.asarray(start, float)
         self._noise = np.broadcast_to(np.asarray(noise, float), self._start.shape)
         require(rng is not None or not self._noise.any(), "noise", noise, "come with a generator that draws it")
-        self._rng, self._state = rng or np.random.default_rng(0), self._start
+        self._rng = rng or np.random.default_rng(0)
+        self._state = self._start
 
     @property
     def space(self) -> StepSpace:
@@ -57,7 +59,8 @@ class ModelPlant(RepeatablePlant):
     def _step(self, command: Array, rng: np.random.Generator) -> StepRecord:
         applied = np.clip(command, self.space.command_lower, self.space.command_upper)
         next_state, code = self._map.evaluate(self._state, applied)
-        next_state, status = next_state + rng.normal(0.0, self._noise), StepStatus(int(code))
+        next_state = next_state + rng.normal(0.0, self._noise)
+        status = StepStatus(int(code))
         return StepRecord(
             self._state, command, applied, next_state, status, requested=applied, true_next_state=next_state
         )

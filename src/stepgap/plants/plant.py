@@ -36,7 +36,8 @@ class StepCommands:
     """
 
     def __init__(self, space: StepSpace, first: Array):
-        self._space, self._given = space, [np.asarray(first, float)]
+        self._space = space
+        self._given = [np.asarray(first, float)]
 
     @property
     def first(self) -> Array:

@@ -42,9 +42,12 @@ class RigPlant(Plant):
         on_ticks: OnTicks | None = None,
         at_once: int = TICKS_AT_ONCE,
     ):
-        self._rig, self._robot_control, self._space = rig, robot_control, robot_control.space
+        self._rig = rig
+        self._robot_control = robot_control
+        self._space = robot_control.space
         require(at_once >= 1, "at_once", at_once, "be at least 1")
-        self._on_ticks, self._at_once = on_ticks, at_once
+        self._on_ticks = on_ticks
+        self._at_once = at_once
         self._tick_time = rig.sensor_model.tick
         self._measured = np.full(len(self._space.state), np.nan)  # from fixed zeros
         self._begin()
@@ -52,7 +55,10 @@ class RigPlant(Plant):
     def _begin(self) -> None:
         """Resets control and time for a new deployment."""
         self._control = self._robot_control.control(self._rig)
-        self._time, self._status, self._fault, self._number = 0.0, StepStatus.OK, "", 0
+        self._time = 0.0
+        self._status = StepStatus.OK
+        self._fault = ""
+        self._number = 0
         self._first_step: StepRecord | None = None
         self._no_torques = (0.0,) * self._control.motors
         self._applied: Torques | None = self._no_torques
@@ -80,7 +86,8 @@ class RigPlant(Plant):
         """
         self._rig.connect()
         self._begin()
-        released, nothing = self._rig.released, np.zeros(len(self._space.command))
+        released = self._rig.released
+        nothing = np.zeros(len(self._space.command))
         self._measured = np.full(len(self._space.state), np.nan)
         self._measured[: len(released)] = released
         first = self._taken(StepCommands(self._space, nothing), nothing, None)
@@ -114,7 +121,9 @@ class RigPlant(Plant):
 
     def _taken(self, commands: StepCommands, within: Array, at_touchdown: AtTouchdown | None) -> StepRecord:
         """Takes a step with a command, which is limited to `within`, from the present state to the next."""
-        space, before, true_state = self._space, self._measured, np.full(len(self._measured), np.nan)
+        space = self._space
+        before = self._measured
+        true_state = np.full(len(self._measured), np.nan)
 
         def chosen() -> tuple[float, ...]:
             context = self._control.touchdown()
@@ -136,14 +145,17 @@ class RigPlant(Plant):
 
     def _step(self, command: tuple[float, ...], chosen: Callable[[], tuple[float, ...]]) -> FinishedStep:
         """Runs the ticks of one step with a command, which is chosen anew at a touchdown; its result."""
-        control, order = self._control, Order(Mode.STEP, 1.0, command)
+        control = self._control
+        order = Order(Mode.STEP, 1.0, command)
         while self._status == StepStatus.OK:
             run = self._run(order, self._applied or self._no_torques)
-            self._time, self._applied = run.time, run.applied
+            self._time = run.time
+            self._applied = run.applied
             if self._on_ticks and len(run.rows):
                 self._on_ticks(run.rows, self._number)
             if run.applied is None:
-                self._status, self._fault = StepStatus.STOPPED, run.fault
+                self._status = StepStatus.STOPPED
+                self._fault = run.fault
             elif run.flags & STEP_ENDED:
                 return control.finished_step()
             elif run.flags & FAILED:

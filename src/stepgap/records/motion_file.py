@@ -76,6 +76,8 @@ def read_motion(path: Path, scene: Scene, origin: str) -> Motion | None:
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, RuntimeError):
         return None  # RuntimeError: a damaged header may mark an entry as encrypted or give an unknown compression
     frames = len(motion.time)
-    points, feet, signals = len(scene.points), len(scene.feet), len(scene.signals)
+    points = len(scene.points)
+    feet = len(scene.feet)
+    signals = len(scene.signals)
     shapes = ((frames,), (frames,), (frames, points, 3), (frames, feet), (frames,), (frames, signals))
     return motion if tuple(getattr(motion, field.name).shape for field in fields(Motion)) == shapes else None

@@ -39,7 +39,8 @@ def diagnosis_sentences(run: Run) -> list[str]:
 
 def response_sentences(steps: Steps, nominal: StepMap) -> list[str]:
     """Coordinates that do not respond to the commands of one deployment as the nominal map says."""
-    found, number = command_response(steps, nominal), steps.iterations[0]
+    found = command_response(steps, nominal)
+    number = steps.iterations[0]
     if found is None:
         return []
     late = [

@@ -207,7 +207,8 @@ def _panel(axes: Any) -> dict[str, Any]:
 def _curve(line: Any) -> list[list[str]]:
     """Label and points of a line; nothing if there are none or too many."""
     points = np.column_stack([np.asarray(values, float) for values in (line.get_xdata(), line.get_ydata())])
-    points, label = points[np.isfinite(points).all(axis=1)], str(line.get_label())
+    points = points[np.isfinite(points).all(axis=1)]
+    label = str(line.get_label())
     if not 0 < len(points) <= MOST_VALUES:
         return []
     values = [" ".join(f"{value:.4g}" for value in column) for column in points.T]

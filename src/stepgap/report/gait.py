@@ -32,7 +32,8 @@ def describe_gait(step_map: StepMap, point: FixedPoint, reachable: ReachableSet)
         lines.append("reachable            no state: every command fails from this state")
     else:
         next_states = reachable.next_states.reshape(-1, len(space.state))
-        low, high = np.nanmin(next_states, axis=0), np.nanmax(next_states, axis=0)
+        low = np.nanmin(next_states, axis=0)
+        high = np.nanmax(next_states, axis=0)
         ranges = ", ".join(
             f"{q.name} {in_scale(a, q)} … {in_scale(b, q)}{unit_suffix(q)}"
             for q, a, b in zip(space.state, low, high, strict=True)
@@ -57,12 +58,12 @@ def gait_figure(space: StepSpace, point: FixedPoint, reachable: ReachableSet) ->
     """
     figure = Figure(figsize=(10, 4.5), layout="constrained")
     plane, circle = figure.subplots(1, 2, width_ratios=[1.5, 1])
-    states, commands = (
-        reachable.next_states.reshape(-1, len(space.state)),
-        reachable.commands.reshape(-1, len(space.command)),
-    )
+    states = reachable.next_states.reshape(-1, len(space.state))
+    commands = reachable.commands.reshape(-1, len(space.command))
     if len(space.state) > 1:
-        shown, here, nearest = states, point.state, point.next_state
+        shown = states
+        here = point.state
+        nearest = point.next_state
         labels = [f"next {axis_label(quantity, capital=False)}" for quantity in space.state[:2]]
     else:
         shown = np.hstack([commands[:, :1], states])
@@ -87,6 +88,8 @@ def gait_figure(space: StepSpace, point: FixedPoint, reachable: ReachableSet) ->
     circle.axhline(0, color="0.85", lw=0.8, zorder=0)
     circle.axvline(0, color="0.85", lw=0.8, zorder=0)
     circle.plot(point.floquet_multipliers.real, point.floquet_multipliers.imag, "s", ms=7, color="#0072B2")
-    verdict = ("stable" if point.stable else "not stable") if point.held else "not held"
+    verdict = "not held"
+    if point.held:
+        verdict = "stable" if point.stable else "not stable"
     circle.set(aspect="equal", xlabel="real part", ylabel="imaginary part", title=f"Floquet multipliers ({verdict})")
     return figure

@@ -56,7 +56,8 @@ def _measured_row(found: MeasuredLoop) -> list[str]:
 def gait_table(gait: ReferenceGait) -> str:
     """Table of command and Floquet multipliers of the limit cycle at each target, map by map."""
     tracked = np.flatnonzero(np.isfinite(gait.targets).any(axis=0)).tolist()
-    state, command = [gait.space.state[row] for row in tracked], [with_unit(each) for each in gait.space.command]
+    state = [gait.space.state[row] for row in tracked]
+    command = [with_unit(each) for each in gait.space.command]
     heads = [with_unit(each) for each in state]
     for each in gait.maps:
         heads += [f"{each.name} {name}" for name in [*command, "open-loop |λ|"]]
@@ -107,12 +108,15 @@ def _open_loop(held: Sequence[FixedPoint]) -> str:
 
 def _verdict(ends: Array) -> str:
     """What an interval of the largest multiplier says about an error."""
-    return "decays" if ends[1] < 1 else "grows" if ends[0] > 1 else "not decided"
+    if ends[1] < 1:
+        return "decays"
+    return "grows" if ends[0] > 1 else "not decided"
 
 
 def _cells(gait: MapGait, row: int, space: StepSpace) -> list[str]:
     """Cells of a map at one target: command and multipliers."""
-    point, size = gait.points[row], len(space.command)
+    point = gait.points[row]
+    size = len(space.command)
     if point is None:
         return [*["–"] * size, "no step"]
     multipliers = ", ".join(decimal(abs(value)) for value in point.floquet_multipliers) if point.held else "not held"

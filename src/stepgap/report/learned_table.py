@@ -27,7 +27,8 @@ UNIT_NOTES: Final = {
 
 def learned_sentences(analysis: Analysis) -> list[str]:
     """Sentences on the model of the error, and on the meaning of the tables."""
-    run, learned = analysis.run, analysis.learned
+    run = analysis.run
+    learned = analysis.learned
     if isinstance(learned, Missing):
         return [f"There is no model to describe: {learned.reason}."]
     name = f"the residual '{learned.residual.kind}'"
@@ -37,7 +38,8 @@ def learned_sentences(analysis: Analysis) -> list[str]:
     if not learned.steps:
         return [f"{model}: {learned.residual.model.description}."]
     parameters = [parameter for each in learned.residual.regressions for parameter in each.parameters()]
-    believed, periodic = learned.residual.kind == POSTERIOR.name, run.steps.space.periodic
+    believed = learned.residual.kind == POSTERIOR.name
+    periodic = run.steps.space.periodic
     besides = f"what returns with the {periodic.name}, and " if periodic and np.isfinite(run.steps.phase).any() else ""
     return [
         f"{model}: for each state coordinate {learned.residual.model.description}, "

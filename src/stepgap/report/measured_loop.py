@@ -57,7 +57,8 @@ def measured_loop(steps: Steps) -> MeasuredLoop | None:
         None if the steps are too few, or if their errors do not vary.
     """
     visits = [visit for visit in _visits(steps) if len(visit) > 2]
-    count, n = sum(len(visit) - 1 for visit in visits), len(steps.space.state)
+    count = sum(len(visit) - 1 for visit in visits)
+    n = len(steps.space.state)
     degrees_of_freedom = count - len(visits) - n
     if degrees_of_freedom < FEWEST_DEGREES_OF_FREEDOM:
         return None
@@ -84,10 +85,12 @@ def _visits(steps: Steps) -> list[Array]:
     """Errors of consecutive states at an unchanged target, without that which the change left; shapes (T + 1, n)."""
     steps = steps.tracking()
     target = np.nan_to_num(steps.target)
-    error, after = steps.state - target, steps.next_state - target
+    error = steps.state - target
+    after = steps.next_state - target
     same = np.r_[False, same_target(steps.target[1:], steps.target[:-1])] & steps.follows
     used = same & np.isfinite(error).all(axis=1) & np.isfinite(after).all(axis=1)
-    visits, previous = list[list[Array]](), False
+    visits = list[list[Array]]()
+    previous = False
     for row, is_used in enumerate(used):
         if is_used:
             if not previous:

@@ -68,7 +68,8 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
         analysis: The run, and what was computed from it.
         figures: Its figures.
     """
-    run, gait = analysis.run, analysis.gait
+    run = analysis.run
+    gait = analysis.gait
     title = f"StepGap report: {run.folder.resolve().name}"
     pictures = {
         name: [
@@ -126,7 +127,8 @@ def _numbers(run: Run) -> list[str]:
 
 def _gait(analysis: Analysis, pictures: Sequence[str]) -> list[str]:
     """Limit cycles as the maps have them, if they are known, and the motion around them as it was measured."""
-    gait, loops = analysis.gait, analysis.loops
+    gait = analysis.gait
+    loops = analysis.loops
     cycles = [] if isinstance(gait, Missing) else gait_sentences(gait)
     rest = [absence("gait", gait), *pictures] if isinstance(gait, Missing) else [*pictures, gait_table(gait)]
     return [bullets([*cycles, *measured_sentences(loops)]), measured_table(loops), *rest]
@@ -134,7 +136,8 @@ def _gait(analysis: Analysis, pictures: Sequence[str]) -> list[str]:
 
 def missing_parts(analysis: Analysis) -> list[str]:
     """Lists the parts that are missing in the report of a run, each with the reason in brackets."""
-    run, found = analysis.run, []
+    run = analysis.run
+    found = []
     if run.cut_off:
         found.append("the last line of steps.csv (it is cut off)")
     if not run.deployments:

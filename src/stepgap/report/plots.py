@@ -22,7 +22,8 @@ def step_panels(count: int) -> "tuple[Figure, list[Axes]]":
 
 def show_steps(panels: "Sequence[Axes]", steps: Steps) -> None:
     """Sets the axis of step numbers to these steps, and marks the exploratory ones."""
-    first, last = int(steps.number.min()), int(steps.number.max())
+    first = int(steps.number.min())
+    last = int(steps.number.max())
     margin = 0.5 + 0.01 * (last - first)
     panels[0].set_xlim(first - margin, last + margin)
     for panel in panels if first < 1 else ():
@@ -48,7 +49,8 @@ def ends_of_steps(steps: Steps, index: int) -> Array:
 
 def draw_tracking(panel: "Axes", steps: Steps, index: int, name: str, style: dict[str, Any]) -> None:
     """Draws a state coordinate at the ends of steps, with a mark where there was none."""
-    numbers, reached = step_numbers(steps), ends_of_steps(steps, index)
+    numbers = step_numbers(steps)
+    reached = ends_of_steps(steps, index)
     panel.plot(numbers, reached, label=name, **style)
     failed = np.isnan(reached)
     if failed.any():

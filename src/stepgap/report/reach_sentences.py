@@ -25,7 +25,8 @@ def effect_sentences(space: StepSpace, effect: CommandEffect, by_map: str, unit:
         by_map: The map, in the middle of a sentence.
         unit: The unit of the effect, in the plural.
     """
-    n, rank = len(space.state), effect.rank
+    n = len(space.state)
+    rank = effect.rank
     tracked = [quantity.name for quantity in space.state if quantity.weight]
     sizes = listed([decimal(size, 2) for size in effect.sizes])
     directions = f"{rank or 'no'} independent direction{'' if rank == 1 else 's'}"
@@ -54,7 +55,8 @@ def effect_sentences(space: StepSpace, effect: CommandEffect, by_map: str, unit:
 
 def _changes(gait: ReferenceGait, last: MapGait) -> list[str]:
     """Sentence on the changes of the target that one step can make."""
-    count, reached = len(gait.changes), int(np.count_nonzero(last.changes))
+    count = len(gait.changes)
+    reached = int(np.count_nonzero(last.changes))
     if not count:
         return []
     if reached == count:

@@ -145,7 +145,8 @@ def central_target(targets: Array, scale: Array) -> Array:
 
 
 def _gait(name: str, step_map: StepMap, targets: Array, centre: Array, changes: Array, unit: Array) -> MapGait:
-    points, guess = list[FixedPoint | None](), None
+    points = list[FixedPoint | None]()
+    guess = None
     for target in targets:
         try:
             point = fixed_point(step_map, target, guess)

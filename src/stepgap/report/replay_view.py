@@ -48,8 +48,10 @@ def replay_view(run: Run, replay: Replay | Missing) -> str:
     """Canvas, controls and data of the replay of a run, or the reason why there are none."""
     if isinstance(replay, Missing):
         return absence("replay", replay)
-    scene, space = replay.scene, run.steps.space
-    names, known = list(scene.points), scene.height in space.state_names
+    scene = replay.scene
+    space = run.steps.space
+    names = list(scene.points)
+    known = scene.height in space.state_names
     height = space.state_names.index(scene.height) if known else None
     above = "" if height is None else space.state[height].above
     data = {

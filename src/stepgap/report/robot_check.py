@@ -28,7 +28,8 @@ PLACED_ERROR: Final = 0.01
 
 def check_map(nominal: StepMap) -> Iterator[PartResult]:
     """Whether a surrogate predicts enough, and whether the map makes a step from the middle of the ranges."""
-    space, text = nominal.space, ""
+    space = nominal.space
+    text = ""
     if isinstance(nominal, SurrogateMap):
         check_surrogate(nominal)
         status = nominal.samples.status
@@ -54,7 +55,8 @@ def check_targets(nominal: StepMap, reference: Reference, held: bool, file: Path
         held: Whether it has a `held_reference`.
         file: File of that; None if it could not be written.
     """
-    missed, count = len(unheld_steps(nominal, reference)), len(reference.distinct[0])
+    missed = len(unheld_steps(nominal, reference))
+    count = len(reference.distinct[0])
     if not missed:
         yield PartResult("targets", "ok", f"By the map, a command holds each of the {count} targets of the reference.")
         return
@@ -97,7 +99,8 @@ def check_commands(nominal: StepMap, held: Reference) -> Iterator[PartResult]:
 
 def check_placing(robot: Robot, seed: int) -> Iterator[PartResult]:
     """Whether a model that was put into a state is in this state."""
-    space, rng = robot.space, random_stream(seed, 0, 4)
+    space = robot.space
+    rng = random_stream(seed, 0, 4)
     states = space.state_centre + space.state_scale * rng.uniform(-1, 1, (PLACED_STATES, len(space.state)))
     found = [robot.placed(state) for state in states]
     if any(each is None for each in found):

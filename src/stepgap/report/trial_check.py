@@ -73,7 +73,8 @@ def check_section(ticks: TickTable | None) -> Iterator[PartResult]:
     if not len(duration):
         yield PartResult("section", "left out", "There is no step whose duration is known.")
         return
-    middle, text = float(np.median(duration)), f"A step takes {duration.min():.2g} to {duration.max():.2g} s"
+    middle = float(np.median(duration))
+    text = f"A step takes {duration.min():.2g} to {duration.max():.2g} s"
     if duration.min() < middle / UNEVEN:
         yield PartResult(
             "section", "wrong", f"{text}: a section was found too early. Raise the threshold of the section."

@@ -31,7 +31,8 @@ def trial_figure(run: Run, kinematics: Kinematics | Missing) -> "Figure":
     from matplotlib.ticker import MaxNLocator
 
     steps = run.steps.selected(slice(TRIAL_STEPS))
-    space, drawn = run.space, not isinstance(kinematics, Missing) and 0 in run.ticks
+    space = run.space
+    drawn = not isinstance(kinematics, Missing) and 0 in run.ticks
     count = len(space.state) + len(space.command)
     figure = new_figure(0.8 + 1.6 * drawn + 1.3 * count)
     grid = figure.add_gridspec(drawn + count, 1, height_ratios=[*[1.2] * drawn, *[1.0] * count])

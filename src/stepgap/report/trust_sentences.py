@@ -12,7 +12,8 @@ def trust_sentences(run: Run) -> list[str]:
     """Sentences on the alarms of the finished deployments."""
     found = []
     for deployment in run.summary.deployments:
-        name, alarms = f"Deployment {deployment.iteration}", deployment.alarms
+        name = f"Deployment {deployment.iteration}"
+        alarms = deployment.alarms
         if len(alarms) > MOST_ALARMS:
             found.append(f"{name}: {len(alarms)} times the robot was found to be another one.")
         else:

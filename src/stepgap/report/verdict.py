@@ -148,7 +148,8 @@ class Achievement:
         return f"{decimal(reached / floor, 2)} noise floors"
 
     def _change(self, row: int) -> float:
-        before, after = self.before[row], self.after[row]
+        before = self.before[row]
+        after = self.after[row]
         if (self.first is self.last and not self.predicted) or not before > 0 or not after > 0:
             return np.nan
         if max(before, after) <= NEAR_FLOOR * self.floor[row]:
@@ -172,7 +173,8 @@ def clear_change(before: float, after: float, ends: Array) -> float:
         after: Error after.
         ends: 95 % intervals of both; shape (2, 2), NaN where they are not known.
     """
-    explained, ratio = np.log(ABOUT), np.log(after / before)
+    explained = np.log(ABOUT)
+    ratio = np.log(after / before)
     if (ends > 0).all():
         half_widths = np.log(ends[:, 1] / ends[:, 0]) / 2
         explained = np.linalg.norm(half_widths)

@@ -63,9 +63,11 @@ def next_commands(folder: Path) -> tuple[str, ...]:
 
     They are as they must be typed: through `./go`, if that started this process.
     """
-    stepgap, install = "stepgap", "pip install -e"
+    stepgap = "stepgap"
+    install = "pip install -e"
     if go := environ.get("STEPGAP_GO"):
-        stepgap, install = f"{quote(go)} stepgap", f"{quote(go)} uv pip install -e"
+        stepgap = f"{quote(go)} stepgap"
+        install = f"{quote(go)} uv pip install -e"
     run = f"{stepgap} run {quote(str(folder / 'experiment.toml'))}"
     if not (folder / "experiment.toml").is_file():
         return ()

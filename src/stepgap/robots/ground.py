@@ -201,14 +201,17 @@ class UnevenGround:
 
     def stones(self, length: float) -> Array:
         """Places of the middles of the stones on a ground that repeats after a length [m]; the first is 0."""
-        rng, count = np.random.default_rng(self.stone_seed), max(2, round(length / self.stone_spacing))
+        rng = np.random.default_rng(self.stone_seed)
+        count = max(2, round(length / self.stone_spacing))
         ends = np.cumsum(self.stone_spacing + self.stone_spread * rng.uniform(-1, 1, count))
         return np.append(0.0, ends[:-1]) * (length / ends[-1])
 
     def _gaps(self, length: float) -> _Pieces:
         """Gaps between the stones; there are none from `RUN_UP` before the first stone to the second one."""
-        stones, half = self.stones(length), self.stone_length / 2
-        begin, end = stones[1:] + half, np.minimum(np.append(stones[2:] - half, length), length - RUN_UP)
+        stones = self.stones(length)
+        half = self.stone_length / 2
+        begin = stones[1:] + half
+        end = np.minimum(np.append(stones[2:] - half, length), length - RUN_UP)
         real = begin < end
         start = np.append(0.0, np.column_stack([begin[real], end[real]]))
         height = np.append(0.0, np.tile([-GAP_DEPTH, 0.0], np.count_nonzero(real)))
@@ -275,8 +278,10 @@ def _profile(path: str, length: float) -> _Pieces:
     if place[0] < 0 or place[-1] >= length:
         wrong = place[0] if place[0] < 0 else place[-1]
         raise InputError(f"{path}: place {wrong:g} m is not on the ground; it must be from 0 to below {length:.4g} m")
-    place, height = np.append(place, place[0] + length), np.append(height, height[0])
-    long, rise = np.diff(place), np.diff(height)
+    place = np.append(place, place[0] + length)
+    height = np.append(height, height[0])
+    long = np.diff(place)
+    rise = np.diff(height)
     steep = np.flatnonzero((np.abs(rise) > LARGEST_SLOPE * long) & (long > 0))
     if len(steep):
         row = int(steep[0])
@@ -285,7 +290,9 @@ def _profile(path: str, length: float) -> _Pieces:
             f"{LARGEST_SLOPE:g} of that, and a riser is two rows of one place"
         )
     there = long > 0
-    start, height, slope = place[:-1][there], height[:-1][there], rise[there] / long[there]
+    start = place[:-1][there]
+    height = height[:-1][there]
+    slope = rise[there] / long[there]
     if start[0] == 0:
         return _Pieces(start, height, slope)
     at_zero = height[-1] + slope[-1] * (length - start[-1])

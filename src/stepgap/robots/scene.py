@@ -88,7 +88,8 @@ class Scene:
         """
         if not self.circle:
             return positions + np.array([by, 0.0, 0.0])
-        cos, sin = np.cos(by), np.sin(by)
+        cos = np.cos(by)
+        sin = np.sin(by)
         return positions @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 

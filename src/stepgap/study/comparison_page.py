@@ -39,7 +39,7 @@ MOST_RUNS: Final = 12
 COMPARED: Final = {"rmse": "RMSE", "steady_rmse": "steady RMSE", "transient_rmse": "transient RMSE"}
 """Compared errors, with their labels."""
 
-CAPTION: Final = "Root-mean-square tracking error of each run by deployment, on a logarithmic axis."
+_CAPTION: Final = "Root-mean-square tracking error of each run by deployment, on a logarithmic axis."
 
 ABORTED: Final = " An aborted deployment is counted up to its last completed step."
 
@@ -74,7 +74,7 @@ def comparison_html(runs: Sequence[Run], before: Sequence[str] = ()) -> str:
     names = run_names([run.folder for run in runs])
 
     aborted = any(entry.failed_steps for run in runs for entry in run.deployments)
-    caption = CAPTION + ABORTED * aborted
+    caption = _CAPTION + ABORTED * aborted
     pictures = [picture(draw_figure(lambda: comparison_figure(runs, names), "the errors"), "errors-", caption)]
     if same_reference(runs):
         drawing = draw_figure(lambda: comparison_tracking_figure(runs, names), "the tracking")

@@ -125,7 +125,8 @@ def _furthest(is_valid: Callable[[float], bool], end: float) -> float:
     """The size nearest to `end` that is valid, by bisection from 0, which is."""
     if is_valid(end):
         return end
-    near, far = 0.0, end
+    near = 0.0
+    far = end
     for _ in range(12):
         middle = (near + far) / 2
         if is_valid(middle):
@@ -361,7 +362,8 @@ def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) 
             seen.append(number)
             std = float(np.sqrt(together.covariance[number, number]))
             explained = 1 - left(alone.sizes, signature)
-            sizes.append(CauseSize(cause, float(together.sizes[number]), std, float(alone.sizes[0]), explained))
+            share = float(together.sizes[number])
+            sizes.append(CauseSize(cause, share, std, alone=float(alone.sizes[0]), explained=explained))
     groups = alike_groups(together.cosines[np.ix_(seen, seen)], [walked[number] for number in seen])
     return Explanation(
         tuple(sorted(sizes, key=lambda size: -size.explained)),

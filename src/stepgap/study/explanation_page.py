@@ -20,7 +20,7 @@ if TYPE_CHECKING:  # slow imports are made where they are used
 LEAST_EXPLAINED: Final = 0.1
 """Share of the squared difference from which on a cause is worth a sentence."""
 
-CAPTION: Final = (
+_CAPTION: Final = (
     "Left: share of the squared difference between the errors of the run and of the simulated robot without gap, less "
     "noise, that each cause explains alone. Right: sizes where all causes may act, with 95 % intervals."
 )
@@ -139,7 +139,7 @@ def explanation_page(name: str, explanation: Explanation, space: StepSpace, mean
     title = f"What explains the error of {name}"
     sentences = bullets(explanation_sentences(explanation, space))
     rows = table("", *explanation_table(explanation, meanings))
-    figure = picture(drawing, "causes-", CAPTION)
+    figure = picture(drawing, "causes-", _CAPTION)
     return page("StepGap explanation", [section("causes", title, sentences, figure, rows, paragraph(METHOD))])
 
 

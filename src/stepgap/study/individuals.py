@@ -34,7 +34,7 @@ LARGEST_Z: Final = 3.5
 """Value of z from which on a robot is unlike the others; of ten robots that are alike, with fifteen traits, some robot
 exceeds it by chance in 7 % of cases at most."""
 
-LEAST_STEPS: Final = 20
+LEAST_COMMON: Final = 20
 """Number of steps of each robot from which its traits can be found."""
 
 MOST_UNCERTAIN: Final = 2.0
@@ -143,10 +143,10 @@ def compare_individuals(individuals: Sequence[Individual]) -> ComparedRobots:
     for one in individuals:
         points, ends = _steps_of(one)
         usual, common = _usual_step(individuals, points)
-        if np.count_nonzero(common) < LEAST_STEPS:
+        if np.count_nonzero(common) < LEAST_COMMON:
             raise InputError(
                 f"{one.name}: only {np.count_nonzero(common)} of its steps are at states and commands that the others "
-                f"know; {LEAST_STEPS} are needed: let all robots track the same reference"
+                f"know; {LEAST_COMMON} are needed: let all robots track the same reference"
             )
         commands.append(points[common, n:])
         errors.append((ends - usual)[common])

@@ -22,7 +22,9 @@ RESULTS = "results.csv"
 LARGEST_RESULTS = 2**31
 """Largest table that is read [bytes]."""
 
-_CASE, _SEED, _AFTER_SEED = "case", "seed", ("iteration", "residual", "steps", "falls")
+_CASE = "case"
+_SEED = "seed"
+_AFTER_SEED = ("iteration", "residual", "steps", "falls")
 _LAST = ("hops_to_band", "failed")
 
 _AT_ONCE = 20_000
@@ -130,7 +132,8 @@ def read_results(path: Path) -> ResultsTable:
             header = next(reader, [])
             settings = _settings_of(header, path)
             texts = {*settings, "residual", "failed"}
-            parts, line = [], 2
+            parts = []
+            line = 2
             while rows := list(islice(reader, _AT_ONCE)):
                 parts.append(
                     [_column(cells, name, name in texts) for name, cells in _by_column(rows, header, line, path)]

@@ -82,7 +82,8 @@ def _absolute(base: Experiment, name: str, value: Any, folder: Path) -> Any:
     """The values of an axis, with absolute paths."""
     if not names_file(base.robot, name) or not isinstance(value, list):
         return value
-    home, robot = folder.resolve(), base.robot
+    home = folder.resolve()
+    robot = base.robot
     return [in_folder(home, robot, name, each) if isinstance(each, str) else each for each in value]
 
 

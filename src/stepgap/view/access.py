@@ -97,7 +97,8 @@ def guarded(host: str) -> Iterator[None]:
     Raises:
         StepGapError: No server has started in the way that can be guarded, as in an unknown version of viser.
     """
-    listen, guards = listening.serve, list[_Guard]()
+    listen = listening.serve
+    guards = list[_Guard]()
 
     def serve(handler: Handler, *place: Any, process_request: Any, **options: Any) -> Any:
         guards.append(_Guard(handler, process_request, names_here(host)))
@@ -125,7 +126,10 @@ class _Guard:
     """
 
     def __init__(self, handler: Handler, answer: Callable[[Any, Any], Any], names: frozenset[str]):
-        self._handler, self._answer, self._names, self._said = handler, answer, names, False
+        self._handler = handler
+        self._answer = answer
+        self._names = names
+        self._said = False
 
     def process(self, connection: Any, request: Any) -> Any:
         """Answers a request that is not welcome, or of another version of viser, with a refusal."""

@@ -42,7 +42,9 @@ class LiveView(LivePage):
     """
 
     def __init__(self, folder: Path, host: str | None, port: int | None, kinematics: Kinematics | None):
-        self._folder, self._host, self._port = folder, host or HERE, port
+        self._folder = folder
+        self._host = host or HERE
+        self._port = port
         free_port(self._host, port)
         self._fields = len(kinematics.units) if kinematics else 0
         self._iteration = 0

@@ -38,9 +38,12 @@ class Page:
     """
 
     def __init__(self, server: ViserServer, source: Source, iteration: int | None = None, live: bool = False):
-        self._server, self._source, self._actions = server, source, SimpleQueue[Callable[[], None]]()
+        self._server = server
+        self._source = source
+        self._actions = SimpleQueue[Callable[[], None]]()
         self.player = Player(follow=live)
-        self.iteration, self.overlaid = 0, None
+        self.iteration = 0
+        self.overlaid = None
         self._drawn: tuple[object, ...] = ()
         self._build_scene()
         self._build_controls()
@@ -89,7 +92,8 @@ class Page:
                 self._actions.get_nowait()()
             except Empty:
                 break
-        source, player = self._source, self.player
+        source = self._source
+        player = self.player
         if source.poll():
             self._find_deployments()
         newest = max(source.iterations, default=0)
@@ -110,7 +114,8 @@ class Page:
         return motion.duration if motion else None
 
     def _build_scene(self) -> None:
-        api, source = self._server.scene, self._source
+        api = self._server.scene
+        source = self._source
         api.set_up_direction("+z")
         self._world = api.add_frame("/world", show_axes=False)
         if source.kinematics is None:
@@ -184,11 +189,13 @@ class Page:
         return "0: learning from the start" if learns else "0: nominal map"
 
     def _show_motion(self) -> None:
-        source, player = self._source, self.player
+        source = self._source
+        player = self.player
         motion = source.motion(self.iteration, player.step)
         if motion is None or source.kinematics is None:
             return
-        scene, frame = source.kinematics.scene, motion.frame(player.share)
+        scene = source.kinematics.scene
+        frame = motion.frame(player.share)
         self._robot.show(motion.positions[frame])
         self._ground.show(float(motion.ground[frame]), source.ground(self.iteration))
         ridden = float(scene.progress(motion.positions[frame])) if self._ride.value else 0.0
@@ -198,7 +205,9 @@ class Page:
 
     def _show_ghost(self, scene: Scene, start: float) -> None:
         """Draws the overlaid deployment in the same step, starting at the same position."""
-        number, other, motion = self.player.step, self.overlaid, None
+        number = self.player.step
+        other = self.overlaid
+        motion = None
         if other is not None and other != self.iteration and number < self._source.motion_count(other):
             motion = self._source.motion(other, number)
         if motion is None:
@@ -208,7 +217,8 @@ class Page:
         self._ghost.show(scene.displaced(motion.positions[motion.frame(self.player.share)], by))
 
     def _show_step(self) -> None:
-        source, number = self._source, self.player.step
+        source = self._source
+        number = self.player.step
         steps = source.steps(self.iteration)
         other = self.overlaid
         overlaid = [] if other is None or other == self.iteration else source.steps(other)
@@ -243,7 +253,8 @@ def _number(label: str) -> int:
 
 def _step_table(logged: LoggedStep, source: Source) -> str:
     """Markdown table of target, prediction and measured end of a step, with its command."""
-    record, space = logged.record, source.space
+    record = logged.record
+    space = source.space
     head = f"**Step {logged.step}**"
     if record.status != StepStatus.OK:
         head += f": {record.status.label}"

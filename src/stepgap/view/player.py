@@ -32,17 +32,24 @@ class Player:
 
     def show(self, step: int) -> None:
         """Shows a step from its start and stops following."""
-        self.step, self.share, self.follow, self.last = max(0, step), 0.0, False, None
+        self.step = max(0, step)
+        self.share = 0.0
+        self.follow = False
+        self.last = None
 
     def toggle(self) -> None:
         """Pauses or resumes the motion."""
-        self.playing, self.last = not self.playing, None
+        self.playing = not self.playing
+        self.last = None
 
     def one_step(self, count: int) -> None:
         """Plays one step to its end: the present one or, if it has ended, the next."""
         if self.share >= 1.0 and self.step + 1 < count:
-            self.step, self.share = self.step + 1, 0.0
-        self.playing, self.follow, self.last = True, False, self.step
+            self.step = self.step + 1
+            self.share = 0.0
+        self.playing = True
+        self.follow = False
+        self.last = self.step
 
     def advance(self, elapsed: float, count: int, duration: Duration) -> None:
         """Advances by a time [s], as far as the `count` steps are known."""
@@ -55,9 +62,11 @@ class Player:
                 return
             self.share = 1.0
             if self.step == self.last:
-                self.playing, self.last = False, None
+                self.playing = False
+                self.last = None
             if not self.playing or self.step + 1 >= count:
                 return
             if duration(self.step + 1) is None:
                 return
-            self.step, self.share = (count - 1 if self.follow else self.step + 1), 0.0
+            self.step = count - 1 if self.follow else self.step + 1
+            self.share = 0.0

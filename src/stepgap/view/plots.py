@@ -73,7 +73,8 @@ class TrackingPlot:
             return
         number = np.array([float(logged.step) for logged in steps])
         target = np.array([logged.target[self._index] for logged in steps])
-        found, other = self._next_states(steps, len(steps)), self._next_states(overlaid, len(steps))
+        found = self._next_states(steps, len(steps))
+        other = self._next_states(overlaid, len(steps))
         span = _span(target, found, other)
         found[count:], other[count:] = np.nan, np.nan
         self._chart.data = (number, span, target, other, found)

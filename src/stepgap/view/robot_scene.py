@@ -10,15 +10,13 @@ from stepgap.step import Array
 
 Colour = tuple[int, int, int]
 
-DARK_RGB, BLUE_RGB, SKY_RGB, VERMILLION_RGB, LIGHT_RGB, TREAD_RGB, CHANGED_RGB = (
-    (60, 62, 70),
-    (0, 114, 178),
-    (86, 180, 233),
-    (213, 94, 0),
-    (225, 227, 230),
-    (190, 194, 200),
-    (233, 190, 100),
-)
+DARK_RGB = (60, 62, 70)
+BLUE_RGB = (0, 114, 178)
+SKY_RGB = (86, 180, 233)
+VERMILLION_RGB = (213, 94, 0)
+LIGHT_RGB = (225, 227, 230)
+TREAD_RGB = (190, 194, 200)
+CHANGED_RGB = (233, 190, 100)
 
 SHADES: dict[Shade, Colour] = {"body": DARK_RGB, "near": BLUE_RGB, "far": SKY_RGB}
 
@@ -96,7 +94,9 @@ class Ground:
     """
 
     def __init__(self, api: SceneApi, name: str, scene: Scene):
-        self._api, self._name, self._scene = api, name, scene
+        self._api = api
+        self._name = name
+        self._scene = scene
         self._root = api.add_frame(name, show_axes=False)
         self._pieces: GroundPieces | None = None
         self._solids: list[MeshHandle] = []
@@ -120,7 +120,8 @@ class Ground:
         """Puts the pieces of an uneven ground in the place of others."""
         for solid in self._solids:
             solid.remove()
-        self._pieces, self._solids = pieces, []
+        self._pieces = pieces
+        self._solids = []
         if pieces is None:
             return
         for changed, colour in ((False, TREAD_RGB), (True, CHANGED_RGB)):
@@ -149,12 +150,15 @@ def _solid(pieces: GroundPieces, floor: float, scene: Scene) -> tuple[Array, Arr
     Returns:
         Corners relative to the floor, shape (k, 3) [m], and triangles between them, shape (t, 3).
     """
-    corners, faces, first = [], [], 0
+    corners = []
+    faces = []
+    first = 0
     for start, end, low, high, _ in zip(*pieces, strict=True):
         count = 1 + max(1, int(np.ceil((end - start) / LONGEST_FLAT)))
         rows = _cross_sections(np.linspace(start, end, count), np.linspace(low, high, count) - floor, scene)
         edges = first + 4 * np.arange(count - 1)[:, None] + np.array([[0, 1], [1, 2], [3, 0]])[:, None]
-        near, far = edges, edges + 4
+        near = edges
+        far = edges + 4
         faces += [
             np.concatenate([near, far[..., :1]], axis=-1),
             np.concatenate([far[..., ::-1], near[..., 1:]], axis=-1),
@@ -173,7 +177,8 @@ def _cross_sections(place: Array, height: Array, scene: Scene) -> Array:
     up = height[:, None] * np.array([1.0, 1.0, 0.0, 0.0])
     if not scene.circle:
         return np.stack([along, left, up], axis=-1)
-    radius, yaw = scene.circle - left, along / scene.circle
+    radius = scene.circle - left
+    yaw = along / scene.circle
     return np.stack([radius * np.sin(yaw), -radius * np.cos(yaw), up], axis=-1)
 
 
@@ -196,7 +201,9 @@ def _circle(radius: float) -> Array:
 def _straight() -> Array:
     """Segments of a straight track and its marks; shape (count, 2, 3) [m]."""
     count = 2 * TRACK_MARKS + 1
-    x, half, none = MARK_EVERY * np.arange(-TRACK_MARKS, TRACK_MARKS + 1.0), _half_widths(count)[:, 0], np.zeros(count)
+    x = MARK_EVERY * np.arange(-TRACK_MARKS, TRACK_MARKS + 1.0)
+    half = _half_widths(count)[:, 0]
+    none = np.zeros(count)
     marks = np.stack([np.stack([x, side * half, none], axis=-1) for side in (-1, 1)], axis=1)
     return np.concatenate([np.array([[[x[0], 0.0, 0.0], [x[-1], 0.0, 0.0]]]), marks])
 
@@ -204,5 +211,6 @@ def _straight() -> Array:
 def turned_to(direction: Array) -> Array:
     """Quaternion (w, x, y, z) of the shortest rotation from +z to a direction; shape (4,)."""
     x, y, z = direction
-    azimuth, half_angle = atan2(y, x), atan2(hypot(x, y), z) / 2
+    azimuth = atan2(y, x)
+    half_angle = atan2(hypot(x, y), z) / 2
     return np.array([cos(half_angle), -sin(azimuth) * sin(half_angle), cos(azimuth) * sin(half_angle), 0.0])

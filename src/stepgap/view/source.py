@@ -44,7 +44,9 @@ class Source:
     """
 
     def __init__(self, folder: Path, ring: TickRing | None = None):
-        self.folder, self._ring, self._run = folder, ring, Run(folder)
+        self.folder = folder
+        self._ring = ring
+        self._run = Run(folder)
         self.settings = self._run.needed(self._run.settings)
         self.nominal = self._run.needed(self._run.nominal)
         self.space = self.nominal.space
@@ -88,7 +90,8 @@ class Source:
             iteration: Number of the deployment.
             number: 0 for the start, k for the k-th recorded step of the deployment.
         """
-        motions, steps = self._motion.get(iteration, []), self.steps(iteration)
+        motions = self._motion.get(iteration, [])
+        steps = self.steps(iteration)
         if number < len(motions) and (motion := motions[number]):
             return motion
         if self._is_loading(iteration) or not steps:
@@ -134,11 +137,16 @@ class Source:
 
     def _still(self, state: Array) -> Motion:
         """The robot at rest in a state at the section; a pause if it is not drawn."""
-        points, feet, signals = np.zeros((1, 3)), 0, 0
+        points = np.zeros((1, 3))
+        feet = 0
+        signals = 0
         if self.kinematics:
             scene = self.kinematics.scene
-            points, feet, signals = self.kinematics.at_section(state), len(scene.feet), len(scene.signals)
-        positions, at_rest = np.stack([points, points]), np.zeros(2)
+            points = self.kinematics.at_section(state)
+            feet = len(scene.feet)
+            signals = len(scene.signals)
+        positions = np.stack([points, points])
+        at_rest = np.zeros(2)
         return Motion(np.array([0.0, STILL]), at_rest, positions, np.zeros((2, feet)), at_rest, np.zeros((2, signals)))
 
     def _read_steps(self) -> bool:
@@ -150,7 +158,8 @@ class Source:
             raise InputError(message_of(error)) from None
         if size == self._size:
             return False
-        self._run, self._size = Run(self.folder, settings=self.settings, space=self.space, nominal=self.nominal), size
+        self._run = Run(self.folder, settings=self.settings, space=self.space, nominal=self.nominal)
+        self._size = size
         steps = defaultdict(list)
         for logged in self._run.steps:
             steps[logged.iteration].append(logged)
@@ -191,7 +200,8 @@ class Source:
                 return
 
     def _read_log(self, iteration: int, motions: list[Motion | None], kinematics: Kinematics) -> None:
-        steps, ticks = self.steps(iteration), logged_ticks(self._run, iteration)
+        steps = self.steps(iteration)
+        ticks = logged_ticks(self._run, iteration)
         for step in range(steps[0].step - 1, steps[-1].step + 1):
             rows = ticks.rows[ticks["step"] == step][:: kinematics.every(VIEW_INTERVAL)]
             motions.append(kinematics.motion(TickTable(ticks.units, rows)) if len(rows) else None)

@@ -33,7 +33,8 @@ def start_server(host: str, port: int | None) -> ViserServer:
 
 def announce(server: ViserServer) -> None:
     """Prints the address of the page on stderr, and a warning if other machines can open it."""
-    host, port = server.get_host(), server.get_port()
+    host = server.get_host()
+    port = server.get_port()
     name = f"[{host}]" if ":" in host else host
     print(f"stepgap: open http://{name}:{port} in a browser; Ctrl-C ends it", file=sys.stderr)
     if not (host.startswith("127.") or host in ("localhost", "::1")):

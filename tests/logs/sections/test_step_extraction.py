@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -94,7 +95,7 @@ def test_rows_that_are_lost_leave_their_steps_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("at", ["begin", "end"])
-def test_lift_off_and_touch_down(at: str, tmp_path: Path) -> None:
+def test_lift_off_and_touch_down(at: Literal["begin", "end"], tmp_path: Path) -> None:
     log = logged(tmp_path, noisy(0.0002))
     settings = SectionSettings(phase="phase", at=at, state=("rise=rate(height)", "height", "speed=rate(forward)"))
     found = extracted(tmp_path, settings, plan=False)

@@ -108,7 +108,8 @@ def _template(name: str) -> str:
 
 
 def _header(controller: PortableController, sizes: Mapping[str, Any]) -> str:
-    space, settings = controller.space, controller.settings
+    space = controller.space
+    settings = controller.settings
     statuses = {**{each.name: each.value for each in StepStatus}, "UNCORRECTED": UNCORRECTED}
     noise = ", ".join(
         f"{quantity.name} {std:.3g} {quantity.unit}"
@@ -160,7 +161,9 @@ def _in_comment(text: str) -> str:
 
 def _memory(controller: PortableController, sizes: Mapping[str, Any]) -> int:
     """About how large the state of a filter is [kB]."""
-    n, k, rows = len(controller.space.state), sizes["WEIGHTS"], beliefs.PROBES + beliefs.RECENT
+    n = len(controller.space.state)
+    k = sizes["WEIGHTS"]
+    rows = beliefs.PROBES + beliefs.RECENT
     moments = n * (k + k * (k + 1) // 2)
     numbers = sizes["BELIEFS"] * (moments + 2 * n * (1 + rows) + 2) + moments + beliefs.RECENT * k
     return -(-(numbers * 8 + 12 * sizes["BELIEFS"]) // 1000)
@@ -168,8 +171,10 @@ def _memory(controller: PortableController, sizes: Mapping[str, Any]) -> int:
 
 def _stack(controller: PortableController, sizes: Mapping[str, Any]) -> int:
     """About how much stack the deepest calls need [kB]: a plan of several steps, as gcc compiles it."""
-    n, m = len(controller.space.state), len(controller.space.command)
-    variables, rows = sizes["HORIZON"] * m, 2 * n * sizes["HORIZON"]
+    n = len(controller.space.state)
+    m = len(controller.space.command)
+    variables = sizes["HORIZON"] * m
+    rows = 2 * n * sizes["HORIZON"]
     search = variables * (3 * (rows + variables) + variables + rows)
     planning = 600 + 4 * sizes["CENTRES"] + 10 * n * (n + m) + 4 * sizes["WEIGHTS"] + search
     learning = sizes["BELIEFS"] * (2 * n + 4) + 12 * sizes["WEIGHTS"]
@@ -209,7 +214,8 @@ def _sizes(
     BELIEFS are most beliefs at once: those at the start or those that are kept, young ones, what was believed earlier,
     and while a step is learned one that is born and one that becomes an earlier one.
     """
-    n, m = len(document["state"]), len(document["command"])
+    n = len(document["state"])
+    m = len(document["command"])
     known = controller.beliefs
     regressions = document["residual"]["regressions"]
     evaluations = document["control"]["evaluations"]
@@ -248,7 +254,8 @@ def _sizes(
 
 
 def _space(controller: PortableController) -> list[str]:
-    space, failures = controller.space, controller.failures
+    space = controller.space
+    failures = controller.failures
     return [
         _array("input_scale", [*space.state_scale, *space.command_scale]),
         _array("input_centre", [*space.state_centre, *space.command_centre]),
@@ -325,7 +332,8 @@ def _nominal(nominal: Mapping[str, Any]) -> list[str]:
 
 
 def _residual(regressions: Sequence[Mapping[str, Any]]) -> list[str]:
-    arrays, rows = list[str](), list[str]()
+    arrays = list[str]()
+    rows = list[str]()
     for number, part in enumerate(regressions):
         fields = {**REGRESSION, **_regression(part), "noise_std": float(part["noise_std"])}
         for key, value in fields.items():

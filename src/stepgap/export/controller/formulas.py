@@ -80,7 +80,8 @@ def scaled_point(algebra: Algebra, part: Mapping[str, Any], point: Value) -> Val
 def _legendre(algebra: Algebra, x: Value, degrees: NDArray[np.int64]) -> tuple[Value, Value]:
     """Legendre polynomials of x (B, 1) of these degrees (T,), and their derivatives; (B, T)."""
     one = x * 0.0 + 1.0
-    values, derivatives = [one, x], [one * 0.0, one]
+    values = [one, x]
+    derivatives = [one * 0.0, one]
     for k in range(1, degrees.max(initial=1)):
         values.append((x * values[k] * (2.0 * k + 1) - values[k - 1] * float(k)) / (k + 1.0))
         derivatives.append(derivatives[k - 1] + values[k] * (2.0 * k + 1))
@@ -120,13 +121,15 @@ def corrections(
 def _posterior(algebra: Algebra, part: Mapping[str, Any], point: Value) -> tuple[Value, Value]:
     features = _features(algebra, part["features"], scaled_point(algebra, part, point))
     spread = features @ algebra.constant(np.linalg.cholesky(np.array(part["covariance"])))
-    mean, unit = features @ _upright(algebra, part["weights"]), float(part["value_scale"])
+    mean = features @ _upright(algebra, part["weights"])
+    unit = float(part["value_scale"])
     return mean * unit, algebra.sqrt(algebra.sum_of_squares(spread)) * unit
 
 
 def _features(algebra: Algebra, features: Mapping[str, Any], scaled: Value) -> Value:
     """Monomials and waves of scaled points; (B, p)."""
-    inputs, waves = features["inputs"], len(features["shifts"])
+    inputs = features["inputs"]
+    waves = len(features["shifts"])
     rows, columns = np.triu_indices(inputs)
     parts = [_column(algebra, scaled, 0) * 0.0 + 1.0, scaled]
     if features["degree"] == 2:
@@ -138,7 +141,8 @@ def _features(algebra: Algebra, features: Mapping[str, Any], scaled: Value) -> V
 
 
 def _polynomial(algebra: Algebra, part: Mapping[str, Any], point: Value) -> tuple[Value, Value]:
-    scaled, factors = scaled_point(algebra, part, point), []
+    scaled = scaled_point(algebra, part, point)
+    factors = []
     for axis, degrees in enumerate(np.array(part["degrees"]).T):
         x = _column(algebra, scaled, axis)
         powers = [x * 0.0 + 1.0]
@@ -152,9 +156,11 @@ def _polynomial(algebra: Algebra, part: Mapping[str, Any], point: Value) -> tupl
 
 def _gaussian_process(algebra: Algebra, part: Mapping[str, Any], point: Value) -> tuple[Value, Value]:
     """The standard deviation uses the inverses of the factors, since not all programs solve triangular systems."""
-    constant, length = algebra.constant, np.array(part["length_scale"])
+    constant = algebra.constant
+    length = np.array(part["length_scale"])
     squared = algebra.squared_distances(point / constant(length), np.array(part["centres"]) / length)
-    kernel, linear = _kernel(algebra, part["kernel"], squared), point - constant(part["origin"])
+    kernel = _kernel(algebra, part["kernel"], squared)
+    linear = point - constant(part["origin"])
     slopes = linear @ _upright(algebra, part["slopes"])
     mean = kernel @ _upright(algebra, part["weights"]) + slopes + float(part["constant"])
     white = kernel @ constant(_inverse(part, "centre_factor").T)

@@ -54,7 +54,8 @@ def model_document(controller: PortableController) -> dict[str, Any]:
     Raises:
         InputError: Its residual has a kernel that is not documented.
     """
-    residual, settings = controller.residual, controller.settings
+    residual = controller.residual
+    settings = controller.settings
     return {
         "format": FORMAT,
         "schema": MODEL_SCHEMA,
@@ -98,7 +99,8 @@ def believed_regressions(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     lower, upper = (np.array([each[key] for each in space]) for key in ("lower", "upper"))
     sizes = len(document["state"]), len(document["command"])
     beliefs = beliefs_from_dict(document["beliefs"], sizes)
-    mixture, count = beliefs.mixture(nan), beliefs.features.count
+    mixture = beliefs.mixture(nan)
+    count = beliefs.features.count
     return [
         {
             "kind": "posterior",

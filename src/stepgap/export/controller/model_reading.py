@@ -115,7 +115,8 @@ def _quantities(saved: Mapping[str, Any], key: str) -> tuple[Quantity, ...]:
 
 
 def _nominal(space: StepSpace, saved: Mapping[str, Any]) -> StepMap:
-    n, m = len(space.state), len(space.command)
+    n = len(space.state)
+    m = len(space.command)
     if saved["kind"] == "affine":
         return AffineMap(
             space,
@@ -165,7 +166,9 @@ def _beliefs(space: StepSpace, saved: Mapping[str, Any]) -> Beliefs:
 
 
 def _steps(space: StepSpace, saved: Mapping[str, Any]) -> Observations:
-    n, m, count = len(space.state), len(space.command), len(saved["state"])
+    n = len(space.state)
+    m = len(space.command)
+    count = len(saved["state"])
     return Observations(
         space,
         _points(saved, "state", count, n),
@@ -204,7 +207,8 @@ def _check_same(saved: Any, computed: Any, where: str = "") -> None:
         for index, value in enumerate(computed):
             _check_same(saved[index], value, f"{where}[{index}]")
     elif isinstance(computed, list | float):
-        array, expected = np.asarray(saved, float), np.asarray(computed, float)
+        array = np.asarray(saved, float)
+        expected = np.asarray(computed, float)
         scale = np.abs(expected).max(initial=0.0)
         if array.shape != expected.shape or not np.allclose(array, expected, rtol=0, atol=SAME_NUMBERS * scale):
             raise ValueError(f"{where} does not follow from the data")

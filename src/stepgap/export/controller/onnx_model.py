@@ -136,7 +136,8 @@ def _status(graph: _Graph, nominal: Mapping[str, Any], point: _Value) -> _Value:
     total = graph.op("ReduceSum", point * 0.0, [-1], keepdims=0)  # zero times another number is not zero
     found: _Value | int = 0
     if nominal["kind"] != "affine" and nominal["samples"]["status"]:
-        samples, neighbours = nominal["samples"], nominal["neighbours"]
+        samples = nominal["samples"]
+        neighbours = nominal["neighbours"]
         squared = graph.squared_distances(scaled_point(graph, nominal, point), np.array(samples["points"]))
         nearest = graph.op("TopK", squared, [neighbours], outputs=2, largest=0, axis=-1)
         near = graph.op("Gather", samples["status"], nearest, axis=0)
@@ -148,8 +149,10 @@ def _status(graph: _Graph, nominal: Mapping[str, Any], point: _Value) -> _Value:
 
 def _saved(onnx: Any, graph: _Graph, document: Mapping[str, Any]) -> bytes:
     """The finished model, checked by ONNX."""
-    double, integer = onnx.TensorProto.DOUBLE, onnx.TensorProto.INT64
-    n, m = len(document["state"]), len(document["command"])
+    double = onnx.TensorProto.DOUBLE
+    integer = onnx.TensorProto.INT64
+    n = len(document["state"])
+    m = len(document["command"])
     value = onnx.helper.make_tensor_value_info
     inputs = [value("state", double, ["steps", n]), value("command", double, ["steps", m])]
     outputs = [value(name, double, ["steps", n]) for name in ("next_state", "std")]

@@ -29,7 +29,8 @@ def passport_of(run: Run, deployment: int | None, name: str = "") -> dict[str, A
     Raises:
         InputError: The name is too long, or has letters that cannot be printed.
     """
-    settings, log = run.needed(run.settings), run.recorded if deployment is None else run.recorded.before(deployment)
+    settings = run.needed(run.settings)
+    log = run.recorded if deployment is None else run.recorded.before(deployment)
     file = run.settings_file
     changed = datetime.fromtimestamp((run.folder / "steps.csv").stat().st_mtime, UTC)
     return {
@@ -74,7 +75,8 @@ def _errors(run: Run) -> list[dict[str, Any]]:
     """RMS tracking errors of the first and the last deployment, with the 95 % interval of the latter."""
     if not run.deployments:
         return []
-    first, last = run.deployments[0], run.deployments[-1]
+    first = run.deployments[0]
+    last = run.deployments[-1]
     ends = std_interval_95(last.rmse, max(last.steps, 1))
     return [
         {

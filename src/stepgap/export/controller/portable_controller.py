@@ -142,8 +142,11 @@ def portable_controller(
     Raises:
         InputError: There is no such deployment, or its controller has no portable form.
     """
-    learner, settings = run.learner(deployment), run.needed(run.settings)
-    space, residual, beliefs = learner.nominal.space, learner.residual, learner.beliefs
+    learner = run.learner(deployment)
+    settings = run.needed(run.settings)
+    space = learner.nominal.space
+    residual = learner.residual
+    beliefs = learner.beliefs
     if space.adds_up.any():
         raise InputError(f"{run.folder}: its targets are distances that add up, which no exported controller follows")
     _check_inputs(learner)
@@ -218,7 +221,8 @@ def _portable_nominal(
     if isinstance(nominal, SurrogateMap):
         return _with_small_samples(nominal), ()
     surrogate = _with_small_samples(fit_surrogate(nominal, rng, good_enough=SURROGATE_ERROR))
-    points, n = _random_points(nominal.space, rng), len(nominal.space.state)
+    points = _random_points(nominal.space, rng)
+    n = len(nominal.space.state)
     expected, found = (each.evaluate(points[:, :n], points[:, n:]) for each in (nominal, surrogate))
     both = (expected.status == StepStatus.OK) & (found.status == StepStatus.OK)
     error = (found.next_state - expected.next_state)[both] / nominal.space.state_scale
@@ -251,7 +255,8 @@ def _approximation(subject: str, replacement: str, names: tuple[str, ...], error
     size = np.abs(error) if len(error) else np.full((1, len(names)), np.nan)
     parts = list[str]()
     for name, sizes, std in zip(names, size.T, noise, strict=True):
-        rms, worst = np.sqrt(np.mean(sizes**2)), sizes.max()
+        rms = np.sqrt(np.mean(sizes**2))
+        worst = sizes.max()
         beside = f" ({worst / std:.1g} of the noise of a step)" if std > 0 else ""
         parts.append(f"{name}: {rms:.1g} of a half range, at most {worst:.1g}{beside}")
     return f"{subject} → {replacement}; root-mean-square difference of {'; '.join(parts)}"
@@ -266,7 +271,8 @@ def _portable_regression(regression: Regression, name: str, scale: float, points
             f"residual of {name}: a {type(regression).__name__} cannot be exported; run with learning.residual = "
             '"posterior", "none", "constant", "linear", "quadratic", "gp", "gp_on_linear" or "fitrgp"'
         )
-    process, noise = regression.process, regression.noise_std
+    process = regression.process
+    noise = regression.noise_std
     if noise == 0:
         raise InputError(f"residual of {name}: a Gaussian process without noise cannot be exported; record more steps")
     if isinstance(process, SparseGaussianProcess) and len(process.inducing) <= EXPORTED_SIZES[-1]:

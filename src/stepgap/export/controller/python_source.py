@@ -86,7 +86,8 @@ def python_source(controller: PortableController) -> str:
         del part["data"]
     if document["beliefs"] is not None:
         del document["beliefs"]["steps"], document["beliefs"]["constants"], document["beliefs"]["probes"]
-    space, notes = controller.space, [*controller.approximations, *controller.notes]
+    space = controller.space
+    notes = [*controller.approximations, *controller.notes]
     lines = [
         "A step controller that was learned by StepGap: the command with which the next state is a target.",
         *passport_lines(controller.passport),
@@ -116,7 +117,10 @@ def one_file(roots: list[Place], instead: Mapping[Place, Place]) -> str:
     Raises:
         ValueError: Two definitions have one name, or something needs another package than NumPy.
     """
-    modules, parts, imports, origins = dict[str, _Module](), dict[str, None](), set[str](), dict[str, str]()
+    modules = dict[str, _Module]()
+    parts = dict[str, None]()
+    imports = set[str]()
+    origins = dict[str, str]()
 
     def add(wanted: Place) -> None:
         if wanted.name in origins:
@@ -152,11 +156,13 @@ def one_file(roots: list[Place], instead: Mapping[Place, Place]) -> str:
 
 def _read(name: str) -> _Module:
     """The definitions and imports of a module."""
-    spec, module = find_spec(name), _Module({}, {}, {})
+    spec = find_spec(name)
+    module = _Module({}, {}, {})
     if spec is None or spec.origin is None:
         raise ValueError(f"there is no module {name}")
     text = Path(spec.origin).read_text("utf-8")
-    body, lines = ast.parse(text).body, text.splitlines()
+    body = ast.parse(text).body
+    lines = text.splitlines()
     for number, node in enumerate(body):
         if isinstance(node, ast.Import | ast.ImportFrom):
             _note_imports(node, module)
@@ -172,7 +178,8 @@ def _read(name: str) -> _Module:
 
 def _note_imports(node: ast.Import | ast.ImportFrom, module: _Module) -> None:
     for each in node.names:
-        name, renamed = each.asname or each.name, f" as {each.asname}" if each.asname else ""
+        name = each.asname or each.name
+        renamed = f" as {each.asname}" if each.asname else ""
         if isinstance(node, ast.Import):
             module.imports[name] = f"import {each.name}{renamed}"
         elif (node.module or "").split(".")[0] == COPIED_PACKAGE:
@@ -185,9 +192,13 @@ def _defined(node: ast.stmt) -> Iterator[str]:
     """Names that a statement of a module defines."""
     if isinstance(node, ast.FunctionDef | ast.ClassDef):
         yield node.name
-    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    targets = list[ast.expr]()
+    if isinstance(node, ast.Assign):
+        targets = node.targets
+    elif isinstance(node, ast.AnnAssign):
+        targets = [node.target]
     for target in targets:
-        yield from (each.id for each in ast.walk(target) if isinstance(each, ast.Name))
+        yield from (part.id for part in ast.walk(target) if isinstance(part, ast.Name))
 
 
 def _names(node: ast.AST) -> Iterator[str]:

@@ -57,8 +57,10 @@ class StepFilter:
     """
 
     def __init__(self, model: Mapping[str, Any]):
-        control, beliefs = model["control"], model["beliefs"]
-        self._nominal, self._residual = FormulaMap(model), FormulaResidual(model)
+        control = model["control"]
+        beliefs = model["beliefs"]
+        self._nominal = FormulaMap(model)
+        self._residual = FormulaResidual(model)
         self._failures = np.reshape(np.array(model["failures"], float), (-1, len(self.space.names)))
         names = ("cautious", "viability", "avoid_failures", "evaluations", "horizon", "largest_change")
         self._settings = ControlSettings(**{name: control[name] for name in names})
@@ -99,12 +101,11 @@ class StepFilter:
         Raises:
             ValueError: State, target or command has the wrong size.
         """
-        n, m = len(self.space.state), len(self.space.command)
+        n = len(self.space.state)
+        m = len(self.space.command)
         state = as_vector("state", np.full(n, np.nan) if state is None else state, n)
-        target, before = (
-            as_vector("target", target, n),
-            None if previous is None else as_vector("previous", previous, m),
-        )
+        target = as_vector("target", target, n)
+        before = None if previous is None else as_vector("previous", previous, m)
         later = np.reshape(np.asarray(ahead, float), (-1, n))[: self._settings.horizon - 1]
         known = before is None or bool(np.isfinite(before).all())
         usable = known and not np.isinf(target).any() and not np.isinf(later).any()
@@ -152,7 +153,8 @@ class StepFilter:
 
     def _uncorrected(self, target: Array, previous: Array | None) -> Array:
         """Command of the nominal map at the target as the state; else the previous one, or the middle of the bounds."""
-        space, change = self.space, CommandChange(self._settings.largest_change, previous)
+        space = self.space
+        change = CommandChange(self._settings.largest_change, previous)
         start = space.command_centre if previous is None else previous
         nominal = BudgetedMap(self._nominal, EvaluationBudget(self._settings.evaluations // 2))
         try:
@@ -184,7 +186,8 @@ class FormulaMap(StepMap):
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
         """Next states and status codes; never raises for a step that fails."""
-        points, n = join_points(state, command), len(self._space.state)
+        points = join_points(state, command)
+        n = len(self._space.state)
         rows = points.reshape(-1, points.shape[-1])
         status = self._status(rows)
         found = nominal_state(NUMBERS, self._nominal, np.where(np.isfinite(rows), rows, 0.0))
@@ -196,7 +199,8 @@ class FormulaMap(StepMap):
 
         Outside of the range where a polynomial was fitted, it is that of the nearest point inside, as in a run.
         """
-        points, nominal = join_points(state, command), self._nominal
+        points = join_points(state, command)
+        nominal = self._nominal
         affine = nominal["kind"] == "affine"
         ends = (
             (-np.inf, np.inf)
@@ -211,7 +215,8 @@ class FormulaMap(StepMap):
         """Status codes (B,): of the nearest samples if most of them failed, or that the point is not finite."""
         status = np.where(np.isfinite(rows).all(axis=1), int(StepStatus.OK), int(StepStatus.INVALID))
         if self._nominal["kind"] != "affine" and len(self._nominal["samples"]["status"]):
-            neighbours, samples = int(self._nominal["neighbours"]), self._nominal["samples"]
+            neighbours = int(self._nominal["neighbours"])
+            samples = self._nominal["samples"]
             known = np.flatnonzero(status == StepStatus.OK)
             squared = NUMBERS.squared_distances(scaled_point(NUMBERS, self._nominal, rows[known]), samples["points"])
             near = samples["status"][np.argsort(squared, axis=1, kind="stable")[:, :neighbours]].astype(int)

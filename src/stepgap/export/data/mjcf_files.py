@@ -2,7 +2,8 @@
 
 from stepgap.robots.hopper.twin.twin import Twin
 
-HOPPER, SCENE = "hopper.xml", "scene.xml"
+HOPPER = "hopper.xml"
+SCENE = "scene.xml"
 
 
 def mjcf_files(twin: Twin, boom_length: float) -> dict[str, str]:

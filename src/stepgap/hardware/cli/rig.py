@@ -42,19 +42,24 @@ def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds
     _check_seconds(seconds)
     if plant and rig_file is None:
         raise InputError(f"--plant {plant}: valid only with RIG_FILE, the file that describes the rig")
-    frames, robot = FrameCount(), Hopper()
-    control, limits = robot.control(), SafetyLimits.of(robot.parameters)
+    frames = FrameCount()
+    robot = Hopper()
+    control = robot.control()
+    limits = SafetyLimits.of(robot.parameters)
     if rig_file is None:
         print("no rig.toml given: timing of this machine alone, with constant sensor values")
         setup = limp_setup(partial(still_hopper, 1e-3), control, frames)
         result = measure(setup, frames, 1e-3, limits, seconds)
         print(describe(result, bus=False))
     else:
-        mark, make_rig = fingerprint(rig_file), partial(load_rig, plant or ETHERCAT, rig_file, robot)
-        found, setup = make_rig(), limp_setup(make_rig, control, frames)
+        mark = fingerprint(rig_file)
+        make_rig = partial(load_rig, plant or ETHERCAT, rig_file, robot)
+        found = make_rig()
+        setup = limp_setup(make_rig, control, frames)
         findings = found.findings()
         _refuse_contradictions(rig_file, mark, findings)
-        tick, clocks = found.sensor_model.tick, found.clock_limits
+        tick = found.sensor_model.tick
+        clocks = found.clock_limits
         result = measure(setup, frames, tick, found.limits or limits, seconds, clocks)
         result = with_watchdog(with_findings(result, findings), make_rig)
         file = write_check(rig_file, mark, result)
@@ -96,10 +101,12 @@ def calibrate(
 
     if leg_length is None or height is None:
         raise InputError("--leg-length and --height: give both, as measured; they have no default")
-    pose, target = verb.Pose(alpha_1, leg_length, height), out or rig_file.with_suffix(".calibrated.toml")
+    pose = verb.Pose(alpha_1, leg_length, height)
+    target = out or rig_file.with_suffix(".calibrated.toml")
     verb.check_pose(pose)
     robot = read_experiment(experiment, overrides or []).robot
-    hopper, settings = as_hopper(robot, "a rig is calibrated"), read_rig_settings(rig_file)
+    hopper = as_hopper(robot, "a rig is calibrated")
+    settings = read_rig_settings(rig_file)
     expected = verb.expected_reading(settings, hopper.parameters, pose)
     if target.exists():
         raise InputError(f"{target}: exists already; choose another --out")
@@ -147,7 +154,8 @@ def jog(
     make_rig = partial(load_rig, plant, rig_file, robot)
     limits = require_limits(str(rig_file), make_rig().limits)
     checked(rig_file)
-    mark, settings = fingerprint(rig_file), rig_file.read_text("utf-8")
+    mark = fingerprint(rig_file)
+    settings = rig_file.read_text("utf-8")
     content = try_motors(make_rig, robot.control(), limits.simulated, settings)
     file = write_proof(rig_file, JOG, mark, content)
     print("result  passed" if content["passed"] else "result  not passed")

@@ -69,7 +69,8 @@ class ClockCheck:
         """Describes what is not within the limits, with remedies; empty if everything is."""
         if not self.ticks:
             return ["no frame reported its time on the reference clock"]
-        limits, found = self.limits, []
+        limits = self.limits
+        found = []
         if self.p99_9 > limits.usual:
             found.append(
                 f"99.9 % of the frames were within {_micro(self.p99_9)} of their times on the reference clock, "
@@ -119,7 +120,8 @@ def clock_check(ticks: TickTable, limits: ClockLimits | None) -> ClockCheck | No
     offsets = offsets[np.isfinite(offsets)]
     if not len(offsets):
         return ClockCheck(limits)
-    distances, changes = np.abs(offsets), np.abs(np.diff(offsets))
+    distances = np.abs(offsets)
+    changes = np.abs(np.diff(offsets))
     p50, p99_9 = np.quantile(distances, (0.5, USUAL)).tolist()
     return ClockCheck(
         limits=limits,
@@ -228,7 +230,8 @@ class Check:
 
     def failures(self) -> list[str]:
         """Describes what is not within the limits; empty if the check is passed."""
-        timing, found = self.timing, list(self.contradictions)
+        timing = self.timing
+        found = list(self.contradictions)
         if timing.missed_in_a_row > self.late_ticks:
             found.append(f"{timing.missed_in_a_row} ticks in a row were missed, at most {self.late_ticks} are allowed")
         if timing.punctual < PUNCTUAL:
@@ -310,7 +313,8 @@ def measure(
     """
     ticks = ticks_of(setup, round(seconds / tick))
     timing = timing_of(ticks.table["late"], tick)
-    lost, clock = frames.lost, clock_check(ticks.table, clock_limits)
+    lost = frames.lost
+    clock = clock_check(ticks.table, clock_limits)
     last = dict(zip(ticks.table.units, ticks.table.rows[-1].tolist(), strict=True))
     drives = describe_devices(setup.make_rig(), last)
     return Check(
@@ -327,11 +331,14 @@ def with_watchdog(check: Check, make_rig: Callable[[], Rig]) -> Check:
     """
     if check.fault:
         return check
-    remarks, findings, shortest = tuple[str, ...](), None, None
+    remarks = tuple[str, ...]()
+    findings = None
+    shortest = None
     for _ in range(_WATCHDOG_ATTEMPTS):
         try:
             with make_rig() as rig:
-                remarks, found = rig.remarks, rig.watchdog_times()
+                remarks = rig.remarks
+                found = rig.watchdog_times()
                 if findings is None:
                     findings = rig.findings()  # which takes time: when frames have ended
         except RigFault as fault:
@@ -361,7 +368,8 @@ def describe(check: Check, bus: bool) -> str:
         check: The result.
         bus: Whether a bus was measured, not only the machine.
     """
-    timing, failures = check.timing, check.failures()
+    timing = check.timing
+    failures = check.failures()
     rule = f"at most {check.late_ticks} ticks missed in a row, {100 * PUNCTUAL:g} % within half a tick, no fault"
     if check.simulated:
         rule += "; for a simulated robot (limits.simulated) neither privileges nor watchdog"

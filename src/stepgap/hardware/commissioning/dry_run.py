@@ -36,7 +36,9 @@ class WatchedLog(TickLog):
 
     def __init__(self, path: Path, units: Mapping[str, str], description: LogDescription):
         super().__init__(path, units, description)
-        self.last, self.count, self.worst = LastTick(units), 0, 0.0
+        self.last = LastTick(units)
+        self.count = 0
+        self.worst = 0.0
 
     def append(self, rows: Array) -> None:
         """Adds ticks to the log."""
@@ -70,13 +72,16 @@ def dry_run(make_rig: Callable[[], Rig], robot_control: RobotControl, seconds: f
         InputError: The log cannot be written.
         RigFault: The bus or a drive failed.
     """
-    path, frames, rig = next_path(FOLDER), FrameCount(), make_rig()
+    path = next_path(FOLDER)
+    frames = FrameCount()
+    rig = make_rig()
     setup = limp_setup(make_rig, robot_control, frames)
     try:
         log = WatchedLog(path, setup.units, setup.described())
     except TickLogError as error:
         raise InputError(str(error)) from None
-    wanted, fault = float("inf") if seconds is None else seconds / rig.sensor_model.tick, ""
+    wanted = float("inf") if seconds is None else seconds / rig.sensor_model.tick
+    fault = ""
     describe = _describer(rig, robot_control, frames)
     session = Session(setup, log)
     try:

@@ -55,7 +55,9 @@ class LimpRig(Rig):
     """
 
     def __init__(self, rig: Rig, limits: RigLimits, frames: FrameCount):
-        self._rig, self._limits, self._frames = rig, limits, frames
+        self._rig = rig
+        self._limits = limits
+        self._frames = frames
 
     @property
     def limits(self) -> RigLimits:
@@ -126,7 +128,8 @@ def ticks_of(setup: RealtimeSetup, count: int) -> LimpTicks:
     Raises:
         RigFault: There was no tick at all.
     """
-    kept, refused = _Memory(), ""
+    kept = _Memory()
+    refused = ""
     session = Session(setup, kept)
     try:
         with terminated_as_interrupted():
@@ -190,7 +193,8 @@ def describe_devices(rig: Rig, fields: Mapping[str, float]) -> dict[str, str]:
         rig: The rig.
         fields: Fields of a tick by name.
     """
-    names, units = rig.diagnostic_names, rig.diagnostic_units
+    names = rig.diagnostic_names
+    units = rig.diagnostic_units
     judged = {name: fields[name] for name in units if name in fields and name in {*names, *rig.diagnostic_ranges}}
     return {
         name: names[name].get(round(value), f"{value:g}") if name in names else f"{value:.1f} {units[name]}"

@@ -47,7 +47,8 @@ def write_proof(rig_file: Path, verb: str, mark: Mapping[str, str], content: Map
     Raises:
         InputError: It cannot be written.
     """
-    file, date = proof_file(rig_file, verb), datetime.now(UTC).isoformat(timespec="seconds")
+    file = proof_file(rig_file, verb)
+    date = datetime.now(UTC).isoformat(timespec="seconds")
     try:
         write_whole(
             file, json.dumps({"schema": 2, **mark, "date": date, **content}, indent=1, ensure_ascii=False) + "\n"
@@ -63,8 +64,10 @@ def proven(rig_file: Path, verb: str) -> dict[str, Any]:
     Raises:
         InputError: They have not; the message is one line with the remedy.
     """
-    file, remedy = proof_file(rig_file, verb), f"run `stepgap rig {verb} {rig_file}` first"
-    mark, found = fingerprint(rig_file), _read(file)
+    file = proof_file(rig_file, verb)
+    remedy = f"run `stepgap rig {verb} {rig_file}` first"
+    mark = fingerprint(rig_file)
+    found = _read(file)
     if not found:
         raise InputError(f"{file}: there is no result of a {verb}; {remedy}")
     reasons = {

@@ -74,7 +74,9 @@ for the reply to the 16th frame after it.
 _NO_OBJECT = 0x06020000  # Abort code of an SDO transfer: there is no such object
 _NO_ANSWER = 0  # State of a slave whose answer was lost
 
-_U8, _U16, _U32 = Struct("<B"), Struct("<H"), Struct("<I")
+_U8 = Struct("<B")
+_U16 = Struct("<H")
+_U32 = Struct("<I")
 
 
 class Bus:
@@ -95,7 +97,8 @@ class Bus:
         sets = [settings.pdo_set(slave) for slave in settings.slaves]
         self._outputs = [Packing(pdos.outputs) for pdos in sets]
         self._inputs = [Packing(pdos.inputs) for pdos in sets]
-        self._timeout, self._sent_at = round(settings.reply_timeout * 1e6), 0.0
+        self._timeout = round(settings.reply_timeout * 1e6)
+        self._sent_at = 0.0
         self._sockets: set[int] = set()
         self._claim: socket.socket | None = None
         self._emergencies: list[Any] = []
@@ -133,7 +136,8 @@ class Bus:
                 f"interface {self._settings.interface} cannot be opened: "
                 "it must exist, and raw Ethernet needs root or the capability CAP_NET_RAW"
             ) from None
-        self._master, self._sockets = master, open_sockets() - before
+        self._master = master
+        self._sockets = open_sockets() - before
         return master
 
     def _bring_up(self, master: Any, prepare: Callable[[], None]) -> None:
@@ -152,7 +156,9 @@ class Bus:
 
         Unexpected ones are, too, but less often: on a busy computer the answer with an identity may be lost.
         """
-        until, wanted, strange = monotonic() + SEARCH_TIME, self._settings.slaves, 0
+        until = monotonic() + SEARCH_TIME
+        wanted = self._settings.slaves
+        strange = 0
         while True:
             count = master.config_init()
             found = [(device.man, device.id) for device in master.slaves[: max(0, count)]]
@@ -258,7 +264,8 @@ class Bus:
 
     def close(self) -> None:
         """Brings all slaves to INIT and releases the interface; may be called twice."""
-        master, self._master = self._master, None
+        master = self._master
+        self._master = None
         if master is not None:
             master.state = self._soem.INIT_STATE
             master.write_state()
@@ -275,7 +282,8 @@ class Bus:
         return f"slave {number + 1} '{self._settings.slaves[number].name}'"
 
     def _check_identities(self, count: int) -> None:
-        wanted, found = self._settings.slaves, self._master.slaves[: max(0, count)]
+        wanted = self._settings.slaves
+        found = self._master.slaves[: max(0, count)]
         for number, (slave, device) in enumerate(zip(wanted, found, strict=False)):
             if (device.man, device.id) != (slave.vendor, slave.product):
                 raise RigFault(
@@ -320,10 +328,8 @@ class Bus:
         except soem.ConfigMapError:
             raise RigFault(f"the process data cannot be mapped: {self._states(soem.SAFEOP_STATE)}") from None
         for number, device in enumerate(master.slaves):
-            found, wanted = (
-                (len(device.output), len(device.input)),
-                (self._outputs[number].size, self._inputs[number].size),
-            )
+            found = (len(device.output), len(device.input))
+            wanted = (self._outputs[number].size, self._inputs[number].size)
             if found != wanted:
                 raise RigFault(
                     f"{self.label(number)} must exchange {wanted[0]} bytes out and {wanted[1]} in, "
@@ -374,9 +380,11 @@ class Bus:
             reason = f"0x{error.abort_code:08X} {error.desc}"
             kind = MissingObject if error.abort_code == _NO_OBJECT else RigFault
         except (soem.MailboxError, soem.PacketError, soem.WkcError) as error:
-            reason, kind = f"no answer ({type(error).__name__})", RigFault
+            reason = f"no answer ({type(error).__name__})"
+            kind = RigFault
         except AssertionError:  # pysoem asserts that the error in SOEM's list is of this slave
-            reason, kind = "no answer, after an error of another slave", RigFault
+            reason = "no answer, after an error of another slave"
+            kind = RigFault
         raise kind(f"{self.label(number)}: object 0x{index:04X}:{subindex:02X} is refused: {reason}")
 
     def _limit_waiting(self, reply: int, request: int) -> None:

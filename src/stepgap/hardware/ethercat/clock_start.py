@@ -16,7 +16,8 @@ _ATTEMPTS = 5  # Number of attempts to activate SYNC0, since a reply may be late
 _ACTIVATION, _START, _CYCLE, _DIFFERENCE = 0x0981, 0x0990, 0x09A0, 0x092C
 """Registers of a slave controller: of SYNC0, and the mean difference of its clock from the reference clock."""
 
-_U32, _U64 = Struct("<I"), Struct("<Q")
+_U32 = Struct("<I")
+_U64 = Struct("<Q")
 
 
 def start_clocks(master: Any, settings: BusSettings, label: Callable[[int], str]) -> None:
@@ -69,7 +70,8 @@ def synchronise(
 
 def _activate(device: Any, slave: Slave, cycle: float) -> bool:
     """Activates SYNC0 of a slave, and reads back what it took over; returns whether it did."""
-    period, shift = round(1e9 * cycle), round(1e9 * cycle * slave.sync0_shift)
+    period = round(1e9 * cycle)
+    shift = round(1e9 * cycle * slave.sync0_shift)
     sync1 = {"sync1_cycle_time": 0} if slave.assign_activate == SYNC0_AND_SYNC1 else {}
     for _ in range(_ATTEMPTS):
         device.dc_sync(True, period, shift, **sync1)

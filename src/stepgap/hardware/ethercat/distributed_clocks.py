@@ -67,11 +67,19 @@ class Steering:
     """
 
     def __init__(self, cycle: float, settings: DcSettings, host: HostTime = COMPUTER):
-        self._cycle, self._settings, self.host = cycle, settings, host
-        self._sent_at, self._due, self._rate, self._aligned = host.now(), host.now(), 0.0, False
+        self._cycle = cycle
+        self._settings = settings
+        self.host = host
+        self._sent_at = host.now()
+        self._due = host.now()
+        self._rate = 0.0
+        self._aligned = False
         self._settling = _SETTLING
-        self._fresh, self._outside, self._inside = False, 0, 0
-        self._tick_ends, self._tick_begins = False, True
+        self._fresh = False
+        self._outside = 0
+        self._inside = 0
+        self._tick_ends = False
+        self._tick_begins = True
         self.offset = nan
         """Time by which the last good frame passed the reference clock too late [s]."""
         self.farthest = nan
@@ -102,12 +110,14 @@ class Steering:
 
     def returned(self, time: int) -> None:
         """Notes the system time of the reference clock when the last frame passed it [ns]."""
-        self.offset, self._fresh = 1e-9 * offset_from_grid(time, round(1e9 * self._cycle)), True
+        self.offset = 1e-9 * offset_from_grid(time, round(1e9 * self._cycle))
+        self._fresh = True
         outside = abs(self.offset) > self._settings.window * self._cycle
         self._outside, self._inside = (self._outside + 1, 0) if outside else (0, self._inside + 1)
         farthest, most = (0.0, 0) if self._tick_begins else (self.farthest, self.outside)
         self.farthest, self.outside = max(farthest, self.offset, key=abs), max(most, self._outside)
-        self._tick_begins, self._tick_ends = self._tick_ends, False
+        self._tick_begins = self._tick_ends
+        self._tick_ends = False
 
     def correction(self, slip: float = 0.0, frames: int = 1) -> float:
         """Time by which the next frame and all later ones shall be sent later [s], given the last offset.
@@ -143,7 +153,8 @@ class Steering:
     def restart(self) -> None:
         """Begins a new sequence of frames, whose first one is not yet in phase; the rate remains."""
         self._aligned = self._fresh = False
-        self._due, self._settling = self.host.now(), _SETTLING
+        self._due = self.host.now()
+        self._settling = _SETTLING
 
     def wait(self) -> None:
         """Waits until the next frame is due, outside of a control loop."""

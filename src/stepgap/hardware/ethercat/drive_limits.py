@@ -68,7 +68,8 @@ class DriveLimits:
         for name in ("temperature_warning", "temperature_limit"):
             value = getattr(self, name)
             require(value == inf or least < value < most, name, value, f"lie between {least:g} and {most:g}")
-        warning, limit = self.temperature_warning, self.temperature_limit
+        warning = self.temperature_warning
+        limit = self.temperature_limit
         rule = f"be below temperature_limit = {limit:g}, so that the robot lands before torque goes off"
         require(warning < limit or limit == inf, "temperature_warning", warning, rule)
         for name in ("temperature_frozen_time", "bus_voltage_frozen_time"):
@@ -95,7 +96,8 @@ class DriveLimits:
             entries: Entries of its inputs by name.
         """
         for field in fields(DriveLimits):
-            wanted, value = _NEEDS.get(field.name, ""), getattr(self, field.name)
+            wanted = _NEEDS.get(field.name, "")
+            value = getattr(self, field.name)
             is_met = not wanted or wanted in entries or value == field.default
             rule = f"be left out, or the PDOs of '{slave}' must have an entry named {wanted}"
             require(is_met, f"{table}.{field.name}", list(value) if isinstance(value, tuple) else value, rule)
@@ -105,7 +107,8 @@ class DriveLimits:
             shown = list(self.bus_voltage) if name == BUS_VOLTAGE else value
             require(value < most, f"{table}.{name}", shown, f"be below the largest value of {entry}, {most:g}")
         for name in ("sto_bits", "enable_bits"):
-            bits, entry = getattr(self, name), entries.get(DIGITAL_INPUTS)
+            bits = getattr(self, name)
+            entry = entries.get(DIGITAL_INPUTS)
             fits = entry is None or all(bit < entry.bits for bit in bits)
             require(fits, f"{table}.{name}", list(bits), f"be bits of {entry}")
 

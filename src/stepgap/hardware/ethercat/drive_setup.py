@@ -63,8 +63,13 @@ def secure_reactions(bus: Objects, number: int) -> list[str]:
     return remarks
 
 
-_MODE, _MODE_DISPLAY, _LARGEST_TORQUE, _RATED_TORQUE = 0x6060, 0x6061, 0x6072, 0x6076
-_U16, _U32, _I8 = Struct("<H"), Struct("<I"), Struct("<b")
+_MODE = 0x6060
+_MODE_DISPLAY = 0x6061
+_LARGEST_TORQUE = 0x6072
+_RATED_TORQUE = 0x6076
+_U16 = Struct("<H")
+_U32 = Struct("<I")
+_I8 = Struct("<b")
 
 
 def prepare_slaves(bus: Objects, settings: BusSettings) -> list[str]:

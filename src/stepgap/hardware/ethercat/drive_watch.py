@@ -225,7 +225,10 @@ class Obedience:
         """Forgets earlier readings and commands."""
         self._torque.restart()
         self._warned = dict.fromkeys(self._warned, 0)
-        self._follows, self._ignoring, self._last, self._same = False, 0, dict[str, int](), 0
+        self._follows = False
+        self._ignoring = 0
+        self._last = dict[str, int]()
+        self._same = 0
 
     def command(self, units: int) -> None:
         """Adds the command that was sent last, in 1/1000 of the rated torque."""
@@ -237,7 +240,8 @@ class Obedience:
         for bit in self._warned:
             self._warned[bit] = self._warned[bit] + 1 if status & bit else 0
         follows = bool(status & FOLLOWS_COMMAND)
-        self._follows, self._ignoring = self._follows or follows, 0 if follows else self._ignoring + 1
+        self._follows = self._follows or follows
+        self._ignoring = 0 if follows else self._ignoring + 1
         self._same = self._same + 1 if self._has_torque and self._last == values and self._torque.changed else 0
         self._last = dict(values)
         if self._judges_following and self._follows and self._ignoring >= MOST_WRONG:
@@ -245,7 +249,8 @@ class Obedience:
         if self._same >= MOST_SAME:
             return f"none of its values changes any more although its commands do: it hangs; {ONLY_STO}"
         if self._judges_torque and self._torque.reading(values["torque"]):
-            found, sent = values["torque"], self._torque.commanded
+            found = values["torque"]
+            sent = self._torque.commanded
             return f"its torque is {found}, commanded were {sent} (1/1000 of the rated torque); {ONLY_STO}"
         return ""
 
@@ -267,7 +272,8 @@ class DriveWatch:
 
     def __init__(self, label: str, limits: DriveLimits, entries: Mapping[str, Entry], cycle: float):
         self._label = label
-        self._reported, self._obedience = reported_values(limits, entries, cycle), Obedience(limits, entries, cycle)
+        self._reported = reported_values(limits, entries, cycle)
+        self._obedience = Obedience(limits, entries, cycle)
         self.restart()
         inputs = (
             SafetyInput.of("sto", "STO input", limits.sto_bits, limits.sto_open),
@@ -300,7 +306,8 @@ class DriveWatch:
 
     def update(self, values: Mapping[str, int]) -> str:
         """Takes the inputs of a good frame; returns why torque must go off, or an empty text."""
-        numbers, excess = [float(values[name]) for name in self._raw], ""
+        numbers = [float(values[name]) for name in self._raw]
+        excess = ""
         for index, reported in enumerate(self._reported):
             raw = values[reported.name]
             self._tracks[index] = track = with_value(reported, self._tracks[index], reported.value(raw))
@@ -315,10 +322,11 @@ class DriveWatch:
 
     def open_inputs(self, values: Mapping[str, int]) -> str:
         """Names the inputs that are open, or returns an empty text."""
-        found = [each.label for each in self._inputs if each.is_open(values[DIGITAL_INPUTS])]
-        return (
-            f"the {' and the '.join(found)} of {self._label} {'are' if len(found) > 1 else 'is'} open" if found else ""
-        )
+        labels = [watched.label for watched in self._inputs if watched.is_open(values[DIGITAL_INPUTS])]
+        if not labels:
+            return ""
+        verb = "are" if len(labels) > 1 else "is"
+        return f"the {' and the '.join(labels)} of {self._label} {verb} open"
 
     def describe(self, values: Mapping[str, int]) -> str:
         """Describes temperature and bus voltage in the inputs of a frame; empty if the drive reports neither."""
@@ -350,12 +358,14 @@ class WatchedDrives:
     """
 
     def __init__(self, settings: BusSettings, label: Callable[[int], str], inputs: Callable[[int], Mapping[str, int]]):
-        self._inputs, self._watches = inputs, dict[str, tuple[int, DriveWatch]]()
+        self._inputs = inputs
+        self._watches = dict[str, tuple[int, DriveWatch]]()
         self.remarks: list[str] = []
         """What drives report without a limit, and whether none reports its STO input."""
         for table, motor in settings.devices.items():
             if isinstance(motor, Motor):
-                drive, entries = settings.position(motor.slave), settings.input_entries(motor.slave)
+                drive = settings.position(motor.slave)
+                entries = settings.input_entries(motor.slave)
                 self._watches[table] = drive, DriveWatch(label(drive), motor, entries, settings.cycle)
                 self.remarks += motor.remarks(label(drive), entries)
                 self.remarks += [] if "torque" in entries else [f"{label(drive)} {TORQUE_NOT_REPORTED}"]

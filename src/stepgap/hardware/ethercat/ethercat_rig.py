@@ -38,7 +38,8 @@ from stepgap.rigs.rig import (
     WatchdogTimes,
 )
 
-_ERROR_CODE, _STATUSWORD = 0x603F, 0x6041
+_ERROR_CODE = 0x603F
+_STATUSWORD = 0x6041
 _U16 = Struct("<H")
 
 CLOCK_DIAGNOSTICS = {CLOCK_OFFSET: "s", "clock_correction": "s", CLOCK_OUTSIDE: "frames"}
@@ -71,7 +72,9 @@ class EthercatRig(BusRig):
         self, settings: BusSettings, sensor_model: SensorModel, host: HostTime = COMPUTER, folder: Path = Path()
     ):
         super().__init__(settings, sensor_model)
-        self._settings, self._bus, self._folder = settings, Bus(settings, host), folder
+        self._settings = settings
+        self._bus = Bus(settings, host)
+        self._folder = folder
         self._motors = settings.motors
         self._drives = tuple(settings.position(motor.slave) for motor in self._motors)
         self._sensors = tuple(
@@ -80,9 +83,13 @@ class EthercatRig(BusRig):
         )
         self._watched = WatchedDrives(settings, self._bus.label, self._bus.inputs)
         synchronised = [number for number, slave in enumerate(settings.slaves) if slave.assign_activate]
-        self._differences, self._next_clock = dict.fromkeys(synchronised, nan), cycle(synchronised)
-        self._connected, self._remarks = False, list[str]()
-        self._frame_pending, self._good_frames, self._unanswered = False, 0, 0
+        self._differences = dict.fromkeys(synchronised, nan)
+        self._next_clock = cycle(synchronised)
+        self._connected = False
+        self._remarks = list[str]()
+        self._frame_pending = False
+        self._good_frames = 0
+        self._unanswered = 0
         self._reading = settings.reading((0.0,) * len(self._sensors))
 
     @property
@@ -180,7 +187,10 @@ class EthercatRig(BusRig):
         except BaseException:
             self.close()
             raise
-        self._lost, self._frame_pending, self._good_frames, self._unanswered = 0, False, 0, 0
+        self._lost = 0
+        self._frame_pending = False
+        self._good_frames = 0
+        self._unanswered = 0
         if self._bus.steering:
             self._bus.steering.restart()
 
@@ -219,7 +229,8 @@ class EthercatRig(BusRig):
         self._require_finite(torques)
         sent = []
         for drive, motor, torque in zip(self._drives, self._motors, torques, strict=True):
-            unit, most = motor.torque_unit, motor.most_units
+            unit = motor.torque_unit
+            most = motor.most_units
             units = round(min(max(torque / unit, -most), most))
             self._command(drive, motor.sign * units, ENABLE)
             self._watched.command(drive, motor.sign * units)
@@ -237,7 +248,8 @@ class EthercatRig(BusRig):
             RigFault: A drive still accepts torque after twice the time of its watchdog.
         """
         self.write((0.0,) * len(self._drives))
-        last, measured = monotonic(), {}
+        last = monotonic()
+        measured = {}
         self._bus.receive()
         watched = {drive: self._settings.slaves[drive].name for drive in self._drives}
         while monotonic() < last + 2 * self._settings.watchdog + WATCHDOG_PATIENCE:
@@ -264,7 +276,8 @@ class EthercatRig(BusRig):
 
     def _transition(self, wanted: Wanted, arrived: Callable[[tuple[State, ...]], bool]) -> None:
         """Exchanges frames without torque until the drives have arrived at the wanted state."""
-        until, controlwords = monotonic() + STATE_TIMEOUT, [DISABLE_VOLTAGE] * len(self._drives)
+        until = monotonic() + STATE_TIMEOUT
+        controlwords = [DISABLE_VOLTAGE] * len(self._drives)
         frames_open = 0
         while True:
             for drive, controlword in zip(self._drives, controlwords, strict=True):

@@ -106,7 +106,8 @@ class Packing:
             raise ValueError(f"a value is mapped twice: {', '.join(self.names)}")
         self.mapping: dict[str, tuple[Entry, int]] = {}
         """Entry and first bit of each named value."""
-        codes, bit = "<", 0
+        codes = "<"
+        bit = 0
         for entry in entries:
             if entry.name:
                 self.mapping[entry.name] = (entry, bit)
@@ -157,7 +158,9 @@ class PdoSet:
             Packing(pdos)
 
 
-_U8, _U16, _U32 = Struct("<B"), Struct("<H"), Struct("<I")
+_U8 = Struct("<B")
+_U16 = Struct("<H")
+_U32 = Struct("<I")
 
 
 def configure_pdos(bus: Objects, number: int, assignment: int, pdos: tuple[Pdo, ...]) -> None:
@@ -202,7 +205,9 @@ def mapping_fault(bus: Objects, number: int, pdos: tuple[Pdo, ...]) -> str:
     Returns:
         What differs; empty if nothing does.
     """
-    packing, found, bit = Packing(pdos), dict[int, tuple[int, int, int]](), 0
+    packing = Packing(pdos)
+    found = dict[int, tuple[int, int, int]]()
+    bit = 0
     for pdo in pdos:
         for subindex in range(1, bus.read_object(number, pdo.index, _U8) + 1):
             word = bus.read_object(number, pdo.index, _U32, subindex)

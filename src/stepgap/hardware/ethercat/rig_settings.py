@@ -99,7 +99,8 @@ class Slave:
         for name in ("vendor", "product", "revision"):
             require(0 <= getattr(self, name) < 2**32, name, getattr(self, name), "lie between 0 and 2³²")
         require_objects("startup", self.startup)
-        activate, shift = self.assign_activate, self.sync0_shift
+        activate = self.assign_activate
+        shift = self.sync0_shift
         rule = "be 0x0300 (SYNC0), 0x0700 (SYNC0 and SYNC1) or 0 (none)"
         require(activate in (0, SYNC0_ONLY, SYNC0_AND_SYNC1), "assign_activate", activate, rule)
         require(0 < shift < 1, "sync0_shift", shift, "lie between 0 and 1")
@@ -167,7 +168,8 @@ class Motor(DriveLimits, Encoder):
     def __post_init__(self) -> None:
         Encoder.__post_init__(self)
         DriveLimits.__post_init__(self)
-        rated, limit = self.rated_torque, self.torque_limit
+        rated = self.rated_torque
+        limit = self.torque_limit
         smallest = self.rated_torque_unit
         require(1e-9 <= smallest <= 1, "rated_torque_unit", smallest, "lie between 1e-9 and 1")
         largest = (2**32 - 1) * smallest
@@ -291,7 +293,8 @@ class BusSettings(BusTiming):
         sets = self._sets()
         for number, slave in enumerate(self.slaves, start=1):
             require(slave.pdos in sets, f"slaves {number}.pdos", slave.pdos, f"be one of {', '.join(sets)}")
-            shift, window = slave.sync0_shift, self.dc.window
+            shift = slave.sync0_shift
+            window = self.dc.window
             reached = bool(slave.assign_activate) and not window < shift < 1 - window
             rule = f"lie between dc.window = {window:g} and {1 - window:g}, or frames in the window could meet SYNC0"
             require(not reached, f"slaves {number}.sync0_shift", shift, rule)
@@ -310,7 +313,8 @@ class BusSettings(BusTiming):
     def _check_use(self, table: str, device: RigDevice) -> None:
         """Refuses an unknown slave, or one that does not exchange the values that a table needs."""
         outputs, inputs = _values_of(device)
-        name, names = device.slave, [slave.name for slave in self.slaves]
+        name = device.slave
+        names = [slave.name for slave in self.slaves]
         require(name in names, f"{table}.slave", name, f"name one of the slaves: {', '.join(names)}")
         pdos = self.pdo_set(self.slaves[names.index(name)])
         lacking = outputs - set(Packing(pdos.outputs).names) | inputs - set(Packing(pdos.inputs).names)

@@ -70,10 +70,12 @@ class EncoderChannel:
     """
 
     def __init__(self, settings: BusSettings, encoder: Encoder):
-        self.slave, self._encoder = settings.position(encoder.slave), encoder
+        self.slave = settings.position(encoder.slave)
+        self._encoder = encoder
         self._name = "position" if isinstance(encoder, Motor) else "counter"
         packing = Packing(settings.pdo_set(settings.slaves[self.slave]).inputs)
-        self._bits, self._count = packing.mapping[self._name][0].bits, 0
+        self._bits = packing.mapping[self._name][0].bits
+        self._count = 0
         compared = encoder.velocity_unit if isinstance(encoder, Motor) and "velocity" in packing.names else 0.0
         self._velocity_unit = compared * settings.tick / settings.frames_per_tick
         self._track: PositionTrack | None = None
@@ -101,7 +103,8 @@ class ForceChannel:
     """
 
     def __init__(self, settings: BusSettings, sensor: ForceSensor):
-        self.slave, self._sensor = settings.position(sensor.slave), sensor
+        self.slave = settings.position(sensor.slave)
+        self._sensor = sensor
         self.doubt: SensorDoubt | None = None
 
     def value(self, bus: Bus) -> float:

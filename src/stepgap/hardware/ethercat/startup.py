@@ -70,7 +70,9 @@ class StartupObject:
         match = WRITTEN_OBJECT.fullmatch(text.strip())
         if match is None:
             raise ValueError(f"'{text[:60]}' is not an object; write it as '0x3034:00 UINT16 = 5'")
-        index, subindex, kind = int(match[1], 16), int(match[2], 16), match[3].upper()
+        index = int(match[1], 16)
+        subindex = int(match[2], 16)
+        kind = match[3].upper()
         if kind not in LAYOUTS:
             raise ValueError(f"{match[3]} is not a type; these are {', '.join(LAYOUTS)}")
         if is_reserved(index):

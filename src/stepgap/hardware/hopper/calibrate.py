@@ -54,7 +54,8 @@ def fold_angle(robot: RobotParameters, leg_length: float) -> float:
     Raises:
         InputError: The leg cannot have this length.
     """
-    shortest, longest = robot.folded_length, robot.stretched_length
+    shortest = robot.folded_length
+    longest = robot.stretched_length
     if not shortest < leg_length <= longest:
         raise InputError(f"--leg-length {leg_length:g}: it must lie between {shortest:g} and {longest:g}")
     return float(knee_angle(leg_of(robot), leg_length))
@@ -119,11 +120,13 @@ def mean_reading(settings: RigSettings, ticks: LimpTicks) -> dict[str, float]:
     """
     if ticks.fault:
         raise RigFault(ticks.fault)
-    table, contact = ticks.table, settings.contact
+    table = ticks.table
+    contact = settings.contact
     most = dict.fromkeys(HopperReading._fields, float(MOST_COUNTS))
     most["contact_force"] = max(contact.touchdown_force, MOST_COUNTS * abs(contact.newton_per_count))
     for name in HopperReading._fields:
-        span, unit = float(np.ptp(table[name])), "N" if name == "contact_force" else "counts"
+        span = float(np.ptp(table[name]))
+        unit = "N" if name == "contact_force" else "counts"
         if span > most[name]:
             raise InputError(
                 f"{name} varied by {span:g} {unit}, more than the {most[name]:g} of a robot at rest; "
@@ -134,7 +137,9 @@ def mean_reading(settings: RigSettings, ticks: LimpTicks) -> dict[str, float]:
 
 def replaced_zeros(text: str, zeros: Mapping[str, int]) -> str:
     """Text of a rig.toml with the lines `zero = …` of some tables replaced or inserted; nothing else changes."""
-    lines, table, missing = [], "", dict(zeros)
+    lines = []
+    table = ""
+    missing = dict(zeros)
     for line in text.splitlines(keepends=True):
         if header := re.match(r"\s*\[+\s*([^\[\]#]*?)\s*\]", line):
             table = header[1]

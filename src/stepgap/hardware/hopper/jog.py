@@ -60,7 +60,9 @@ class JogControl(HopControl):
     def __init__(self, motor: int, sensor_model: HopperSensorModel, *control: Any):
         super().__init__(sensor_model, *control)
         self._motor = motor
-        self._began, self._kept_from, self._ended = nan, nan, False
+        self._began = nan
+        self._kept_from = nan
+        self._ended = False
         self._angles = deque[tuple[float, float]](maxlen=1 + round(1 / (FREQUENCY * sensor_model.tick)))
 
     def tick(
@@ -99,7 +101,9 @@ class JogControl(HopControl):
         angles = self._angles
         if len(angles) < (angles.maxlen or 0):
             return 0.0
-        now, half, whole = angles[-1], angles[len(angles) // 2], angles[0]
+        now = angles[-1]
+        half = angles[len(angles) // 2]
+        whole = angles[0]
         return max(abs(now[i] - 2 * half[i] + whole[i]) / 4 for i in (0, 1))
 
     def finished_step(self) -> FinishedStep:

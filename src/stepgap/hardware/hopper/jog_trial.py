@@ -80,7 +80,8 @@ class LinkAnswer:
 
     def failure(self) -> str:
         """What is wrong; empty if the right link answered in the right direction."""
-        motor, other = f"motor {self.motor}", f"motor {3 - self.motor}"
+        motor = f"motor {self.motor}"
+        other = f"motor {3 - self.motor}"
         if max(self.amplitude, self.other) < LEAST_ANSWER:
             return (
                 f"{motor}: no link moves under {self.torque:.2f} N·m; the motor is blocked or not connected, "
@@ -171,7 +172,8 @@ def hand_failure(motor: int, turned: tuple[float, float]) -> str:
         motor: Number of the motor.
         turned: Angles by which the links of motor 1 and 2 turned, by their encoders [rad].
     """
-    own, other = turned[motor - 1], turned[2 - motor]
+    own = turned[motor - 1]
+    other = turned[2 - motor]
     if abs(own - QUARTER) <= HAND_ERROR:
         return ""
     found = f"motor {motor}: its encoder measured {degrees(own):+.1f}° instead of +45° ± 15°"
@@ -199,7 +201,8 @@ def try_motors(make_rig: Callable[[], Rig], control: HopperControl, simulated: b
     Raises:
         RigFault: The rig failed, or there is no consent.
     """
-    findings, failures = list[dict[str, Any]](), list[str]()
+    findings = list[dict[str, Any]]()
+    failures = list[str]()
     for motor in MOTORS:
         found: dict[str, Any] = {"motor": motor}
         if not simulated:

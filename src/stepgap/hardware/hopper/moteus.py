@@ -37,7 +37,8 @@ class MoteusSettings(HopperRigSettings, CanSettings):
         CanSettings.__post_init__(self)
         gears = (self.motor_1.gear, self.motor_2.gear)
         require(gears[1] == gears[0], "motor_2.gear", gears[1], f"be that of motor 1, {gears[0]:g}")
-        yaw, pitch = self.boom_horizontal, self.boom_vertical
+        yaw = self.boom_horizontal
+        pitch = self.boom_vertical
         differs = (pitch.id, pitch.source) != (yaw.id, yaw.source)
         require(differs, "boom_vertical.source", pitch.source, "differ from the horizontal angle's")
 

@@ -25,7 +25,8 @@ class ContactThresholds:
     takeoff_length: float = inf
 
     def __post_init__(self) -> None:
-        force, length = self.touchdown_force, self.takeoff_length
+        force = self.touchdown_force
+        length = self.takeoff_length
         require(0 <= force <= 1e6, "touchdown_force", force, "lie between 0 and 1e6")
         require(length > 0, "takeoff_length", length, "be positive")
 

@@ -173,8 +173,12 @@ class RingRig(Rig):
     def __init__(
         self, make_machine: Callable[[], Machine], ring: RingSettings, settings: RigSettings, robot: RobotParameters
     ):
-        self._make_machine, self._ring, self._settings, self._robot = make_machine, ring, settings, robot
-        self._rig, self._running = hopper_on_ethercat(settings, robot), ExitStack()
+        self._make_machine = make_machine
+        self._ring = ring
+        self._settings = settings
+        self._robot = robot
+        self._rig = hopper_on_ethercat(settings, robot)
+        self._running = ExitStack()
         self._sensor_model = settings.sensor_model(robot.boom_length)
 
     @property

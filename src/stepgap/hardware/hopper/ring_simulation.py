@@ -37,7 +37,9 @@ class DirectRing(Rig):
     """
 
     def __init__(self, twin: Twin, ring: RingSettings, settings: RigSettings):
-        self._twin, self._ring, self._settings = twin, ring, settings
+        self._twin = twin
+        self._ring = ring
+        self._settings = settings
 
     @property
     def sensor_model(self) -> HopperSensorModel:
@@ -56,14 +58,16 @@ class DirectRing(Rig):
 
     def read(self) -> HopperReading:
         """Sensor values of the twin; the contact force is rounded to counts of the analog input."""
-        reading, unit = self._twin.read(), self._ring.force_resolution
+        reading = self._twin.read()
+        unit = self._ring.force_resolution
         counts = min(max(round(reading.contact_force / unit), -SHORT), SHORT - 1)
         return reading._replace(contact_force=unit * counts)
 
     def write(self, torques: Torques) -> tuple[float, float]:
         """Commands torques within limits, rounded to thousandths of the rated torque [N·m], and returns them."""
         motor = self._settings.motor_1
-        unit, most = motor.torque_unit, motor.most_units
+        unit = motor.torque_unit
+        most = motor.most_units
         units = [round(min(max(torque / unit, -most), most)) for torque in torques]
         self._twin.write(tuple(count * self._ring.rated_torque * 1e-6 for count in units))
         return units[0] * unit, units[1] * unit

@@ -14,7 +14,8 @@ class StillRig(Rig):
     """
 
     def __init__(self, sensor_model: SensorModel, reading: Reading):
-        self._sensor_model, self._reading = sensor_model, reading
+        self._sensor_model = sensor_model
+        self._reading = reading
 
     @property
     def sensor_model(self) -> SensorModel:

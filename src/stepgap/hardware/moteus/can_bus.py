@@ -89,12 +89,15 @@ class CanBus:
         self, wanted: Collection[int], timeout: float, decode: Callable[[bytes], _Answer | None]
     ) -> dict[int, _Answer]:
         """Receives the replies of the controllers `wanted` that arrive within `timeout` [s], decoded."""
-        missing, replies, until = set(wanted), {}, monotonic() + timeout
+        missing = set(wanted)
+        replies = {}
+        until = monotonic() + timeout
         while missing:
             remaining = until - monotonic()
             frame = self._receive(max(remaining, 0.0))
             if frame:
-                sender, addressed = frame.arbitration_id >> 8, frame.arbitration_id & 0xFF
+                sender = frame.arbitration_id >> 8
+                addressed = frame.arbitration_id & 0xFF
                 answer = decode(bytes(frame.data)) if addressed == 0 and sender in missing else None
                 if answer is not None:
                     missing.discard(sender)
@@ -119,7 +122,8 @@ class CanBus:
 
 
 def _message(number: int, command: moteus.Command) -> can.Message:
-    identifier, data = number | (REPLY_REQUIRED if command.reply_required else 0), bytes(command.data)
+    identifier = number | (REPLY_REQUIRED if command.reply_required else 0)
+    data = bytes(command.data)
     return can.Message(
         arbitration_id=identifier,
         is_extended_id=identifier > 0x7FF,

@@ -122,7 +122,8 @@ class MoteusRig(BusRig):
 
     def __init__(self, settings: CanSettings, sensor_model: SensorModel, host: HostTime = COMPUTER):
         super().__init__(settings, sensor_model)
-        self._settings, self._host = settings, host
+        self._settings = settings
+        self._host = host
         self._motors = settings.motors
         self._controllers = {motor.id: self._controller(motor.id) for motor in self._motors}
         self._sensors = tuple(_sensor(device) for device in settings.devices.values())
@@ -131,7 +132,8 @@ class MoteusRig(BusRig):
         self._reading = settings.reading((0.0,) * len(self._sensors))
         self._joints = (JointState(0, 0, 0),) * len(self._motors)
         self._commanded = CommandedTorques(self._motors)
-        self._supplies, self._remarks = (nan,) * (len(SUPPLY) * len(self._motors)), list[str]()
+        self._supplies = (nan,) * (len(SUPPLY) * len(self._motors))
+        self._remarks = list[str]()
 
     @property
     def joints(self) -> tuple[JointState, ...]:
@@ -178,7 +180,8 @@ class MoteusRig(BusRig):
         except RigFault:
             self.close()
             raise
-        self._lost, self._written = 0, False
+        self._lost = 0
+        self._written = False
         self._commanded.restart()
 
     def read(self) -> Reading:
@@ -226,13 +229,16 @@ class MoteusRig(BusRig):
         """
         bus = self._up()
         self.write((0.0,) * len(self._motors))
-        self._written, query = False, watchdog_query()
-        setting, pause = self._settings.watchdog, self._settings.tick
+        self._written = False
+        query = watchdog_query()
+        setting = self._settings.watchdog
+        pause = self._settings.tick
         return measure_watchdogs(lambda: self._ask(bus, query), self._controllers, setting, pause, self._host)
 
     def close(self) -> None:
         """Stops the controllers and releases the bus; may be called twice."""
-        bus, self._bus = self._bus, None
+        bus = self._bus
+        self._bus = None
         if bus:
             self._stop(bus)
             bus.close()
@@ -249,7 +255,8 @@ class MoteusRig(BusRig):
         """Stops all controllers, which resets their faults, and checks the version of their registers."""
         version = _query({Register.REGISTER_MAP_VERSION: moteus.INT32})
         self._stop(bus)
-        until, replies = monotonic() + ANSWER_TIMEOUT, self._ask(bus, version)
+        until = monotonic() + ANSWER_TIMEOUT
+        replies = self._ask(bus, version)
         while len(replies) < len(self._controllers):
             if monotonic() > until:
                 raise RigFault(f"{self._absent(replies)} on {bus.name} did not answer")
@@ -405,7 +412,10 @@ def _sensor(device: CanDevice) -> Callable[[Mapping[int, Registers]], float]:
 
 
 def _state(number: int, registers: Registers) -> str:
-    mode, fault = int(registers.get(Register.MODE, -1)), int(registers.get(Register.FAULT, 0))
-    name = Mode(mode).name.lower() if mode in set(Mode) else "getting ready" if 2 <= mode <= 4 else str(mode)
+    mode = int(registers.get(Register.MODE, -1))
+    fault = int(registers.get(Register.FAULT, 0))
+    name = "getting ready" if 2 <= mode <= 4 else str(mode)
+    if mode in set(Mode):
+        name = Mode(mode).name.lower()
     cause = f", fault {fault}: {FAULTS.get(fault, 'see the manual')}" if fault else ""
     return f"controller {number} is in mode {name}{cause}"

@@ -70,7 +70,8 @@ class Scale:
         if command.kp < 0 or command.kd < 0:
             raise ValueError(f"gains must not be negative: {command}")
         per_turn = tau / self.gear**2
-        kp_scale, kd_scale = command.kp * per_turn / self.servo_kp, command.kd * per_turn / self.servo_kd
+        kp_scale = command.kp * per_turn / self.servo_kp
+        kd_scale = command.kd * per_turn / self.servo_kd
         if kd_scale > kp_scale:
             raise ValueError(f"kd = {command.kd} must be at most {self.servo_kd / self.servo_kp * command.kp:g} here")
         turns = self.sign * self.gear / tau

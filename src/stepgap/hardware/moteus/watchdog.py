@@ -24,8 +24,10 @@ CONFIGURATION_TIMEOUT = 1.0  # Timeout of an answer with one value [s]
 TIMEOUT_MODES = {10: "decelerate and hold", 12: "damping", 15: "brake"}
 """Values of `servo.timeout_mode` with which a motor has torque after a timeout."""
 
-_TIMEOUT_MODE, _DEFAULT_TIMEOUT = "servo.timeout_mode", "servo.default_timeout_s"
-_LARGEST_LINE, _ATTEMPTS = 1000, 3
+_TIMEOUT_MODE = "servo.timeout_mode"
+_DEFAULT_TIMEOUT = "servo.default_timeout_s"
+_LARGEST_LINE = 1000
+_ATTEMPTS = 3
 
 
 def check_timeout(bus: CanBus, controller: moteus.Controller, timeout: float = CONFIGURATION_TIMEOUT) -> list[str]:
@@ -129,7 +131,9 @@ def measure_watchdogs(
         RigFault: A controller keeps its mode or torque for twice this time, has taken over another time, or stops for
             another reason, which proves nothing.
     """
-    last, measured, watched = host.now(), {}, dict.fromkeys(numbers, "did not answer")
+    last = host.now()
+    measured = {}
+    watched = dict.fromkeys(numbers, "did not answer")
     while host.now() < last + 2 * setting + PATIENCE:
         for number, registers in ask().items():
             if number not in watched:
@@ -155,8 +159,10 @@ def _seen(number: int, registers: Registers, setting: float) -> str:
         RigFault: It will not be.
     """
     try:
-        mode, torque = registers[Register.MODE], registers[Register.TORQUE]
-        fault, time = registers[Register.FAULT], registers[Register.COMMAND_TIMEOUT]
+        mode = registers[Register.MODE]
+        torque = registers[Register.TORQUE]
+        fault = registers[Register.FAULT]
+        time = registers[Register.COMMAND_TIMEOUT]
     except KeyError as missing:
         raise RigFault(f"controller {number} does not report register 0x{missing.args[0]:03X}") from None
     if mode not in (Mode.POSITION, Mode.TIMEOUT):

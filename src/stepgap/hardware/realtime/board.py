@@ -190,7 +190,8 @@ class Board:
 
     def finished(self, number: int) -> StepEnd | None:
         """How a step ended; None before its end and after the end of the next one."""
-        words, numbers = self._words, self._numbers
+        words = self._words
+        numbers = self._numbers
         if words[Field.STEP_NUMBER] != number:
             return None
         state, command, lost = (np.array(numbers[part].tolist()) for part in (self._state, self._acted, self._lost))
@@ -204,7 +205,8 @@ class Board:
 
     def count_tick(self, late: float, missed: int) -> None:
         """Counts a tick with its delay [s], and the ticks that were missed before it."""
-        words, numbers = self._words, self._numbers
+        words = self._words
+        numbers = self._numbers
         words[Field.TICKS] += 1
         words[Field.MISSED_TICKS] += missed
         if late > numbers[Field.WORST_LATENESS]:

@@ -113,10 +113,12 @@ def _unbuffered(terminal: int) -> Iterator[None]:
 
 def _await_hold(terminal: int) -> None:
     """Waits until the key has come often enough in a row."""
-    presses, last = 0, 0.0
+    presses = 0
+    last = 0.0
     while presses < NEEDED_PRESSES:
         select.select([terminal], [], [])
-        found, now = _read(terminal), monotonic()
+        found = _read(terminal)
+        now = monotonic()
         if not found:
             raise RigFault("the terminal was closed, so no torque was given")
         if KEY in found:

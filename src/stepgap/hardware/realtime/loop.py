@@ -125,15 +125,31 @@ class ControlLoop:
         settings: LoopSettings = LoopSettings(),
         alive: Callable[[], bool] = lambda: True,
     ):
-        self._rig, self._control, self._board, self._log = rig, control, board, log
-        self._settings, self._alive, self._tick_time = settings, alive, rig.sensor_model.tick
-        self._space, self._no_command = space, (nan,) * len(space.command)
-        self._lower, self._upper = space.command_lower.tolist(), space.command_upper.tolist()
+        self._rig = rig
+        self._control = control
+        self._board = board
+        self._log = log
+        self._settings = settings
+        self._alive = alive
+        self._tick_time = rig.sensor_model.tick
+        self._space = space
+        self._no_command = (nan,) * len(space.command)
+        self._lower = space.command_lower.tolist()
+        self._upper = space.command_upper.tolist()
         self._no_torques = self._applied = (0.0,) * control.motors
-        self._clock, self._written, self._flags = TickClock(self._tick_time), 0.0, 0
-        self._state, self._entered, self._powered = RigState.CALIBRATE, 0.0, False
-        self._presses, self._pressed = 0, -inf
-        self._step, self._missed, self._count, self._stop_requested, self._took = 0, 0, 0, False, 0.0
+        self._clock = TickClock(self._tick_time)
+        self._written = 0.0
+        self._flags = 0
+        self._state = RigState.CALIBRATE
+        self._entered = 0.0
+        self._powered = False
+        self._presses = 0
+        self._pressed = -inf
+        self._step = 0
+        self._missed = 0
+        self._count = 0
+        self._stop_requested = False
+        self._took = 0.0
 
     @property
     def state(self) -> RigState:
@@ -181,7 +197,8 @@ class ControlLoop:
 
     def _act(self, reading: Reading, health: Health, late: float) -> bool:
         """Computes and writes the torques; returns False when the robot is off."""
-        time, control = self._clock.time, self._control
+        time = self._clock.time
+        control = self._control
         # What stops the robot is judged before the state, and the state before the torques, so it acts in this tick. A
         # limp robot writes zeros, whatever the control computes; the next tick gets what was really written.
         self._watch_key()
@@ -202,7 +219,8 @@ class ControlLoop:
         return self._state != RigState.OFF
 
     def _signals(self) -> Signals:
-        board, since = self._board, self._clock.time - self._entered
+        board = self._board
+        since = self._clock.time - self._entered
         self._count += 1
         if self._count % ALIVE_EVERY == 0 and not self._alive():
             self._stop_requested = True
@@ -218,9 +236,11 @@ class ControlLoop:
 
     def _key_is_held(self) -> bool:
         """Whether the key by which a person consents to torque was pressed recently."""
-        presses, time = self._board.presses, self._clock.time
+        presses = self._board.presses
+        time = self._clock.time
         if presses != self._presses:
-            self._presses, self._pressed = presses, time
+            self._presses = presses
+            self._pressed = time
         return time - self._pressed <= self._settings.release_time
 
     def _watch_key(self) -> None:
@@ -247,7 +267,8 @@ class ControlLoop:
             return
         if state in (RigState.STAND, RigState.OFF) and self._state <= RigState.READY:
             self._board.message = ""  # the refused requests have been read by now, and are no fault
-        self._state, self._entered = state, self._clock.time
+        self._state = state
+        self._entered = self._clock.time
         self._powered = state in MOVING or (self._powered and state == RigState.FAULT)  # a limp robot does not brake
         self._board.state = state
 

@@ -131,12 +131,17 @@ class TickClock:
     """
 
     def __init__(self, interval: float):
-        self.time, self.due, self.slip, self._interval, self._delay = 0.0, 0.0, 0.0, interval, 0.0
+        self.time = 0.0
+        self.due = 0.0
+        self.slip = 0.0
+        self._interval = interval
+        self._delay = 0.0
         self._share = 1.0
 
     def begin(self, late: float = 0.0) -> float:
         """Begins a tick that is late [s] and returns its time; a delay above an interval shifts all later ticks."""
-        self.time, self.slip = self.due + late, late if late > self._interval else 0.0
+        self.time = self.due + late
+        self.slip = late if late > self._interval else 0.0
         self.due += self.slip + self._interval
         return self.time
 
@@ -154,7 +159,8 @@ class TickClock:
             frames: Frames per tick, including that of the tick itself.
             worked: Time at which the work of the present tick was done [s].
         """
-        begun, distance = self.due - self._interval, self._interval / frames
+        begun = self.due - self._interval
+        distance = self._interval / frames
         delay = min(max(worked - begun, 0.0), distance / 2)
         self._delay += self._share * (delay - self._delay)
         self._share = max(self._share / (1 + self._share), _DELAY_SHARE)

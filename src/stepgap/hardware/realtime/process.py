@@ -57,7 +57,8 @@ def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str, parent: 
         ring_name: Name of the ring that takes the ticks.
         parent: Id of the process that started this one, which is its parent as long as it is alive.
     """
-    board, ring = Board.attach(board_name), TickRing.attach(ring_name)
+    board = Board.attach(board_name)
+    ring = TickRing.attach(ring_name)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both processes; the other one requests the landing
     try:
         board.state = RigState.CONNECT

@@ -36,10 +36,16 @@ class RealtimePlant(Plant):
     """
 
     def __init__(self, setup: RealtimeSetup, logs: Path, consent: Consent, settings: str = ""):
-        self._setup, self._logs, self._consent, self._settings = setup, logs, consent, settings
+        self._setup = setup
+        self._logs = logs
+        self._consent = consent
+        self._settings = settings
         self._consented = ExitStack()
-        self._space, self._session = setup.robot_control.space, None
-        self._measured, self._step, self._fault = np.full(len(self._space.state), np.nan), 0, ""
+        self._space = setup.robot_control.space
+        self._session = None
+        self._measured = np.full(len(self._space.state), np.nan)
+        self._step = 0
+        self._fault = ""
         self._context: tuple[float, ...] = ()
 
     @property
@@ -64,7 +70,8 @@ class RealtimePlant(Plant):
             RigFault: The rig cannot be connected, or the first step failed.
         """
         self.stop()
-        self._step, self._fault = 0, ""
+        self._step = 0
+        self._fault = ""
         try:
             log = TickLog(next_path(self._logs), self._setup.units, self._setup.described(self._settings))
         except TickLogError as error:
@@ -97,13 +104,16 @@ class RealtimePlant(Plant):
         Raises:
             RigFault: The log of ticks cannot be written.
         """
-        session, before, space = self._session, self._measured, self._space
+        session = self._session
+        before = self._measured
+        space = self._space
         if session is None:
             raise RigFault("the rig is not started")
         commands = StepCommands(space, command)
         if np.isnan(commands.within).any():
             self.stop()
-            state, nowhere = space.start(before, self._context), np.full(len(before), np.nan)
+            state = space.start(before, self._context)
+            nowhere = np.full(len(before), np.nan)
             return StepRecord(state, commands.first, commands.within, nowhere, StepStatus.INVALID)
         self._step += 1
         session.board.post_command(self._step, commands.within.tolist())
@@ -113,13 +123,16 @@ class RealtimePlant(Plant):
             nonlocal asked
             found = None if asked or at_touchdown is None else session.board.touchdown(self._step)
             if at_touchdown and found is not None:
-                asked, self._context = True, found
+                asked = True
+                self._context = found
                 touchdown = Touchdown(space.start(before, found), space.named_context(found))
                 session.board.post_command(self._step, commands.replace(at_touchdown, touchdown).tolist())
 
         step, status = self._await_step(session, look)
-        state, next_state = space.start(before, self._context), space.above(step.state, self._context)
-        context, command = space.named_context(step.context), commands.acted(step.command)
+        state = space.start(before, self._context)
+        next_state = space.above(step.state, self._context)
+        context = space.named_context(step.context)
+        command = commands.acted(step.command)
         return StepRecord(state, command, step.applied, next_state, status, context, step.requested)
 
     def stop(self) -> None:

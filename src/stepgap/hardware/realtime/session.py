@@ -35,8 +35,10 @@ class TickWatch:
     """
 
     def __init__(self, board: Board, settings: LoopSettings):
-        self._board, self._settings = board, settings
-        self._ticks, self._silence = 0, 0.0
+        self._board = board
+        self._settings = settings
+        self._ticks = 0
+        self._silence = 0.0
 
     def silent(self, waited: float) -> str:
         """Describes a silence that is too long; empty if it is not.
@@ -102,7 +104,9 @@ class Session:
 
     def __init__(self, setup: RealtimeSetup, sink: TickSink):
         self._exit_timeout = setup.loop.landing_time + EXIT_TIME
-        self._over, self._sink_error, self._silent = Event(), "", ""
+        self._over = Event()
+        self._sink_error = ""
+        self._silent = ""
         self._final_message: str | None = None
         self._drain = Thread(target=self._move_ticks, args=(sink,), daemon=True)
         self._watch = Thread(target=self._watch_ticks, args=(setup.loop,), daemon=True)
@@ -208,14 +212,19 @@ class Session:
 
     def _move_ticks(self, sink: TickSink) -> None:
         """Moves ticks and messages into the sink until the process has ended."""
-        over, reads, time, noted = False, 0, nan, ""
+        over = False
+        reads = 0
+        time = nan
+        noted = ""
         try:
             while not over:
                 over = self._over.wait(DRAIN_EVERY)
-                rows, message = self._ring.drain(), self._silent or self.board.message
+                rows = self._ring.drain()
+                message = self._silent or self.board.message
                 sink.append(rows)
                 if len(rows):
-                    first, time = isnan(time), float(rows[-1, 0])
+                    first = isnan(time)
+                    time = float(rows[-1, 0])
                     if first:
                         sink.note(LogEvent.now(time, FIRST_TICKS))
                 if message not in ("", noted):

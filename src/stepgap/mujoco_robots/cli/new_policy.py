@@ -15,7 +15,8 @@ from stepgap.mujoco_robots.cli.new_model import TEXTS, copied_model
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.mujoco_robots.velocity.policy.proposal import Proposal
 
-POLICY_FILE, NETWORK_FILE = "policy.toml", "policy.onnx"
+POLICY_FILE = "policy.toml"
+NETWORK_FILE = "policy.onnx"
 _WIDTH = 100  # Longest line of a comment
 
 
@@ -47,7 +48,8 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> list[str]
     model = folder / MODEL_FILE
     found = propose_policy(network, parts)
     known = {"policy": NETWORK_FILE, "model": MODEL_FILE, **found.values}
-    joints, positions = known.get("joints", []), known.get("default_joint_pos", [])
+    joints = known.get("joints", [])
+    positions = known.get("default_joint_pos", [])
     text, added = completed_model(model.read_text("utf-8"), parts, joints)
     if added:
         write_whole(model, text)

@@ -52,7 +52,8 @@ class BoxGround:
 
     def __init__(self, spec: Any, feet: Sequence[str], treads: Treads):
         self._treads = treads
-        floor, foot = spec.geom("floor"), spec.geom(feet[0])
+        floor = spec.geom("floor")
+        foot = spec.geom(feet[0])
         body = spec.worldbody.add_body(name=_BODY, mocap=True)
         ends = np.append(treads.start[1:], GROUND_LENGTH)
         for turn in (-1, 0, 1):
@@ -78,8 +79,10 @@ class BoxGround:
 
 def _add_box(body: Any, floor: Any, foot: Any, begin: float, length: float, number: int, treads: Treads) -> None:
     """Adds the box of a tread that begins at a place [m]."""
-    slope, angle = float(treads.slope[number]), -atan(treads.slope[number])
-    middle, top = begin + length / 2, float(treads.height[number]) + slope * length / 2
+    slope = float(treads.slope[number])
+    angle = -atan(treads.slope[number])
+    middle = begin + length / 2
+    top = float(treads.height[number]) + slope * length / 2
     box = body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=(hypot(length, slope * length) / 2, _HALF_WIDTH, _HALF_DEPTH),
@@ -109,15 +112,18 @@ class Footholds:
     def __init__(self, model: Any, feet: Sequence[str]):
         require(len(feet) > 0, "feet", list(feet), "be the geoms that stand on the ground, where that is measured")
         self._feet = np.array([model.geom(foot).id for foot in feet])
-        self._before, self._found = dict[int, tuple[float, float]](), dict[int, tuple[float, float]]()
+        self._before = dict[int, tuple[float, float]]()
+        self._found = dict[int, tuple[float, float]]()
 
     def begin_step(self) -> None:
         """Begins a step, in which no foot has touched the ground yet."""
-        self._before, self._found = self._found or self._before, {}
+        self._before = self._found or self._before
+        self._found = {}
 
     def have_landed(self, data: Any) -> bool:
         """Whether the last foot that touches the ground in this step has just done so; called at every tick."""
-        missing, contacts = len(self._feet) - len(self._found), data.contact
+        missing = len(self._feet) - len(self._found)
+        contacts = data.contact
         if not missing or not len(contacts.geom):
             return False
         for pair, point, frame in zip(contacts.geom, contacts.pos, contacts.frame, strict=True):

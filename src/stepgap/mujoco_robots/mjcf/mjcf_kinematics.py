@@ -53,7 +53,10 @@ class MjcfKinematics(Kinematics):
     """
 
     def __init__(self, model: Any, space: StepSpace, place: Callable[[Any, Any, Array], None], tick: float):
-        self._model, self._space, self._place, self._tick = model, space, place, tick
+        self._model = model
+        self._space = space
+        self._place = place
+        self._tick = tick
         self._data = mujoco.MjData(self._model)
         mujoco.mj_kinematics(self._model, self._data)
         drawn = _drawn(self._model)
@@ -115,7 +118,8 @@ def tick_units(model: Any) -> dict[str, str]:
     """Columns of a tick of a MuJoCo model with their units: time, `qpos_JOINT` and `ctrl_ACTUATOR`."""
     units = {"time": "s"}
     for number, size in enumerate(np.diff([*model.jnt_qposadr, model.nq])):
-        name, unit = model.joint(number).name or number, _JOINT_UNITS.get(int(model.jnt_type[number]), "")
+        name = model.joint(number).name or number
+        unit = _JOINT_UNITS.get(int(model.jnt_type[number]), "")
         units |= {f"qpos_{name}{f'_{index}' if size > 1 else ''}": unit for index in range(size)}
     return units | {f"ctrl_{model.actuator(number).name or number}": "" for number in range(model.nu)}
 
@@ -154,15 +158,22 @@ def _name(model: Any, geom: int) -> str:
 
 def _ends(model: Any, geom: int) -> dict[str, _End]:
     """The centre of a sphere, or the two ends of another geom along its longest axis, by name."""
-    name, size, kind = _name(model, geom), model.geom_size[geom], model.geom_type[geom]
+    name = _name(model, geom)
+    size = model.geom_size[geom]
+    kind = model.geom_type[geom]
     if kind == _SPHERE:
         return {name: _End(geom, np.zeros(3), float(size[0]))}
     if kind in (_CAPSULE, _CYLINDER):
-        centre, half, axis, radius = np.zeros(3), float(size[1]), 2, float(size[0])
+        centre = np.zeros(3)
+        half = float(size[1])
+        axis = 2
+        radius = float(size[0])
     else:
-        centre, halves = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        centre = model.geom_aabb[geom, :3]
+        halves = model.geom_aabb[geom, 3:]
         axis = int(np.argmax(halves))
-        half, radius = float(halves[axis]), float(np.mean(np.delete(halves, axis)))
+        half = float(halves[axis])
+        radius = float(np.mean(np.delete(halves, axis)))
     along = half * np.eye(3)[axis]
     return {f"{name}_{side}": _End(geom, centre + sign * along, radius) for side, sign in (("a", -1), ("b", 1))}
 
@@ -173,5 +184,7 @@ def _links(model: Any, geom: int, y: float) -> list[Link]:
     if len(ends) == 1:
         return []
     start, end = ends
-    shade: Shade = "body" if model.geom_bodyid[geom] == 1 else "far" if y > 1e-6 else "near"
+    shade: Shade = "far" if y > 1e-6 else "near"
+    if model.geom_bodyid[geom] == 1:
+        shade = "body"
     return [Link(start, end, ends[start].radius, shade)]

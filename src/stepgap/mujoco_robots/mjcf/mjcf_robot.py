@@ -125,9 +125,12 @@ class MjcfStepper:
     """
 
     def __init__(self, robot: MjcfRobot, gap: MjcfGap, rng: np.random.Generator, treads: Treads | None = None):
-        self._robot, self._gap, self._rng = robot, gap, rng
+        self._robot = robot
+        self._gap = gap
+        self._rng = rng
         set_mujoco_callbacks()
-        self._ground, self._begin = BoxGround(robot.mjcf_spec(), robot.feet, treads) if treads else None, 0.0
+        self._ground = BoxGround(robot.mjcf_spec(), robot.feet, treads) if treads else None
+        self._begin = 0.0
         self._model = gap.of(self._ground.model if self._ground else robot.mjcf_model())
         self._footholds = Footholds(self._model, robot.feet) if robot.ground.is_measured else None
         self._data = mujoco.MjData(self._model)
@@ -218,14 +221,16 @@ class MjcfStepper:
 
     def _crosses(self) -> bool:
         """Whether a guard of the section, of several another one than the last, has just fallen through zero."""
-        before, self._guards = self._guards, self._guard_values()
+        before = self._guards
+        self._guards = self._guard_values()
         ended = False
         for number, (was, now) in enumerate(zip(before, self._guards, strict=True)):
             armed = self._armed[number] or now > self._section.threshold
             crossed = armed and was > 0 >= now
             self._armed[number] = armed and not crossed
             if crossed and number != self._last and not ended:
-                ended, self._last = True, number if self._section.others else -1
+                ended = True
+                self._last = number if self._section.others else -1
         return ended
 
     def _guard_values(self) -> list[float]:
@@ -266,7 +271,10 @@ class MjcfPlant(RepeatablePlant):
         on_ticks: OnTicks | None = None,
         treads: Treads | None = None,
     ):
-        self._robot, self._rng, self._on_ticks, self._number = robot, rng, on_ticks, 0
+        self._robot = robot
+        self._rng = rng
+        self._on_ticks = on_ticks
+        self._number = 0
         self._stepper = MjcfStepper(robot, robot.gap, rng, treads)
         self._state = np.full(len(robot.space.state), np.nan)
 
@@ -278,7 +286,8 @@ class MjcfPlant(RepeatablePlant):
     def start(self) -> Array:
         """Puts the robot into its first state, and measures."""
         self._stepper.place(self._robot.start_state)
-        self._state, self._number = self._measured(self._rng), 0
+        self._state = self._measured(self._rng)
+        self._number = 0
         if self._on_ticks:
             self._on_ticks([self._stepper.tick_row], 0)
         return self._state
@@ -301,7 +310,9 @@ class MjcfPlant(RepeatablePlant):
         """Does nothing: a simulation stands still."""
 
     def _taken(self, commands: StepCommands, at_touchdown: AtTouchdown | None) -> StepRecord:
-        space, before, unknown = self.space, self._state, np.full(len(self._state), np.nan)
+        space = self.space
+        before = self._state
+        unknown = np.full(len(self._state), np.nan)
 
         def chosen(command: Array) -> Array:
             context = self._stepper.context
@@ -311,7 +322,8 @@ class MjcfPlant(RepeatablePlant):
         status = self._step(commands.within, chosen) if np.isfinite(commands.first).all() else StepStatus.INVALID
         true_state = self._stepper.state if status == StepStatus.OK else unknown
         self._state = self._measured(self._rng) if status == StepStatus.OK else unknown
-        context, applied = self._stepper.context if status != StepStatus.INVALID else (), commands.within
+        context = self._stepper.context if status != StepStatus.INVALID else ()
+        applied = commands.within
         state, next_state, true_state = (space.above(each, context) for each in (before, self._state, true_state))
         named = space.named_context(context)
         return StepRecord(state, commands.acted(applied), applied, next_state, status, named, applied, true_state)

@@ -37,7 +37,9 @@ def check_model_size(root: ET.Element, path: Path) -> None:
     Raises:
         InputError: It has more; the message names the element.
     """
-    waiting, elements, points = [(root, 1, 0)], 0, 0
+    waiting = [(root, 1, 0)]
+    elements = 0
+    points = 0
     while waiting:
         element, times, depth = waiting.pop()
         if element.tag in _REPEATED:
@@ -107,7 +109,10 @@ class _Found:
     """
 
     def __init__(self, main: Path):
-        self.main, self.files, self._read, self._bytes = main, dict[str, str | Path](), 0, 0
+        self.main = main
+        self.files = dict[str, str | Path]()
+        self._read = 0
+        self._bytes = 0
         self._names: dict[Path, str] = {}
 
     def text_of(self, path: Path, before: str) -> str:
@@ -142,7 +147,8 @@ class _Found:
         """The root of a file, whose includes are replaced by what they contain; `places` gets its elements."""
         if path.resolve() in inside or len(inside) > DEEPEST_MODEL:
             raise InputError(f"{path}: it includes itself, or files include each other more than {DEEPEST_MODEL} deep")
-        root, inside = self._parsed(path), (*inside, path.resolve())
+        root = self._parsed(path)
+        inside = (*inside, path.resolve())
         waiting = [(root, 0)]
         while waiting:
             parent, depth = waiting.pop()
@@ -185,9 +191,11 @@ class _Found:
         known = source.resolve()
         if known not in self._names:
             self._count()
-            name, number = source.name, 2
+            name = source.name
+            number = 2
             while name.lower() in map(str.lower, self._names.values()):
-                name, number = f"{source.stem}_{number}{source.suffix}", number + 1
+                name = f"{source.stem}_{number}{source.suffix}"
+                number = number + 1
             self._names[known] = name
             self.files[f"{ASSETS}/{name}"] = source
             if element.tag == "model":  # of an <attach>: a model with its own assets, which are beside it

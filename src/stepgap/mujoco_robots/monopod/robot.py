@@ -155,9 +155,11 @@ def hip_angles(law, turned, velocity_x, velocity_y, foot_x, foot_y):
         foot_y: The same, to the left [m].
     """
     gain = law.neutral_time + law.velocity_gain
-    x, y = gain * velocity_x + foot_x, gain * velocity_y + foot_y
+    x = gain * velocity_x + foot_x
+    y = gain * velocity_y + foot_y
     shrunk = min(1.0, LONGEST_STRIDE / max(np.sqrt(x * x + y * y), 1e-9))
-    x, y = x * shrunk, y * shrunk
+    x = x * shrunk
+    y = y * shrunk
     z = -np.sqrt(LEG * LEG - x * x - y * y)
     along_x, along_y, along_z = turned.T @ np.array([x, y, z])
     return np.arctan2(along_y, -along_z), -np.arcsin(min(1.0, max(-1.0, along_x / LEG)))
@@ -189,7 +191,8 @@ def hopping(law, phase, contact, position, velocity, command, efforts):
         efforts: Is filled with the torques of the hip [N·m] and the force of the leg [N]; shape (3,).
     """
     turned = body_rotation(position[3:7])
-    extension, rate = position[9], velocity[8]
+    extension = position[9]
+    rate = velocity[8]
     phase = hopping_phase(phase, extension, rate, velocity[2] < 0.0, contact)
     if phase == IN_FLIGHT:
         roll, pitch = hip_angles(law, turned, velocity[0], velocity[1], command[0], command[1])
@@ -276,7 +279,8 @@ class Monopod(MjcfRobot):
         return {"linear": self._linear, **super().nominal_maps()}
 
     def _linear(self) -> AffineMap:
-        model, command = SimulatorMap(MONOPOD_SPACE, MjcfSimulator(self), _DIFFERENCE), MONOPOD_SPACE.command_centre
+        model = SimulatorMap(MONOPOD_SPACE, MjcfSimulator(self), _DIFFERENCE)
+        command = MONOPOD_SPACE.command_centre
         return AffineMap(MONOPOD_SPACE, IN_PLACE, command, model(IN_PLACE, command), model.jacobian(IN_PLACE, command))
 
     def references(self) -> Mapping[str, Callable[[], Reference]]:
@@ -289,7 +293,8 @@ class Monopod(MjcfRobot):
 
     def controller(self) -> ControlLaw:
         """The control law, which starts in flight."""
-        law, phase = self.gains.law, IN_FLIGHT
+        law = self.gains.law
+        phase = IN_FLIGHT
 
         def control(_model: Any, data: Any, command: Array) -> None:
             nonlocal phase
@@ -303,7 +308,8 @@ class Monopod(MjcfRobot):
 
     def state(self, model: Any, data: Any) -> Array:  # noqa: ARG002
         """Velocity, place and tilt of the body."""
-        place, velocity = data.qpos, data.qvel
+        place = data.qpos
+        velocity = data.qvel
         angles = tilt(body_rotation(place[3:7]))
         return np.array([velocity[0], place[2], place[1], velocity[1], *angles, velocity[3], velocity[4]])
 

@@ -79,7 +79,8 @@ def leg_xml(leg: LegMount, hip_joint: str = "", thigh_y: float = 0.0) -> str:
         hip_joint: The joint about which it moves sideways; none if that is locked.
         thigh_y: Place of the thigh's centre of mass, outward [m].
     """
-    front, left = (1 if leg.x > 0 else -1), (1 if leg.y > 0 else -1)
+    front = 1 if leg.x > 0 else -1
+    left = 1 if leg.y > 0 else -1
     return f"""
       <body name="{leg.name}_hip" pos="{leg.x} {left * HIP_Y} 0">
         {hip_joint}

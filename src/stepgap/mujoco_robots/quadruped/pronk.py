@@ -114,9 +114,14 @@ def virtual_force(law, x, z, length_rate, thrusts, force_x, force_z):
 @compiled
 def leg_pose(pitch, pitch_rate, thigh, calf, thigh_rate, calf_rate):
     """`LegPose` at joint angles [rad] and rates [rad/s]."""
-    upper, lower = pitch + thigh, pitch + thigh + calf
-    upper_rate, lower_rate = pitch_rate + thigh_rate, pitch_rate + thigh_rate + calf_rate
-    x_upper, z_upper, x_lower, z_lower = -np.sin(upper), -np.cos(upper), -np.sin(lower), -np.cos(lower)
+    upper = pitch + thigh
+    lower = pitch + thigh + calf
+    upper_rate = pitch_rate + thigh_rate
+    lower_rate = pitch_rate + thigh_rate + calf_rate
+    x_upper = -np.sin(upper)
+    z_upper = -np.cos(upper)
+    x_lower = -np.sin(lower)
+    z_lower = -np.cos(lower)
     return LegPose(
         x=LINK * (x_upper + x_lower),
         z=LINK * (z_upper + z_lower),
@@ -155,11 +160,18 @@ def pronk(law, phase, contact, position, velocity, force_x, force_z, torques):
         force_z: Upward force of the command [N].
         torques: Is filled with the torques of the motors, thigh and calf of each leg; shape (8,) [N·m].
     """
-    pitch, rate = position[2], velocity[2]
-    x, z, x_rate, z_rate = 0.0, 0.0, 0.0, 0.0
+    pitch = position[2]
+    rate = velocity[2]
+    x = 0.0
+    z = 0.0
+    x_rate = 0.0
+    z_rate = 0.0
     for leg in range(4):  # the hips are symmetric to the middle of the trunk, so it is their mean position
         pose = _leg_pose(position, velocity, leg)
-        x, z, x_rate, z_rate = x + pose.x / 4, z + pose.z / 4, x_rate + pose.x_rate / 4, z_rate + pose.z_rate / 4
+        x = x + pose.x / 4
+        z = z + pose.z / 4
+        x_rate = x_rate + pose.x_rate / 4
+        z_rate = z_rate + pose.z_rate / 4
     length = np.sqrt(x * x + z * z)
     length_rate = (x * x_rate + z * z_rate) / length
     phase = pronk_phase(law, phase, length, length_rate, velocity[1] >= 0.0, contact)
@@ -174,7 +186,8 @@ def pronk(law, phase, contact, position, velocity, force_x, force_z, torques):
             foot_x = law.foot_stiffness * (pose.x - landing_x) + law.foot_damping * pose.x_rate
             foot_z = law.foot_stiffness * (pose.z - level) + law.foot_damping * pose.z_rate
         else:
-            foot_x, foot_z = 0.25 * body_x, max(0.0, 0.25 * body_z - end * moment / (4.0 * HIP_X))
+            foot_x = 0.25 * body_x
+            foot_z = max(0.0, 0.25 * body_z - end * moment / (4.0 * HIP_X))
         torques[2 * leg] = -(pose.x_1 * foot_x + pose.z_1 * foot_z)  # τ = −Jᵀ F pushes the body with F
         torques[2 * leg + 1] = -(pose.x_2 * foot_x + pose.z_2 * foot_z)
     return phase

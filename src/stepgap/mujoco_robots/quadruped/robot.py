@@ -98,7 +98,8 @@ class Quadruped(MjcfRobot):
 
     def controller(self) -> ControlLaw:
         """The pronk, which starts in flight."""
-        law, phase = self.gains.law, FLIGHT
+        law = self.gains.law
+        phase = FLIGHT
 
         def control(_model: Any, data: Any, command: Array) -> None:
             nonlocal phase

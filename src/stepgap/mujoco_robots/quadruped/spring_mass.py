@@ -35,7 +35,8 @@ def landing_velocity(model: Any, data: Any, feet: Sequence[str]) -> Array:
         feet: Names of the geoms that touch the ground.
     """
     mujoco.mj_forward(model, data)
-    jacobian, whole = np.zeros((len(feet), 3, model.nv)), np.zeros((3, model.nv))
+    jacobian = np.zeros((len(feet), 3, model.nv))
+    whole = np.zeros((3, model.nv))
     for foot, rows in zip(feet, jacobian, strict=True):
         mujoco.mj_jacGeom(model, data, rows, None, model.geom(foot).id)
     stopped = jacobian[:, [0, 2]].reshape(-1, model.nv)
@@ -80,7 +81,8 @@ class SpringMassMap(StepMap):
         """Next apexes and status codes; state (…, 2) and command (…, 2) broadcast."""
         points = join_points(state, command)
         flat = np.ascontiguousarray(points.reshape(-1, 4))
-        next_state, status = np.full((len(flat), 2), np.nan), np.full(len(flat), _INVALID)
+        next_state = np.full((len(flat), 2), np.nan)
+        status = np.full(len(flat), _INVALID)
         _step_all(self.gains.law, self.landing, self.mass, flat, next_state, status)
         return Outcome(next_state.reshape(*points.shape[:-1], 2), status.reshape(points.shape[:-1]))
 
@@ -108,7 +110,8 @@ def spring_mass_step(law, landing, mass, speed, height, force_x, force_z):
     if drop <= 0.0:
         return _FELL, np.nan, np.nan
     fall = -np.sqrt(2.0 * GRAVITY * drop)
-    x_rate, z_rate = landing[0, 0] * speed + landing[0, 1] * fall, landing[1, 0] * speed + landing[1, 1] * fall
+    x_rate = landing[0, 0] * speed + landing[0, 1] * fall
+    z_rate = landing[1, 0] * speed + landing[1, 1] * fall
     state = (-ahead, -below, x_rate, z_rate)  # the mass relative to the foot, which stands still
     for thrusts in (False, True):
         state, ended = _stance_phase(law, mass, state, thrusts, force_x, force_z)
@@ -142,8 +145,10 @@ def _guard(law, state, thrusts):
 @compiled
 def _at_event(law, mass, before, after, thrusts, force_x, force_z):
     """State at the zero of the guard within a step, by regula falsi (Illinois) over the size of the step."""
-    low, high = 0.0, TIME_STEP
-    guard_low, guard_high = _guard(law, before, thrusts), _guard(law, after, thrusts)
+    low = 0.0
+    high = TIME_STEP
+    guard_low = _guard(law, before, thrusts)
+    guard_high = _guard(law, after, thrusts)
     state = after
     for _ in range(50):
         if abs(guard_high) < 1e-13 or abs(high - low) < 1e-15:
@@ -152,10 +157,12 @@ def _at_event(law, mass, before, after, thrusts, force_x, force_z):
         state = _runge_kutta(law, mass, before, thrusts, force_x, force_z, size)
         guard = _guard(law, state, thrusts)
         if guard * guard_high < 0.0:
-            low, guard_low = high, guard_high
+            low = high
+            guard_low = guard_high
         else:
             guard_low *= 0.5
-        high, guard_high = size, guard
+        high = size
+        guard_high = guard
     return state
 
 

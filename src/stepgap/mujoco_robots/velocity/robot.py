@@ -135,7 +135,10 @@ class Trot(WalkingControl):
         self._rest()
 
     def _rest(self) -> None:
-        self._walks, self._velocity, self._phase, self._placed = False, np.zeros(3), 0.0, np.zeros((4, 2))
+        self._walks = False
+        self._velocity = np.zeros(3)
+        self._phase = 0.0
+        self._placed = np.zeros((4, 2))
 
     def start(self, model: Any, data: Any) -> None:  # noqa: ARG002
         """At rest."""

@@ -268,7 +268,8 @@ class WalkingRobot(MjcfRobot):
         """
         share = self.walk.time_constant / self.walk.seconds
         kept = share * (1 - exp(-1 / share)) if share else 0.0
-        unit, zero = np.eye(len(_NAMES)), np.zeros(len(_NAMES))
+        unit = np.eye(len(_NAMES))
+        zero = np.zeros(len(_NAMES))
         return AffineMap(self.space, zero, zero, zero, np.hstack([kept * unit, (1 - kept) * unit]))
 
     def references(self) -> Mapping[str, Callable[[], Reference]]:
@@ -314,8 +315,11 @@ class _Walking:
     """A control law for a tick, made of a `WalkingControl`; sums up the velocity in `data.userdata`."""
 
     def __init__(self, control: WalkingControl, seconds: float):
-        self._control, self._seconds = control, seconds
-        self._step, self._due, self._held = -1, 0.0, np.empty(0)
+        self._control = control
+        self._seconds = seconds
+        self._step = -1
+        self._due = 0.0
+        self._held = np.empty(0)
 
     def __call__(self, model: Any, data: Any, command: Array) -> None:
         now = data.time + 0.5 * model.opt.timestep  # the time is a sum, and not exact
@@ -333,7 +337,8 @@ class _Walking:
 
 def body_velocity(data: Any) -> Array:
     """Velocity forward and to the left, and of turning to the left, in the frame of a free first body; shape (3,)."""
-    back, velocity = np.empty(4), np.empty(3)
+    back = np.empty(4)
+    velocity = np.empty(3)
     mujoco.mju_negQuat(back, data.qpos[3:7])
     mujoco.mju_rotVecQuat(velocity, data.qvel[:3], back)
     return np.array([velocity[0], velocity[1], data.qvel[5]])

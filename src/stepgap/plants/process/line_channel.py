@@ -30,7 +30,9 @@ class LineChannel(ABC):
     """
 
     def __init__(self, reader: IO[bytes], writer: IO[bytes]):
-        self._writer, self._lines, self._flooded = writer, SimpleQueue[bytes | None](), False
+        self._writer = writer
+        self._lines = SimpleQueue[bytes | None]()
+        self._flooded = False
         self._thread = Thread(target=self._read, args=(reader,), daemon=True)
         self._thread.start()
 

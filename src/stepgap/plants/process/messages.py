@@ -82,7 +82,8 @@ def check_ready(line: str, space: StepSpace) -> None:
     """
     ready = _table(_parsed(line), "ready", line)
     for kind, quantities in (("state", space.state), ("command", space.command)):
-        wanted, found = {one.name: one.unit for one in quantities}, ready.get(kind)
+        wanted = {one.name: one.unit for one in quantities}
+        found = ready.get(kind)
         if found != wanted:
             raise ProcessFault(
                 f"the program has the {kind} {format_value(found)}, but the experiment needs {_text(wanted)}"

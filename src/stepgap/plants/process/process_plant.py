@@ -68,11 +68,14 @@ class ProcessPlant(Plant):
         space: StepSpace,
         timeouts: Timeouts = Timeouts(),
     ):
-        self._connect, self._space, self._timeouts = connect, space, timeouts
+        self._connect = connect
+        self._space = space
+        self._timeouts = timeouts
         self._channel: LineChannel | None = None
         self._measured = np.full(len(space.state), np.nan)  # from fixed zeros
         self._context: Mapping[str, float] = {}
-        self._step, self._fault = 0, ""
+        self._step = 0
+        self._fault = ""
 
     @property
     def space(self) -> StepSpace:
@@ -104,8 +107,10 @@ class ProcessPlant(Plant):
 
     def take_replanned_step(self, command: Array, at_touchdown: AtTouchdown) -> StepRecord:
         """Sends the command, and another one when the program reports a touchdown; waits for the next state."""
-        before, self._step = self._measured, self._step + 1
-        commands, nowhere = StepCommands(self._space, command), np.full(len(before), np.nan)
+        before = self._measured
+        self._step = self._step + 1
+        commands = StepCommands(self._space, command)
+        nowhere = np.full(len(before), np.nan)
         within = commands.within
         if not np.isfinite(within).all():
             state = self._space.onward(self._above(before))
@@ -120,10 +125,13 @@ class ProcessPlant(Plant):
         except ProcessFault as fault:
             self._fault = str(fault)
             self.stop()
-            state, within = self._space.onward(self._above(before)), commands.within
+            state = self._space.onward(self._above(before))
+            within = commands.within
             return StepRecord(state, commands.acted(within), within, nowhere, StepStatus.STOPPED, requested=within)
-        self._measured, self._context = answer.next_state, answer.context or self._context
-        state, next_state = self._space.onward(self._above(before)), self._above(answer.next_state)
+        self._measured = answer.next_state
+        self._context = answer.context or self._context
+        state = self._space.onward(self._above(before))
+        next_state = self._above(answer.next_state)
         command = commands.acted(answer.requested)
         return StepRecord(state, command, answer.applied, next_state, answer.status, answer.context, answer.requested)
 
@@ -131,7 +139,8 @@ class ProcessPlant(Plant):
         """Asks the program to bring the robot to rest, and waits until it has ended."""
         if self._channel is None:
             return
-        channel, self._channel = self._channel, None
+        channel = self._channel
+        self._channel = None
         try:
             with suppress(ProcessFault):  # it has ended already
                 channel.send(STOP)

@@ -66,7 +66,9 @@ class TickLog:
     """
 
     def __init__(self, path: Path, units: Mapping[str, str], description: LogDescription | None = None):
-        self._path, self._layout, self._ticks = path, TickLayout(dict(units)), 0
+        self._path = path
+        self._layout = TickLayout(dict(units))
+        self._ticks = 0
         with _reporting(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("xb")
@@ -91,8 +93,10 @@ class TickLog:
             ValueError: The shape is another one, or a time is not within 0…9e9 s.
         """
         messages = self._layout.messages(rows, self._ticks)
-        content, size = messages.tobytes(), messages.itemsize
-        times, numbers = messages["log_time"].tolist(), messages["sequence"].tolist()
+        content = messages.tobytes()
+        size = messages.itemsize
+        times = messages["log_time"].tolist()
+        numbers = messages["sequence"].tolist()
         with self._writing():
             for i, (time, number) in enumerate(zip(times, numbers, strict=True)):
                 self._writer.add_message(CHANNEL, time, content[i * size + HEAD_SIZE : (i + 1) * size], time, number)
@@ -310,7 +314,8 @@ def _chunk(body: bytes) -> tuple[bytes, bool]:
 
 def _split(content: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
     """Splits a chunk into the schemas and channels at its start, with their opcodes, and the rest."""
-    definitions, start = [], 0
+    definitions = []
+    start = 0
     while len(content) >= start + _HEAD.size:
         opcode, length = _HEAD.unpack_from(content, start)
         if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
@@ -332,7 +337,8 @@ def _definitions(file: BinaryIO) -> Iterator[tuple[int, bytes, bool]]:
 
 def _described(file: BinaryIO) -> tuple[LogDescription, list[LogEvent]]:
     """Description and events in the metadata records of a file; damaged ones are left out."""
-    description, events = LogDescription(), list[LogEvent]()
+    description = LogDescription()
+    events = list[LogEvent]()
     for part in _parts(file, []):
         if part.opcode != Opcode.METADATA or not part.intact:
             continue
@@ -347,7 +353,8 @@ def _described(file: BinaryIO) -> tuple[LogDescription, list[LogEvent]]:
 
 def _layout(file: BinaryIO, path: Path) -> TickLayout:
     """Reads the layout of the ticks, which a file contains in its first chunk and again in its index."""
-    doubtful, schema = None, b""
+    doubtful = None
+    schema = b""
     for opcode, body, intact in _definitions(file):
         with suppress(McapError, struct.error, ValueError):
             if opcode == Opcode.SCHEMA:

@@ -56,7 +56,8 @@ class TickLayout:
     @classmethod
     def of_channel(cls, metadata: Mapping[str, str]) -> Self:
         """Reads the layout from a channel's metadata; ValueError if they contain none."""
-        names, units = metadata.get("names", "").split(","), metadata.get("units", "").split(",")
+        names = metadata.get("names", "").split(",")
+        units = metadata.get("units", "").split(",")
         if len(set(names)) != len(units):
             raise ValueError(f"{len(names)} names and {len(units)} units")
         return cls(dict(zip(names, units, strict=True)))
@@ -69,7 +70,8 @@ class TickLayout:
     @cached_property
     def schema(self) -> bytes:
         """The message as a Protobuf `FileDescriptorSet`, syntax proto2, fields numbered from 1."""
-        optional, double = _number(4, 1), _number(5, 1)
+        optional = _number(4, 1)
+        double = _number(5, 1)
         fields = b"".join(
             _content(2, _content(1, name.encode()) + _number(3, i) + optional + double)
             for i, name in enumerate(self.units, 1)

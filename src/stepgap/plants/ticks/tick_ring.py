@@ -46,8 +46,13 @@ class TickRing:
     """
 
     def __init__(self, memory: SharedMemory, fields: int, rows: int, *, created: bool):
-        self.name, self.fields, self.rows, self.lost = memory.name, fields, rows, 0
-        self._memory, self._created, self._bytes = memory, created, _bytes(memory)
+        self.name = memory.name
+        self.fields = fields
+        self.rows = rows
+        self.lost = 0
+        self._memory = memory
+        self._created = created
+        self._bytes = _bytes(memory)
         self._words = self._bytes[:ROWS_START].cast("Q")
         self._slots = np.frombuffer(self._bytes, float, (rows + 1) * fields, ROWS_START).reshape(rows + 1, fields)
         self._row = struct.Struct(f"{fields}d")
@@ -103,7 +108,8 @@ class TickRing:
 
     def drain(self) -> Array:
         """Returns all complete rows since the last call, in order; shape (k, fields)."""
-        slots, pushed = self.rows + 1, self._words[HEAD]
+        slots = self.rows + 1
+        pushed = self._words[HEAD]
         first = max(self._read, pushed - self.rows)
         copied = self._slots[np.arange(first, pushed) % slots]
         # By now the writer may be writing the row after the published ones, into the slot of a copied row.

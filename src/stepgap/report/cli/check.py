@@ -135,7 +135,8 @@ def _draw(run: "Run", out: Path | None) -> None:
     from stepgap.report.own_style import own_style
     from stepgap.report.trial_figure import trial_figure
 
-    path, content = out or free_name(Path("check.png")), BytesIO()
+    path = out or free_name(Path("check.png"))
+    content = BytesIO()
     form = format_by_name(path, FigureCanvasBase.filetypes)
     with own_style():
         trial_figure(run, kinematics_of(run)).savefig(content, dpi=150, format=form)

@@ -53,7 +53,8 @@ def gait(
             f"{named_values(space.state, wanted)}: no command makes a step from this state ({error})"
         ) from None
     reachable = reachable_set(nominal, point.state)
-    picture, content = out or free_name(Path("gait.png")), BytesIO()
+    picture = out or free_name(Path("gait.png"))
+    content = BytesIO()
     with own_style():
         from matplotlib.backend_bases import FigureCanvasBase
 

@@ -77,5 +77,6 @@ def _drawn(figure: RunFigure, analysis: Analysis) -> Iterator[DrawnFigure]:
         return
     for row, name in enumerate(analysis.run.space.state_names):
         drawing = draw_figure(lambda row=row: figure.draw(analysis, row), f"{figure.subject} of {name}")
-        caption, prefix = figure.caption(analysis, row), f"{figure.name}_{row}-"
+        caption = figure.caption(analysis, row)
+        prefix = f"{figure.name}_{row}-"
         yield DrawnFigure(figure.section, f"{figure.name}_{name}", prefix, caption, drawing=drawing)

@@ -27,7 +27,8 @@ def reference_gait_figure(gait: ReferenceGait) -> "Figure":
     sizes.axhline(1, color=GREY, linewidth=1)
     looks = ({"color": VERMILLION, "linestyle": "-.", "marker": "x"}, {"color": BLUE, "linestyle": "-", "marker": "o"})
     for each, look in zip(gait.maps, looks, strict=False):
-        border, line = each.reachable.boundary, {name: look[name] for name in ("color", "linestyle")}
+        border = each.reachable.boundary
+        line = {name: look[name] for name in ("color", "linestyle")}
         plane.plot(
             *np.vstack([border, border[:1]]).T,
             **line,

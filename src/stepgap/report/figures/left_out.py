@@ -25,7 +25,8 @@ def left_out_figure(space: StepSpace, learned: LearnedResidual) -> "Figure":
     count = len(space.state)
     figure = new_figure(0.4 + 2.3 * count)
     panels = figure.subplots(count, 2, squeeze=False, width_ratios=[1, 1.6])
-    regressions, predictions = learned.residual.regressions, learned.leave_one_out
+    regressions = learned.residual.regressions
+    predictions = learned.leave_one_out
     parts = zip(panels, space.state, regressions, predictions, learned.standardised_errors, strict=True)
     for (square, wide), quantity, regression, (mean, _), standardised in parts:
         values = regression.values

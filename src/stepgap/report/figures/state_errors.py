@@ -66,7 +66,8 @@ def shown_coordinates(steps: Steps) -> tuple[list[int], list[int]]:
     If there are too many, they are the coordinates with the largest errors in half ranges, and the commands and the
     states with which the errors vary most.
     """
-    n, m = len(steps.space.state), len(steps.space.command)
+    n = len(steps.space.state)
+    m = len(steps.space.command)
     error = np.nan_to_num((steps.next_state - steps.target) / steps.space.state_scale)  # none without a target
     rows = _largest(np.sum(error**2, axis=0), MOST_SHOWN)
     varies = _correlation(_inputs(steps), error[:, rows])
@@ -86,7 +87,8 @@ def _correlation(inputs: Array, errors: Array) -> Array:
         return np.zeros(inputs.shape[1])
     centred = [values - values.mean(axis=0) for values in (inputs, errors)]
     sizes = [np.linalg.norm(values, axis=0) for values in centred]
-    product, size = np.abs(centred[0].T @ centred[1]), np.outer(*sizes)
+    product = np.abs(centred[0].T @ centred[1])
+    size = np.outer(*sizes)
     return np.divide(product, size, out=np.zeros_like(product), where=size > 0).max(axis=1)
 
 

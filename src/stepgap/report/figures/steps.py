@@ -64,7 +64,8 @@ def tracking_figure(run: Run) -> "Figure":
 
     Below them is the ground above which some are measured.
     """
-    first, last = run.shown_iterations[0], run.shown_iterations[-1]
+    first = run.shown_iterations[0]
+    last = run.shown_iterations[-1]
     grounds = list(dict.fromkeys(each.above for each in run.space.state if each.above))
     figure, panels = step_panels(len(run.space.state) + len(grounds))
     longest = max((run.steps.of_iteration(number).tracking() for number in run.steps.iterations), key=len)
@@ -86,14 +87,16 @@ def tracking_figure(run: Run) -> "Figure":
 
 def command_figure(run: Run) -> "Figure":
     """Commands against the step number, in the first and last deployment, with their bounds if these are known."""
-    first, last = run.shown_iterations[0], run.shown_iterations[-1]
+    first = run.shown_iterations[0]
+    last = run.shown_iterations[-1]
     bounds = None if isinstance(run.nominal, Missing) else run.nominal.space
     figure, panels = step_panels(len(run.space.command))
     show_steps(panels, run.steps)
     for index, (panel, quantity) in enumerate(zip(panels, run.space.command, strict=True)):
         for number, look in {first: FIRST_LOOK, last: LAST_LOOK}.items():
             steps = run.steps.of_iteration(number)
-            numbers, requested = step_numbers(steps), steps.requested[:, index]
+            numbers = step_numbers(steps)
+            requested = steps.requested[:, index]
             panel.plot(numbers, requested, label=_name(run, number), **{**look, **as_pixels(steps)})
             cut = cut_commands(steps)[:, index]
             if bounds is not None and cut.any():
@@ -194,14 +197,17 @@ def _draw_ground(panel: "Axes", run: Run, name: str) -> None:
     """Draws a measured ground of each step, in the first and the last deployment."""
     index = run.space.context_names.index(name)
     for number, look in {run.shown_iterations[0]: FIRST_LOOK, run.shown_iterations[-1]: LAST_LOOK}.items():
-        steps, style = run.steps.of_iteration(number), {**look, "marker": "", "drawstyle": "steps-mid"}
+        steps = run.steps.of_iteration(number)
+        style = {**look, "marker": "", "drawstyle": "steps-mid"}
         panel.plot(step_numbers(steps), steps.context[:, index], **style, **as_pixels(steps))
     panel.set_ylabel(axis_label(run.space.context[index]))
 
 
 def _draw_prediction(panel: "Axes", steps: Steps, index: int) -> None:
-    numbers, std = step_numbers(steps), steps.std[:, index]
-    mean, reached = steps.predicted[:, index], ends_of_steps(steps, index)
+    numbers = step_numbers(steps)
+    std = steps.std[:, index]
+    mean = steps.predicted[:, index]
+    reached = ends_of_steps(steps, index)
     mean = np.where(np.isfinite(mean), mean, np.nan)
     if np.isnan(reached).all():
         write_note(panel, "No step has a next state.")
@@ -225,7 +231,8 @@ def _mark_changes(panel: "Axes", steps: Steps) -> None:
 
 def _first_and_last(run: Run) -> tuple[str, str]:
     """Phrases on the deployments that are drawn, and on how they learned."""
-    first, last = run.shown_iterations[0], run.shown_iterations[-1]
+    first = run.shown_iterations[0]
+    last = run.shown_iterations[-1]
     if first == last:
         return f"in deployment {first}", "of a single deployment"
     if run.residual_name(first) == "none" and run.residual_name(last) not in ("none", None):
@@ -260,7 +267,8 @@ def _error_caption(analysis: Analysis) -> str:
 
 def map_caption(run: Run, row: int) -> str:
     """Caption of the map of a state coordinate."""
-    quantity, last = run.space.state[row], run.shown_iterations[-1]
+    quantity = run.space.state[row]
+    last = run.shown_iterations[-1]
     unsure = [number for number in run.shown_iterations if run.steps.of_iteration(number).std[:, row].any()]
     held = [_held(run, iteration, row) for iteration in run.steps.iterations]
     band = " with 95 % band, noise included," if last in unsure else ""

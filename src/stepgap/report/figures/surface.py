@@ -33,7 +33,8 @@ def surface_figure(space: StepSpace, learned: LearnedResidual, centre: Array) ->
         learned: Residual with its points.
         centre: State and command; shape (n + m,).
     """
-    residual, points = conditioned(learned), learned.residual.regressions[0].points[:, : len(centre)]
+    residual = conditioned(learned)
+    points = learned.residual.regressions[0].points[:, : len(centre)]
     quantities = [*space.state, *space.command]
     figure = new_figure(0.3 + 2.6 * len(space.state))
     for row, (panels, quantity) in enumerate(
@@ -80,7 +81,8 @@ def influential(residual: Residual, points: Array, centre: Array, row: int) -> t
 
 def _range(values: Array) -> Array:
     """Grid over the range of recorded values, and a little more; shape (SURFACE_GRID,)."""
-    low, high = float(values.min()), float(values.max())
+    low = float(values.min())
+    high = float(values.max())
     margin = SURFACE_MARGIN * (high - low) or 1e-3 * max(abs(high), 1.0)
     return np.linspace(low - margin, high + margin, SURFACE_GRID)
 
@@ -93,8 +95,10 @@ _CAPTION = (
 
 
 def _caption(analysis: Analysis) -> str:
-    gait, space = analysis.gait, analysis.run.space
-    at, others = "the median of these steps", ""
+    gait = analysis.gait
+    space = analysis.run.space
+    at = "the median of these steps"
+    others = ""
     if not isinstance(gait, Missing) and (point := gait.centre_point) is not None:
         what = "the limit cycle of" if point.held else "the step that ends nearest to"
         at = f"{what} the target {gait.centre_named}, the nearest to the median of all"

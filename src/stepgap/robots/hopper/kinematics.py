@@ -101,7 +101,9 @@ class HopperKinematics(Kinematics):
     """
 
     def __init__(self, robot: RobotParameters, gains: Gains, sensors: HopperSensorModel):
-        self._robot, self._gains, self._sensors = robot, gains, sensors
+        self._robot = robot
+        self._gains = gains
+        self._sensors = sensors
 
     @property
     def scene(self) -> Scene:
@@ -148,8 +150,10 @@ class HopperKinematics(Kinematics):
 
     def _signals(self, ticks: TickTable) -> Array:
         """Measured values of `LEG_SIGNALS`; shape (F, 4)."""
-        top, bottom = self._robot.top_length, self._robot.bottom_length
-        alpha_1, alpha_2 = ticks["alpha_1"], ticks["alpha_2"]
+        top = self._robot.top_length
+        bottom = self._robot.bottom_length
+        alpha_1 = ticks["alpha_1"]
+        alpha_2 = ticks["alpha_2"]
         length = top * np.cos(alpha_2) + np.sqrt(bottom**2 - (top * np.sin(alpha_2)) ** 2)
         return np.column_stack([length, alpha_1, ticks["applied_1"], ticks["applied_2"]])
 
@@ -159,7 +163,9 @@ class HopperKinematics(Kinematics):
         return HopperPose(yaw, pitch, ticks["alpha_1"], ticks["alpha_2"])
 
     def _true_pose(self, ticks: TickTable) -> HopperPose:
-        yaw, pitch, radius = ticks["boom_yaw"], ticks["boom_pitch"], self._sensors.boom_length
+        yaw = ticks["boom_yaw"]
+        pitch = ticks["boom_pitch"]
+        radius = self._sensors.boom_length
         along = ticks["hip_x"] - radius * yaw
         across = (ticks["hip_height"] - self._sensors.pivot_height - radius * np.sin(pitch)) / np.cos(pitch)
         return HopperPose(
@@ -197,9 +203,13 @@ def joint_positions(robot: RobotParameters, pivot_height: float, pose: HopperPos
 
 def _tip_axes(pose: HopperPose) -> tuple[Array, Array, Array]:
     """Unit vectors along the boom, along the circle and perpendicular to both; each of shape (…, 3)."""
-    sin_yaw, cos_yaw, none = np.sin(pose.yaw), np.cos(pose.yaw), np.zeros_like(pose.yaw)
-    sin_pitch, cos_pitch = _column(np.sin(pose.pitch)), _column(np.cos(pose.pitch))
-    inward, vertical = np.stack([-sin_yaw, cos_yaw, none], axis=-1), np.array([0.0, 0.0, 1.0])
+    sin_yaw = np.sin(pose.yaw)
+    cos_yaw = np.cos(pose.yaw)
+    none = np.zeros_like(pose.yaw)
+    sin_pitch = _column(np.sin(pose.pitch))
+    cos_pitch = _column(np.cos(pose.pitch))
+    inward = np.stack([-sin_yaw, cos_yaw, none], axis=-1)
+    vertical = np.array([0.0, 0.0, 1.0])
     forward = np.stack([cos_yaw, sin_yaw, none], axis=-1)
     return sin_pitch * vertical - cos_pitch * inward, forward, cos_pitch * vertical + sin_pitch * inward
 

@@ -177,7 +177,9 @@ class CommandBounds:
                 above the zero of the boom, and the context has its height and slope, where the foot stood, and how it
                 yielded; at touchdown, how it yielded in the stance before.
         """
-        above, slope, yielding = "ground" if ground.is_measured else "", 0.1 * ground.inputs, 1e-4 * ground.inputs
+        above = "ground" if ground.is_measured else ""
+        slope = 0.1 * ground.inputs
+        yielding = 1e-4 * ground.inputs
         found = (
             ContextQuantity("ground", "m"),
             ContextQuantity("foothold", "m"),

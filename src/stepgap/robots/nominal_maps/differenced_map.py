@@ -102,20 +102,23 @@ def suitable_step(step_map: StepMap, rng: np.random.Generator, count: int = 12) 
     space = step_map.space
     states = space.state_centre + space.state_scale * rng.uniform(-0.8, 0.8, (count, len(space.state)))
     commands = space.command_at(rng.uniform(-0.8, 0.8, (count, len(space.command))))
-    found, jacobians = None, _scaled_jacobians(step_map, states, commands, STEPS[-1])
+    found = None
+    jacobians = _scaled_jacobians(step_map, states, commands, STEPS[-1])
     for step, smaller in pairwise(reversed(STEPS)):
         finer = _scaled_jacobians(step_map, states, commands, smaller)
         known = _disagreement(jacobians, finer)
         if len(known) < count / 2 or np.median(known) > AGREEMENT:
             break
-        found, jacobians = step, finer
+        found = step
+        jacobians = finer
     return found
 
 
 def _disagreement(jacobians: Array, finer: Array) -> Array:
     """Largest relative difference of a column of the two Jacobians, at each point where both are finite; (k,)."""
     both = np.isfinite(jacobians + finer).all(axis=(1, 2))
-    jacobians, finer = jacobians[both], finer[both]
+    jacobians = jacobians[both]
+    finer = finer[both]
     size = np.linalg.norm(jacobians, axis=1)
     small = NEGLIGIBLE * np.linalg.norm(jacobians, axis=(1, 2))[:, None]
     return np.max(np.linalg.norm(jacobians - finer, axis=1) / np.maximum(size, np.maximum(small, 1e-300)), axis=1)

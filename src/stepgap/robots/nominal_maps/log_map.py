@@ -73,13 +73,15 @@ def fit_log_map(log: Steps) -> LogMap:
         StepGapError: There are too few steps.
     """
     space = log.space
-    n, m = len(space.state), len(space.command)
+    n = len(space.state)
+    m = len(space.command)
     flat = AffineMap(space, space.state_centre, space.command_centre, space.state_centre, np.zeros((n, n + m)))
     observed = observe(log, flat)
     if len(observed) < n + m + 2:
         raise StepGapError(f"{len(observed)} completed steps, but a map needs at least {n + m + 2}")
     points = join_points(observed.state, observed.command)
-    fixed, centre = _fixed(points), join_points(space.state_centre, space.command_centre)
+    fixed = _fixed(points)
+    centre = join_points(space.state_centre, space.command_centre)
     points = np.where(fixed, centre, points)  # where the scaled coordinate is zero, so is its weight
     varied = replace(observed, state=points[:, :n], command=points[:, n:])
     return LogMap(CorrectedMap(flat, fit_residual("linear", varied)), _gaps(space, points, fixed))

@@ -68,7 +68,8 @@ class SimulatorMap(StepMap):
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
         """Simulates each step; one with numbers that are not finite is INVALID, and has no next state."""
-        points, n = join_points(state, command), len(self.space.state)
+        points = join_points(state, command)
+        n = len(self.space.state)
         next_state = np.full((*points.shape[:-1], n), np.nan)
         status = np.full(points.shape[:-1], int(StepStatus.INVALID), np.int64)
         for index in np.ndindex(status.shape):

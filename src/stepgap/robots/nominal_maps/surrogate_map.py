@@ -157,12 +157,15 @@ def fit_surrogate(
     Raises:
         StepGapError: Nearly all sampled steps fail.
     """
-    motions, last_error = Motions(step_map, rng, mapped), np.inf
+    motions = Motions(step_map, rng, mapped)
+    last_error = np.inf
     samples = motions.begun(FIRST_SAMPLES)
     while True:
-        found, judged = _fitted(motions, samples), _misjudged(samples) <= MISJUDGED
+        found = _fitted(motions, samples)
+        judged = _misjudged(samples) <= MISJUDGED
         on_samples(len(samples.status), found.error)
-        error, along_motions = np.max(found.error / step_map.space.state_scale), len(samples.status) > FIRST_SAMPLES
+        error = np.max(found.error / step_map.space.state_scale)
+        along_motions = len(samples.status) > FIRST_SAMPLES
         if len(samples.status) >= MOST_SAMPLES or (
             judged and (error <= good_enough or error > WORTHWHILE * last_error)
         ):
@@ -183,11 +186,15 @@ def _misjudged(samples: Samples) -> float:
 
 def _fitted(motions: Motions, samples: Samples) -> SurrogateMap:
     """The polynomial of the degree with the smallest leave-one-out error of the steps that stay in range."""
-    space, centre, scale = motions.space, motions.centre, motions.scale
+    space = motions.space
+    centre = motions.centre
+    scale = motions.scale
     good = samples.status == StepStatus.OK
-    points, next_state = samples.points[good], samples.next_state[good]
+    points = samples.points[good]
+    next_state = samples.next_state[good]
     far = np.max(np.abs(space.scaled_state(next_state)), axis=1, initial=0) / WIDENED
-    weights, counted = np.maximum(far, 1.0)[:, None] ** -2, far <= 1
+    weights = np.maximum(far, 1.0)[:, None] ** -2
+    counted = far <= 1
     fits = []
     for degree in DEGREES:
         basis = products(points, degree)
@@ -214,7 +221,8 @@ def products_gradient(points: Array, degree: int) -> Array:
     """∂products/∂points; (…, d) to (…, terms, d)."""
     values = _legendre(points, degree)
     derivatives = values[..., :degree] @ legendre.legder(np.eye(degree + 1))
-    factors, factor_derivatives = _factors(values, degree), _factors(derivatives, degree)
+    factors = _factors(values, degree)
+    factor_derivatives = _factors(derivatives, degree)
     columns = [
         derivative * np.prod(factors[:axis] + factors[axis + 1 :], axis=0)
         for axis, derivative in enumerate(factor_derivatives)

@@ -38,7 +38,8 @@ def read_template(path: Path, space: StepSpace) -> AffineMap:
     """
     table = read_toml(path, "a template")
     check_keys(table, ("step", "derivatives"), f"{path}: ")
-    step, derivatives = inner_table(table, "step", f"{path}: "), inner_table(table, "derivatives", f"{path}: ")
+    step = inner_table(table, "step", f"{path}: ")
+    derivatives = inner_table(table, "derivatives", f"{path}: ")
     check_keys(step, _STEP, f"{path}: [step] ")
     state = _numbers(step, "state", space.state_names, space.state_centre, f"{path}: [step] ")
     command = _numbers(step, "command", space.command_names, space.command_centre, f"{path}: [step] ")

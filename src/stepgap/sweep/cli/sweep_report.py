@@ -46,7 +46,8 @@ def _planned(folder: Path) -> int | Missing:
 
 def _context(folder: Path) -> SweepContext:
     """What is known of the base experiment; its robot only if its settings are valid in this version."""
-    path, planned = folder / "experiment.toml", _planned(folder)
+    path = folder / "experiment.toml"
+    planned = _planned(folder)
     try:
         settings = read_experiment(path, recorded=True) if path.is_file() else Experiment()
     except InputError:

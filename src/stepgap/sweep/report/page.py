@@ -32,7 +32,7 @@ MOST_WORST: Final = 10
 LONGEST_CELL: Final = 40
 """Longest text of a setting in a table of cases [characters]."""
 
-CAPTION: Final = (
+_CAPTION: Final = (
     "RMSE by the value of each setting, whatever the other settings: median of the cases with this value of which that "
     "deployment was not aborted, with a bar between the quartiles. A setting with many values is divided into ranges "
     "with equally many cases."
@@ -191,7 +191,7 @@ def _effects(cases: SweepCases, state: Sequence[Quantity], drawing: Drawing | Mi
         return []
     if not cases.axes:
         return [paragraph("No setting on an axis has two values in the table, so there is no effect to show.")]
-    parts = [picture(drawing, "levels-", CAPTION)] if drawing else []
+    parts = [picture(drawing, "levels-", _CAPTION)] if drawing else []
     hidden = [axis.name for axis in cases.axes[MOST_AXES:]]
     if hidden:
         parts.append(paragraph(f"The figure shows the first {MOST_AXES} settings, not: {', '.join(hidden)}."))

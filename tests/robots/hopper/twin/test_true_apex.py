@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
-from stepgap.hardware.hopper.direct_ring import DirectRing
 from stepgap.hardware.hopper.ring_rig import emulated_settings
+from stepgap.hardware.hopper.ring_simulation import DirectRing
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.rigs.rig import Torques
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters

@@ -94,9 +94,14 @@ class SlaveClock:
     """
 
     def __init__(self, memory: bytearray, time: RingTime, error: ClockError = NO_ERROR, delay: int = 0):
-        self._memory, self._time, self._error, self._delay = memory, time, error, delay
+        self._memory = memory
+        self._time = time
+        self._error = error
+        self._delay = delay
         self._read_at = self._own_time()
-        self._local, self._rate, self._mean_difference = 0.0, 0.0, 0.0
+        self._local = 0.0
+        self._rate = 0.0
+        self._mean_difference = 0.0
         self._distributed_at: float | None = None
 
     def local_time(self) -> int:
@@ -142,7 +147,9 @@ class SlaveClock:
 
     def reset_compensation(self) -> None:
         """Restarts the compensation, as a write to the speed counter does."""
-        self._rate, self._mean_difference, self._distributed_at = 0.0, 0.0, None
+        self._rate = 0.0
+        self._mean_difference = 0.0
+        self._distributed_at = None
 
     def _own_time(self) -> float:
         """Time of the clock without compensation [ns]."""
@@ -193,15 +200,20 @@ class SyncWatch:
     """
 
     def __init__(self, limit: int, guard: float):
-        self._limit, self._guard, self._last, self.errors = limit, guard, 0, 0
+        self._limit = limit
+        self._guard = guard
+        self._last = 0
+        self.errors = 0
 
     def start(self, sync: Sync0, time: int) -> None:
         """Begins with the interval that contains a system time [ns]."""
-        self._last, self.errors = sync.events(time), 0
+        self._last = sync.events(time)
+        self.errors = 0
 
     def passed(self, sync: Sync0, time: int) -> bool:
         """Counts a frame with outputs at a system time [ns]; returns False if there were too many errors."""
-        number, guard = sync.events(time), self._guard * sync.cycle
+        number = sync.events(time)
+        guard = self._guard * sync.cycle
         if number == self._last:
             return self.errors <= self._limit
         missed = max(0, number - self._last - 1)

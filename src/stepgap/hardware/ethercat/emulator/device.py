@@ -12,7 +12,10 @@ class SensorError:
     """Error of a value, none at first; faults add up."""
 
     def __init__(self) -> None:
-        self._frozen, self._shift, self._deviation, self._last = False, 0, 0.0, 0
+        self._frozen = False
+        self._shift = 0
+        self._deviation = 0.0
+        self._last = 0
         self._rng = np.random.default_rng(0)
         self.true_velocity = False
         """Whether the velocity of a drive remains true."""
@@ -21,7 +24,8 @@ class SensorError:
         """Begins a fault of the value; one of the status word changes nothing here."""
         match fault.kind:
             case "frozen":
-                self._frozen, self.true_velocity = True, not fault["with_velocity"]
+                self._frozen = True
+                self.true_velocity = not fault["with_velocity"]
             case "shifted":
                 self._shift += fault["counts"]
             case "noisy":
@@ -45,7 +49,9 @@ class EmulatedDevice:
     """
 
     def __init__(self, name: str, identity: Identity, dictionary: Dictionary | None = None):
-        self.name, self.identity, self.dictionary = name, identity, dictionary
+        self.name = name
+        self.identity = identity
+        self.dictionary = dictionary
         self.messages: list[bytes] = []
         """Mailbox messages to be sent: emergencies."""
         self.error = SensorError()

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from stepgap.base.errors import StepGapError
 from stepgap.hardware.ethercat.emulator.sii import Identity
 
-DEVICE_TYPE, DEVICE_NAME, IDENTITY = 0x1000, 0x1008, 0x1018
+DEVICE_TYPE = 0x1000
+DEVICE_NAME = 0x1008
+IDENTITY = 0x1018
 SYNC_MANAGER_TYPES, ASSIGN_OUTPUTS, ASSIGN_INPUTS = 0x1C00, 0x1C12, 0x1C13
 """Communication area (ETG.1000.6): kinds of the sync managers, PDOs in them."""
 
@@ -83,7 +85,8 @@ class Image:
     """
 
     def __init__(self, parts: Iterable[tuple[ObjectEntry | None, int]]):
-        self._fields, shift = [], 0
+        self._fields = []
+        shift = 0
         for entry, bits in parts:
             if entry is not None:
                 self._fields.append((entry, (1 << bits) - 1, shift))
@@ -141,7 +144,8 @@ class Dictionary:
             **objects,
         }
         self._pdos = {ASSIGN_OUTPUTS: outputs, ASSIGN_INPUTS: inputs}
-        self._check, self._mappable = check, mappable
+        self._check = check
+        self._mappable = mappable
         for index, parts in [*outputs.items(), *inputs.items()]:
             words = tuple(part.index << 16 | part.subindex << 8 | part.bits for part in parts)
             self._entries |= _array(index, words, 32, MOST_PARTS)

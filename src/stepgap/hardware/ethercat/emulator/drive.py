@@ -120,12 +120,23 @@ def next_stage(
     return PowerStage(temperature, voltage)
 
 
-ERROR_REGISTER, _ERROR_CODE = 0x1001, 0x603F
-CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY = 0x6040, 0x6041, 0x6060, 0x6061
-POSITION, VELOCITY = 0x6064, 0x606C
-TARGET_TORQUE, _LARGEST_TORQUE, _RATED_TORQUE, TORQUE = 0x6071, 0x6072, 0x6076, 0x6077
-SUPPORTED_MODES, ABORT_CONNECTION = 0x6502, 0x6007
-DRIVE_TEMPERATURE, DC_LINK_VOLTAGE, DRIVE_INPUTS = 0x2100, 0x6079, 0x60FD
+ERROR_REGISTER = 0x1001
+_ERROR_CODE = 0x603F
+CONTROLWORD = 0x6040
+STATUSWORD = 0x6041
+MODE = 0x6060
+MODE_DISPLAY = 0x6061
+POSITION = 0x6064
+VELOCITY = 0x606C
+TARGET_TORQUE = 0x6071
+_LARGEST_TORQUE = 0x6072
+_RATED_TORQUE = 0x6076
+TORQUE = 0x6077
+SUPPORTED_MODES = 0x6502
+ABORT_CONNECTION = 0x6007
+DRIVE_TEMPERATURE = 0x2100
+DC_LINK_VOLTAGE = 0x6079
+DRIVE_INPUTS = 0x60FD
 OPTION_CODES = (0x605A, 0x605B, 0x605C, 0x605E)
 """Objects (CiA 402-2: device control, position, velocity and torque; CiA 301 for the error register).
 
@@ -225,28 +236,38 @@ class Drive(EmulatedDevice):
     """
 
     def __init__(self, name: str, settings: DriveSettings, counts: Callable[[Reading], float]):
-        self._settings, self._counts = settings, counts
+        self._settings = settings
+        self._counts = counts
         self._position = self._velocity = self._status = self._error = ObjectEntry(0, 0)  # replaced by power_on
-        self._true_counts, self._closed = 0, STO_CLOSED | ENABLE_CLOSED
+        self._true_counts = 0
+        self._closed = STO_CLOSED | ENABLE_CLOSED
         self._heating = self._fed = 0.0
         self._stuck: dict[int, int] = {}
         self._wrong: Fault | None = None
         self._raised = self._cleared = self._kept = 0
-        self._late_torque, self._late_counts = deque([0], maxlen=1), deque([0], maxlen=1)
+        self._late_torque = deque([0], maxlen=1)
+        self._late_counts = deque([0], maxlen=1)
         super().__init__(name, settings.identity)
         self.power_on()
 
     def power_on(self) -> None:
         """Resets the drive: switch-on disabled, no torque, PDOs as after power-up."""
         settings = self._settings
-        self._control, self._status = ObjectEntry(0, 16, writable=True), ObjectEntry(DriveState.SWITCH_ON_DISABLED, 16)
-        self._mode, self._mode_display = ObjectEntry(0, 8, True, True), ObjectEntry(0, 8, True)
-        self._target, self._torque = ObjectEntry(0, 16, True, True), ObjectEntry(0, 16, True)
-        self._position, self._velocity = ObjectEntry(0, 32, True), ObjectEntry(0, 32, True)
+        self._control = ObjectEntry(0, 16, writable=True)
+        self._status = ObjectEntry(DriveState.SWITCH_ON_DISABLED, 16)
+        self._mode = ObjectEntry(0, 8, True, True)
+        self._mode_display = ObjectEntry(0, 8, True)
+        self._target = ObjectEntry(0, 16, True, True)
+        self._torque = ObjectEntry(0, 16, True)
+        self._position = ObjectEntry(0, 32, True)
+        self._velocity = ObjectEntry(0, 32, True)
         self._largest = ObjectEntry(settings.largest_torque, 16, writable=True)
-        self._error, self._register = ObjectEntry(0, 16), ObjectEntry(0, 8)
+        self._error = ObjectEntry(0, 16)
+        self._register = ObjectEntry(0, 8)
         cold = PowerStage(settings.power.ambient, settings.power.voltage)
-        self._stage, self._temperature, self._voltage = cold, ObjectEntry(0, 16, True), ObjectEntry(0, 32)
+        self._stage = cold
+        self._temperature = ObjectEntry(0, 16, True)
+        self._voltage = ObjectEntry(0, 32)
         self._inputs = ObjectEntry(self._closed, 32)
         self._abort = ObjectEntry(settings.abort_connection, 16, True, True)
         options = {index: ObjectEntry(settings.ramps, 16, True, True) for index in OPTION_CODES}
@@ -270,7 +291,8 @@ class Drive(EmulatedDevice):
             DRIVE_INPUTS: self._inputs,
             SUPPORTED_MODES: ObjectEntry(1 << CYCLIC_SYNCHRONOUS_TORQUE - 1, 32),
         }
-        objects, layout = {(index, 0): entry for index, entry in entries.items()}, settings.layout
+        objects = {(index, 0): entry for index, entry in entries.items()}
+        layout = settings.layout
         self._objects = entries
         self.dictionary = Dictionary(
             settings.identity,
@@ -282,7 +304,9 @@ class Drive(EmulatedDevice):
             _check,
             layout.mappable,
         )
-        self.state, self.torque, self._before = DriveState.SWITCH_ON_DISABLED, 0.0, 0
+        self.state = DriveState.SWITCH_ON_DISABLED
+        self.torque = 0.0
+        self._before = 0
         self.messages.clear()
         self._measure(0.0)
 
@@ -338,10 +362,12 @@ class Drive(EmulatedDevice):
                 if fault["code"]:
                     self.trip(fault["code"])
             case "stuck object":
-                present, value = self._objects[fault["index"]].value, fault["value"]
+                present = self._objects[fault["index"]].value
+                value = fault["value"]
                 self._stuck[fault["index"]] = present if value is None else value
             case "wrong torque":
-                self._wrong, self._kept = fault, self._torque.value
+                self._wrong = fault
+                self._kept = self._torque.value
             case "status bits":
                 self._raised |= fault["raised"]
                 self._cleared |= fault["cleared"]
@@ -363,7 +389,8 @@ class Drive(EmulatedDevice):
 
     def _measure(self, turned: float) -> None:
         """Updates temperature, bus voltage and inputs after a tick in which the motor turned by an angle [rad]."""
-        settings, period = self._settings, self._settings.period
+        settings = self._settings
+        period = self._settings.period
         taken = self.torque * turned / period - self._fed
         self._stage = next_stage(settings.power, self._stage, period, self._torque.value / 1000, taken, self._heating)
         self._temperature.value = round(10 * self._stage.temperature)

@@ -27,7 +27,8 @@ class ArrivalTimes:
     """Receives frames; called, it returns when the last one arrived [ns], on the monotonic clock."""
 
     def __init__(self) -> None:
-        self._ahead, self._last = time_ns() - monotonic_ns(), monotonic_ns()
+        self._ahead = time_ns() - monotonic_ns()
+        self._last = monotonic_ns()
 
     def __call__(self) -> int:
         """Returns the time [ns]."""

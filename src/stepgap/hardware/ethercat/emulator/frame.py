@@ -16,7 +16,9 @@ _ETHERCAT = Struct("<H")
 _DATAGRAM = Struct("<BBHHHH")
 _COUNTER = Struct("<H")
 _BEGIN = _ETHERNET.size + _ETHERCAT.size
-_LENGTH_MASK, _MORE_FOLLOW, _DATAGRAMS = 0x07FF, 0x8000, 0x1000
+_LENGTH_MASK = 0x07FF
+_MORE_FOLLOW = 0x8000
+_DATAGRAMS = 0x1000
 
 
 class FrameError(StepGapError, ValueError):
@@ -91,7 +93,8 @@ def decode(raw: bytes) -> Frame:
         raise FrameError(f"type {kind:#06x} with header {header:#06x} is not that of EtherCAT datagrams")
     if end > len(raw):
         raise FrameError("the frame is shorter than the length in its header")
-    datagrams, more = [], True
+    datagrams = []
+    more = True
     while more:
         data_start = start + _DATAGRAM.size
         if data_start > end:
@@ -101,7 +104,8 @@ def decode(raw: bytes) -> Frame:
         if data_end + _COUNTER.size > end:
             raise FrameError("the data of a datagram are truncated")
         (counter,) = _COUNTER.unpack_from(raw, data_end)
-        flags, more = length & ~_LENGTH_MASK & ~_MORE_FOLLOW, bool(length & _MORE_FOLLOW)
+        flags = length & ~_LENGTH_MASK & ~_MORE_FOLLOW
+        more = bool(length & _MORE_FOLLOW)
         data = bytes(raw[data_start:data_end])
         datagrams.append(Datagram(command, mark, address, offset, data=data, counter=counter, flags=flags, event=event))
         start = data_end + _COUNTER.size

@@ -26,8 +26,10 @@ class OutgoingMail:
     """
 
     def __init__(self, memory: bytearray):
-        self._memory, self._waiting = memory, deque[bytes]()
-        self._sent, self._counter = b"", 0
+        self._memory = memory
+        self._waiting = deque[bytes]()
+        self._sent = b""
+        self._counter = 0
 
     def add(self, messages: Iterable[bytes]) -> None:
         """Adds messages, the first of which is put into the mailbox if that is empty."""
@@ -71,7 +73,10 @@ MAILBOX_ERROR, COE = 0, 3  # Mailbox types (ETG.1000.4, mailbox header)
 EMERGENCY, SDO_REQUEST, SDO_RESPONSE, PDO_REQUEST, SDO_INFORMATION = 1, 2, 3, 7, 8
 """CoE services (ETG.1000.6, CoE header). An abort is a request, also from a slave."""
 
-UPLOAD, DOWNLOAD, DOWNLOADED, ABORT = 0x40, 0x20, 0x60, 0x80
+UPLOAD = 0x40
+DOWNLOAD = 0x20
+DOWNLOADED = 0x60
+ABORT = 0x80
 COMMAND_MASK, EXPEDITED, SIZE_GIVEN, COMPLETE = 0xE0, 0x02, 0x01, 0x10
 """Command and flags in the SDO command byte (ETG.1000.6, SDO services)."""
 

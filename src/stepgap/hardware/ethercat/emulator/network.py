@@ -63,7 +63,8 @@ def wire(name: str) -> Iterator[socket.socket]:
 @contextmanager
 def _other_namespace() -> Iterator[Sequence[str]]:
     """Moves this thread to a new network namespace, if allowed; yields `ip`'s arguments for the former one."""
-    here, libc = os.open("/proc/thread-self/ns/net", os.O_RDONLY), ctypes.CDLL(None, use_errno=True)
+    here = os.open("/proc/thread-self/ns/net", os.O_RDONLY)
+    libc = ctypes.CDLL(None, use_errno=True)
     try:
         if libc.unshare(CLONE_NEWNET):
             yield ()

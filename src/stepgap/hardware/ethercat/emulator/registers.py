@@ -12,14 +12,17 @@ TYPE, FMMU_COUNT, SYNC_MANAGER_COUNT, RAM_SIZE, _PORTS, ESC_FEATURES = (
 )
 """Type and features of the slave controller (§6.1.1)."""
 
-STATION_ADDRESS, STATION_ALIAS = 0x0010, 0x0012
+STATION_ADDRESS = 0x0010
+STATION_ALIAS = 0x0012
 DL_CONTROL, DL_STATUS = 0x0100, 0x0110
 """Data link: DL_STATUS contains which ports are linked, open or looped back, and so the topology (§6.1.4)."""
 
 AL_CONTROL, AL_STATUS, AL_STATUS_CODE = 0x0120, 0x0130, 0x0134
 """Application layer: requested state, present state, reason of a refusal (ETG.1000.6 §5.3)."""
 
-PDI_CONTROL, INTERRUPT_MASK, ERROR_COUNTERS = 0x0140, 0x0200, 0x0300
+PDI_CONTROL = 0x0140
+INTERRUPT_MASK = 0x0200
+ERROR_COUNTERS = 0x0300
 
 WATCHDOG_DIVIDER, WATCHDOG_TIME, WATCHDOG_STATUS, WATCHDOG_COUNTER = 0x0400, 0x0420, 0x0440, 0x0442
 """Watchdog of process data: its time has the unit (divider + 2) · 40 ns; status bit 0 is 0 once it expired (§6.3)."""
@@ -39,14 +42,20 @@ SYNC_MANAGER, SYNC_MANAGER_SIZE, SYNC_MANAGER_SLOTS = 0x0800, 8, 4
 MAILBOX_FULL, SYNC_MANAGER_ENABLED, WATCHDOG_TRIGGER, REPEAT = 0x08, 0x01, 0x40, 0x02
 """Bits of a sync manager's status, activation, control, and again activation and its echo."""
 
-DC_RECEIVE_TIME, DC_SYSTEM_TIME, DC_RECEIVE_TIME_UNIT = 0x0900, 0x0910, 0x0918
-DC_OFFSET, DC_DELAY, DC_DIFFERENCE, DC_SPEED_COUNTER = 0x0920, 0x0928, 0x092C, 0x0930
+DC_RECEIVE_TIME = 0x0900
+DC_SYSTEM_TIME = 0x0910
+DC_RECEIVE_TIME_UNIT = 0x0918
+DC_OFFSET = 0x0920
+DC_DELAY = 0x0928
+DC_DIFFERENCE = 0x092C
+DC_SPEED_COUNTER = 0x0930
 DC_ACTIVATION, DC_START, DC_CYCLE_0, DC_END = 0x0981, 0x0990, 0x09A0, 0x09A8
 """Distributed clocks (§6.8): receive times of the ports, system time, its parts and their control; then SYNC0."""
 
 DC_SYNC0_ACTIVE = 0x03  # Bits of the activation: cyclic operation and SYNC0
 
-PROCESS_RAM, MEMORY_SIZE = 0x1000, 0x2000
+PROCESS_RAM = 0x1000
+MEMORY_SIZE = 0x2000
 
 WRITABLE = (
     (STATION_ADDRESS, STATION_ADDRESS + 2),

@@ -69,7 +69,8 @@ class Ring:
         devices: Sequence[EmulatedDevice] | None = None,
         now: Callable[[], int] | None = None,
     ):
-        self._time, self._now = RingTime(), now or self._ticked_time
+        self._time = RingTime()
+        self._now = now or self._ticked_time
         self.slaves = _slaves(devices or machine.devices(settings), settings, self._time)
         self._by_name = {slave.device.name: slave for slave in self.slaves}
         self.drives = [slave.device for slave in self.slaves if isinstance(slave.device, Drive)]
@@ -80,7 +81,8 @@ class Ring:
                 raise ValueError(f"{fault} names an unknown slave; the slaves are {', '.join(self._by_name)}")
         if unknown := set(settings.clocks.need_sync0) - self._by_name.keys():
             raise ValueError(f"need_sync0 names unknown slaves: {', '.join(sorted(unknown))}")
-        self._machine, self._settings = machine, settings
+        self._machine = machine
+        self._settings = settings
         self._period = round(machine.period * 1e9)
         self.cycles = 0
         """Number of frames with outputs so far, including lost ones."""
@@ -121,15 +123,19 @@ class Ring:
             slave.give_inputs(self._reading, self.ticks * self._period)
 
     def _start(self) -> None:
-        self._reading, self._released = self._machine.start(), False
+        self._reading = self._machine.start()
+        self._released = False
         for slave in self.slaves:
             slave.device.sense(self._reading)
 
     def _pass_cycle(self, frame: Frame, raw: bytes) -> list[bytes]:
         """Passes a frame with outputs, with its scripted faults; in lock-step a tick follows."""
-        cycle, settings = self.cycles, self._settings
+        cycle = self.cycles
+        settings = self._settings
         self.cycles += 1
-        lost, copies, late = False, 1, False
+        lost = False
+        copies = 1
+        late = False
         if settings.faults:
             self._disturb(cycle)
             lost = any(fault.kind == "lost frames" and fault.lasts(cycle) for fault in settings.faults)
@@ -140,7 +146,8 @@ class Ring:
             self.advance()
             if settings.inputs_after_tick:
                 answers = [self._with_new_inputs(answer) for answer in answers]
-        answers, self._late = self._late + answers * copies, []
+        answers = self._late + answers * copies
+        self._late = []
         if late:
             answers, self._late = [], answers
         return answers
@@ -165,7 +172,8 @@ class Ring:
         return datagram._replace(address=address, data=bytes(data), counter=counter & 0xFFFF)
 
     def _with_new_inputs(self, raw: bytes) -> bytes:
-        frame, datagrams = decode(raw), []
+        frame = decode(raw)
+        datagrams = []
         for datagram in frame.datagrams:
             data = bytearray(datagram.data)
             if datagram.command == Command.LRW:
@@ -186,7 +194,8 @@ class Ring:
 
     def _disturb(self, cycle: int) -> None:
         """Applies the scripted faults of this cycle to slaves and time."""
-        reached, number = len(self.slaves), {name: index for index, name in enumerate(self._by_name)}
+        reached = len(self.slaves)
+        number = {name: index for index, name in enumerate(self._by_name)}
         for fault in self._settings.faults:
             if fault.kind == "stalled":
                 self._by_name[fault.slave].stalled = fault.lasts(cycle)

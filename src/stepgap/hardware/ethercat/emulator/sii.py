@@ -51,7 +51,8 @@ class Area:
 
 
 MAILBOX_AREAS = (Area(0x1000, 128, 0x26, 1), Area(0x1080, 128, 0x22, 2))
-OUTPUT_START, INPUT_START = 0x1100, 0x1180
+OUTPUT_START = 0x1100
+INPUT_START = 0x1180
 OUTPUT_CONTROL, INPUT_CONTROL = 0x64, 0x20  # Three buffers; outputs trigger the watchdog
 
 

@@ -62,7 +62,9 @@ class EmulatedSlave:
         delay: int = 0,
         watch: SyncWatch | None = None,
     ):
-        self.device, self._clock_parts, self._sync_watch = device, (time, error, delay), watch
+        self.device = device
+        self._clock_parts = (time, error, delay)
+        self._sync_watch = watch
         areas: tuple[Area, ...] = ()
         if device.dictionary is not None:
             outputs, inputs = (device.dictionary.image(which).length for which in (ASSIGN_OUTPUTS, ASSIGN_INPUTS))
@@ -90,9 +92,13 @@ class EmulatedSlave:
         pack_into("<H", self.memory, reg.PDI_WATCHDOG_TIME, 1000)
         self.memory[reg.WATCHDOG_STATUS] = 1
         self._fmmus: list[_Fmmu] = []
-        self._mail, self._request_counter = OutgoingMail(self.memory), 0
+        self._mail = OutgoingMail(self.memory)
+        self._request_counter = 0
         self._time = self._written = 0
-        self._outputs, self._inputs, self._outputs_at, self._inputs_at = NO_IMAGE, NO_IMAGE, 0, 0
+        self._outputs = NO_IMAGE
+        self._inputs = NO_IMAGE
+        self._outputs_at = 0
+        self._inputs_at = 0
         self._set_state(AlState.INIT)
         self.device.power_on()
 
@@ -184,14 +190,17 @@ class EmulatedSlave:
     def _exchange_logical(self, command: int, address: int, data: bytearray) -> int:
         """Processes LRD, LWR, LRW: reads the old memory and writes the new data through every overlapping FMMU."""
         read = written = False
-        end, incoming = address + len(data), bytes(data)
+        end = address + len(data)
+        incoming = bytes(data)
         # One datagram may meet several mappings: all of them write what came in, from `incoming`, since `data` already
         # has what an earlier one has read. The counter counts a read and a write once for each slave.
         for fmmu in self._fmmus:
-            low, high = max(address, fmmu.start), min(end, fmmu.end)
+            low = max(address, fmmu.start)
+            high = min(end, fmmu.end)
             if low >= high:
                 continue
-            physical, part = fmmu.physical + low - fmmu.start, slice(low - address, high - address)
+            physical = fmmu.physical + low - fmmu.start
+            part = slice(low - address, high - address)
             if fmmu.reads and command != Command.LWR:
                 data[part] = self.memory[physical : physical + high - low]
                 read = True
@@ -283,7 +292,8 @@ class EmulatedSlave:
 
     def _serve_eeprom(self) -> None:
         """Reads eight bytes at a word address (ETG.1000.4 §6.4); other commands but none are answered with an error."""
-        command, status = self._word(reg.EEPROM_CONTROL) & reg.EEPROM_COMMANDS, reg.EEPROM_READS_8_BYTES
+        command = self._word(reg.EEPROM_CONTROL) & reg.EEPROM_COMMANDS
+        status = reg.EEPROM_READS_8_BYTES
         if command not in (0, reg.EEPROM_READ):
             status |= reg.EEPROM_COMMAND_ERROR
         elif command:
@@ -305,7 +315,8 @@ class EmulatedSlave:
 
         A request of INIT acknowledges them, too.
         """
-        wanted, present = control & 0x0F, self.state
+        wanted = control & 0x0F
+        present = self.state
         acknowledged = control & reg.ACKNOWLEDGE or wanted == AlState.INIT
         if self.memory[reg.AL_STATUS] & reg.ERROR_FLAG and not acknowledged:
             return
@@ -338,7 +349,8 @@ class EmulatedSlave:
         """Enters OP; a device that needs SYNC0 refuses it without one (ETG.1020)."""
         if self._sync_watch is None:
             return AlState.OP, StatusCode.NONE
-        sync, time = Sync0.of(self.memory), self.clock.system_time()
+        sync = Sync0.of(self.memory)
+        time = self.clock.system_time()
         if not sync.active:
             return present, StatusCode.NO_SYNC
         if not sync.cycle:
@@ -351,15 +363,18 @@ class EmulatedSlave:
     def _enter_safe_operational(self) -> tuple[AlState, StatusCode]:
         """Enters SAFEOP if the lengths that the master mapped are those of the assigned PDOs."""
         dictionary = self.device.dictionary
-        self._outputs, self._inputs = NO_IMAGE, NO_IMAGE
+        self._outputs = NO_IMAGE
+        self._inputs = NO_IMAGE
         if dictionary is not None:
-            outputs, inputs = dictionary.image(ASSIGN_OUTPUTS), dictionary.image(ASSIGN_INPUTS)
+            outputs = dictionary.image(ASSIGN_OUTPUTS)
+            inputs = dictionary.image(ASSIGN_INPUTS)
             more = 1 if self.wrong_mapping else 0
             if not self._maps(2, outputs.length):
                 return AlState.PREOP, StatusCode.INVALID_OUTPUTS
             if not self._maps(3, inputs.length + more):
                 return AlState.PREOP, StatusCode.INVALID_INPUTS
-            self._outputs, self._inputs = outputs, inputs
+            self._outputs = outputs
+            self._inputs = inputs
             self._outputs_at, self._inputs_at = self._manager(2)[0], self._manager(3)[0]
         return AlState.SAFEOP, StatusCode.NONE
 

@@ -56,7 +56,8 @@ class EncoderTerminal(EmulatedDevice):
 
     def power_on(self) -> None:
         """Resets the PDOs; the counter follows the machine, as if the encoder were absolute."""
-        self._counter, self._status = ObjectEntry(0, 32), StatusWord()
+        self._counter = ObjectEntry(0, 32)
+        self._status = StatusWord()
         objects = {
             **self._status.entries,
             (INPUTS, VALUE): self._counter,
@@ -86,13 +87,15 @@ class AnalogInput(EmulatedDevice):
     def __init__(
         self, name: str, value: Callable[[Reading], float], resolution: float, identity: Identity = ANALOG_IDENTITY
     ):
-        self._value, self._resolution = value, resolution
+        self._value = value
+        self._resolution = resolution
         super().__init__(name, identity)
         self.power_on()
 
     def power_on(self) -> None:
         """Resets counts and PDOs."""
-        self._counts, self._status = ObjectEntry(0, 16, True), StatusWord()
+        self._counts = ObjectEntry(0, 16, True)
+        self._status = StatusWord()
         objects = {**self._status.entries, (INPUTS, VALUE): self._counts}
         inputs = {0x1A00: (*STATUS, Mapped(INPUTS, VALUE, 16))}
         self.dictionary = Dictionary(self.identity, objects, {}, inputs, (), (0x1A00,))

@@ -60,7 +60,8 @@ def _device_of(slave: Slave, file: EsiFile, found: int | None) -> tuple[EsiDevic
     if not devices:
         known = _listed(sorted({each.product for each in file.devices}), 8)
         return None, [Finding(f"product = 0x{slave.product:08X}, but the file describes {known or 'no device'}")]
-    wanted, known = slave.revision or found, _listed([each.revision for each in devices], 8)
+    wanted = slave.revision or found
+    known = _listed([each.revision for each in devices], 8)
     if not wanted:
         doubt = f"the file describes the revisions {known}; the last one is compared: give revision in rig.toml"
         return devices[-1], [Finding(doubt, is_error=False)] if len(devices) > 1 else []
@@ -97,7 +98,8 @@ def _direction_findings(
     wanted: tuple[Pdo, ...], own: tuple[EsiPdo, ...], of_modules: list[EsiPdo], manager: int, device: EsiDevice
 ) -> Iterator[Finding]:
     kind = "outputs" if manager == OUTPUT_MANAGER else "inputs"
-    indices, chosen = [pdo.index for pdo in wanted], list[EsiPdo]()
+    indices = [pdo.index for pdo in wanted]
+    chosen = list[EsiPdo]()
     for pdo in wanted:
         candidates = [each for each in (*own, *of_modules) if each.index == pdo.index]
         if candidates:
@@ -119,7 +121,8 @@ def _direction_findings(
 
 
 def _content_findings(wanted: Pdo, found: EsiPdo, pdo_config: bool) -> Iterator[Finding]:
-    difference, reals = _difference(wanted, found), [entry for entry in found.entries if entry.is_real]
+    difference = _difference(wanted, found)
+    reals = [entry for entry in found.entries if entry.is_real]
     for entry in wanted.entries:
         if entry.name and any((each.index, each.subindex) == (entry.index, entry.subindex) for each in reals):
             yield Finding(f"pdos: {entry} is a REAL according to the file, and the rig has whole numbers only")
@@ -142,7 +145,8 @@ def names_no_objects(pdo: EsiPdo) -> bool:
 
 def _difference(wanted: Pdo, found: EsiPdo) -> str:
     """What differs between the used values of a PDO and the file; empty if nothing does."""
-    at, there = 0, dict[int, tuple[int, int, int]]()
+    at = 0
+    there = dict[int, tuple[int, int, int]]()
     for entry in found.entries:
         there[at] = entry.index, entry.subindex, entry.bits
         at += entry.bits
@@ -183,7 +187,8 @@ def _assignment_findings(
 
 
 def _clock_findings(slave: Slave, device: EsiDevice) -> Iterator[Finding]:
-    wanted, modes = slave.assign_activate, device.op_modes
+    wanted = slave.assign_activate
+    modes = device.op_modes
     listed = ", ".join(f"{mode.name} 0x{mode.assign_activate:04X}" for mode in modes)
     if not modes:
         if wanted:
@@ -236,7 +241,8 @@ def _init_findings(slave: Slave, device: EsiDevice, file: EsiFile) -> Iterator[F
     for command in startup_commands(device):
         address = f"0x{command.index:04X}:{command.subindex:02X}"
         comment = f" ({command.comment})" if command.comment else ""
-        text, own = startup_text(command), present.get((command.index, command.subindex))
+        text = startup_text(command)
+        own = present.get((command.index, command.subindex))
         if own is not None:
             bytes_of = LAYOUTS[own.kind].pack(own.value)
             if command.data is not None and bytes_of != command.data:

@@ -38,7 +38,8 @@ VALUES = {
 OTHER_TARGETS = frozenset({0x607A, 0x60FF, 0x6042})
 """Targets of position and velocity, which a set for torque does without if possible."""
 
-_MOST_SEARCHED, _MOST_COMBINED = 24, 3
+_MOST_SEARCHED = 24
+_MOST_COMBINED = 3
 _LARGEST_ENTRY = 64
 
 
@@ -102,7 +103,8 @@ def _device_lines(file: EsiFile, device: EsiDevice) -> Iterator[str]:
 def _clock_lines(device: EsiDevice) -> Iterator[str]:
     if not device.op_modes:
         return
-    default, supported = device.op_modes[0], (0, SYNC0_ONLY, SYNC0_AND_SYNC1)
+    default = device.op_modes[0]
+    supported = (0, SYNC0_ONLY, SYNC0_AND_SYNC1)
     listed = ", ".join(f"0x{mode.assign_activate:04X} {mode.name}" for mode in device.op_modes)
     value = default.assign_activate & SYNC_SIGNALS
     yield f"assign_activate = 0x{value if value in supported else 0:04X} # the file has {listed}"
@@ -130,7 +132,8 @@ _Chosen = tuple[tuple[EsiPdo, ...], tuple[EsiPdo, ...]]
 def _named_sets(device: EsiDevice, file: EsiFile) -> dict[str, _Chosen]:
     """Sets that the rig can exchange: one for torque, if the device is a drive, and that after power-up."""
     name = re.sub(r"[^a-z0-9]+", "-", (device.kind or device.name or "device").lower()).strip("-") or "device"
-    torque, default = _for_torque(device), _after_power_up(device)
+    torque = _for_torque(device)
+    default = _after_power_up(device)
     found: dict[str, _Chosen] = {}
     if torque:
         found[f"{name}-torque"] = torque
@@ -194,7 +197,8 @@ def _converted(chosen: _Chosen) -> tuple[tuple[Pdo, ...], tuple[Pdo, ...]]:
     named: set[str] = set()
     directions = []
     for pdos in chosen:
-        converted, bit = [], 0
+        converted = []
+        bit = 0
         for pdo in pdos:
             entries = []
             for entry in pdo.entries:

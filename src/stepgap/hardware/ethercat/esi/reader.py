@@ -237,7 +237,11 @@ def parse_number(text: str) -> int:
         ValueError: It is another text.
     """
     match = _NUMBER.fullmatch(text.strip())
-    value = int(match["hex"], 16) if match and match["hex"] else int(match["decimal"]) if match else 2**32
+    value = 2**32
+    if match and match["hex"]:
+        value = int(match["hex"], 16)
+    elif match:
+        value = int(match["decimal"])
     if value >= 2**32:
         raise ValueError(f"'{shorten(text, 30)}' is not a number such as #x1A00 or 6656, less than 2³²")
     return value
@@ -250,7 +254,8 @@ def shorten(text: str, most: int = _LONGEST_NAME) -> str:
 
 
 def _device(element: Element) -> EsiDevice:
-    kind, coe = element.find("Type"), element.find("Mailbox", "CoE")
+    kind = element.find("Type")
+    coe = element.find("Mailbox", "CoE")
     if kind is None:
         raise ValueError(f"line {element.line}: Device has no Type")
     timeout = element.find("Info", "StateMachine", "Timeout", "SafeopOpTimeout")

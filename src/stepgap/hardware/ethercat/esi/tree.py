@@ -164,7 +164,8 @@ class _Builder:
         self.parser.EndElementHandler = self._end
         self.parser.CharacterDataHandler = self._add_text
         self._open = [Element("", {}, 0)]
-        self._skipped, self._count = 0, 0
+        self._skipped = 0
+        self._count = 0
 
     def root(self) -> Element:
         """The outermost element.

@@ -123,7 +123,8 @@ def _touching(model: Any) -> Sequence[int]:
 
 def _lowest(model: Any, data: Any, geom: int) -> float:
     """Height of the lowest point of a geom, or a little less if it is neither a sphere nor a capsule [m]."""
-    up, size = data.geom_xmat[geom].reshape(3, 3)[2], model.geom_size[geom]
+    up = data.geom_xmat[geom].reshape(3, 3)[2]
+    size = model.geom_size[geom]
     if model.geom_type[geom] in _ROUND:
         return float(data.geom_xpos[geom, 2] - size[0] - abs(up[2]) * size[1])
     centre, halves = model.geom_aabb[geom].reshape(2, 3)

@@ -68,7 +68,8 @@ class Observation:
     def __init__(self, settings: PolicySettings, model: Any):
         self._settings = settings
         joints = [model.joint(name).id for name in settings.joints]
-        self._positions, self._rates = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+        self._positions = model.jnt_qposadr[joints]
+        self._rates = model.jnt_dofadr[joints]
         self._default = np.array(settings.default_joint_pos)
         self._scales = [np.array(getattr(settings.scale, term)) for term in settings.observation]
         kind = mujoco.mjtObj.mjOBJ_SITE if settings.imu else mujoco.mjtObj.mjOBJ_XBODY
@@ -124,13 +125,16 @@ class PolicyControl(WalkingControl):
     """
 
     def __init__(self, settings: PolicySettings, network: OnnxNetwork):
-        self._settings, self._network = settings, network
+        self._settings = settings
+        self._network = network
         self.period = settings.period
 
     def start(self, model: Any, data: Any) -> None:
         """Forgets all observations and actions; actuators of other joints keep their control signals."""
         self._observation = Observation(self._settings, model)
-        self._actions, self._calls, self._ctrl = np.zeros(len(self._settings.joints)), 0, data.ctrl.copy()
+        self._actions = np.zeros(len(self._settings.joints))
+        self._calls = 0
+        self._ctrl = data.ctrl.copy()
         actuators = actuators_of_joints(model)
         self._actuators = [actuators[joint] for joint in self._settings.joints]
 
@@ -138,8 +142,10 @@ class PolicyControl(WalkingControl):
         """Observes, and computes the targets of the joints."""
         seconds = self._calls * self.period
         observation = self._observation.next(model, data, self._actions, command, seconds)
-        clip, scale = self._settings.action_clip, np.array(self._settings.action_scale)
-        self._actions, self._calls = np.clip(self._network(observation), -clip, clip), self._calls + 1
+        clip = self._settings.action_clip
+        scale = np.array(self._settings.action_scale)
+        self._actions = np.clip(self._network(observation), -clip, clip)
+        self._calls = self._calls + 1
         self._ctrl[self._actuators] = np.array(self._settings.default_joint_pos) + scale * self._actions
         return self._ctrl
 

@@ -95,7 +95,8 @@ class PolicySettings:
         require(whole and self.period <= 1, "period", self.period, f"be a multiple of timestep = {self.timestep:g}")
         require(0 < self.gait_period < inf, "gait_period", self.gait_period, "be positive")
         require(self.action_clip > 0, "action_clip", self.action_clip, "be positive")
-        joints, terms = len(self.joints), len(self.observation)
+        joints = len(self.joints)
+        terms = len(self.observation)
         require(0 < joints == len({*self.joints}), "joints", list(self.joints), "have different names, at least one")
         for term in self.observation:
             require(term in TERMS, "observation", term, f"be made of {', '.join(TERMS)}")
@@ -117,7 +118,8 @@ class PolicySettings:
     @property
     def sizes(self) -> dict[str, int]:
         """Number of values of each term at one time."""
-        joints, phases = len(self.joints), len(self.gait_offsets)
+        joints = len(self.joints)
+        phases = len(self.gait_offsets)
         known = {"joint_pos": joints, "joint_vel": joints, "actions": joints, "phase_sin": phases, "phase_cos": phases}
         return {term: known.get(term, 3) for term in TERMS}
 

@@ -117,11 +117,18 @@ def _propose_observation(
         unknown = ", ".join(name for name in names if name not in TERMS)
         lines.append(f"Of the terms that the policy names, there is no {unknown:.200}: {', '.join(names):.600}")
     for what, terms in _LAYOUTS.items():
-        size = sum(network.outputs if term in _JOINTS else 1 if "phase" in term else 3 for term in terms)
+        size = sum(_term_size(term, network.outputs) for term in terms)
         if network.inputs % size == 0:
             lines.append(f"{what}{f', history {network.inputs // size}' if network.inputs > size else ''}:")
             lines.append(toml_line("observation", terms))
     advice["observation"] = lines
+
+
+def _term_size(term: str, joints: int) -> int:
+    """Number of values of a term of the observation."""
+    if term in _JOINTS:
+        return joints
+    return 1 if "phase" in term else 3
 
 
 def completed_model(text: str, model: Parts, joints: Sequence[str]) -> tuple[str, list[str]]:
@@ -132,7 +139,8 @@ def completed_model(text: str, model: Parts, joints: Sequence[str]) -> tuple[str
         model: What is in it.
         joints: Joints that get servos, whose gains are to be set.
     """
-    root, added = ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))), list[str]()
+    root = ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
+    added = list[str]()
     if not model.ground:
         world = root.find("worldbody")
         ET.SubElement(ET.SubElement(root, "worldbody") if world is None else world, "geom", _GROUND)

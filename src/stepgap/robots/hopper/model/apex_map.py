@@ -38,7 +38,9 @@ def _packed(masses: Masses, law: JointLaw, tolerances: Tolerances) -> Array:
 def _unpacked(constants):
     """Unpacks the constants into (masses, law, tolerances)."""
     numbers = to_fixed_tuple(constants, 24)  # pyright: ignore[reportCallIssue]  (Numba adds the first argument)
-    leg, flight, stance = Leg(*numbers[:3]), Tolerance(*numbers[20:22]), Tolerance(*numbers[22:])
+    leg = Leg(*numbers[:3])
+    flight = Tolerance(*numbers[20:22])
+    stance = Tolerance(*numbers[22:])
     return Masses(leg, *numbers[3:12]), JointLaw(leg, *numbers[12:20]), Tolerances(flight, stance)
 
 
@@ -52,7 +54,9 @@ def _same_state(points, i):
 def _hop_all(constants, points, next_state, status):
     """Fills `next_state` (n, 2) and `status` (n,) for points (speed, height, fx, fy) of shape (n, 4)."""
     masses, law, tolerances = _unpacked(constants)
-    trace, landed, middle = make_trace(), INVALID, (0.0, 0.0, 0.0, 0.0)
+    trace = make_trace()
+    landed = INVALID
+    middle = (0.0, 0.0, 0.0, 0.0)
     for i in range(points.shape[0]):
         speed, height, force_x, force_y = points[i]
         if not _same_state(points, i):
@@ -68,9 +72,12 @@ def _hop_all(constants, points, next_state, status):
 def _differentiate_all(constants, nudge, points, jacobian):
     """Fills `jacobian` (n, 2, 4) by differences: neighbours at distance `nudge` (4,) retrace each point's steps."""
     masses, law, tolerances = _unpacked(constants)
-    trace_down, trace_up = make_trace(), make_trace()
-    landed, middle = INVALID, (0.0, 0.0, 0.0, 0.0)
-    faster, higher = middle, middle
+    trace_down = make_trace()
+    trace_up = make_trace()
+    landed = INVALID
+    middle = (0.0, 0.0, 0.0, 0.0)
+    faster = middle
+    higher = middle
     for i in range(points.shape[0]):
         speed, height, force_x, force_y = points[i]
         if not _same_state(points, i):
@@ -85,7 +92,8 @@ def _differentiate_all(constants, nudge, points, jacobian):
             continue
         starts = (faster, higher, middle, middle)
         for j in range(4):
-            more_x, more_y = nudge[2] if j == 2 else 0.0, nudge[3] if j == 3 else 0.0
+            more_x = nudge[2] if j == 2 else 0.0
+            more_y = nudge[3] if j == 3 else 0.0
             _, neighbour_speed, neighbour_height = to_apex(
                 masses, law, tolerances, starts[j], force_x + more_x, force_y + more_y, trace_up, True
             )
@@ -153,7 +161,8 @@ class ApexMap(StepMap):
             ValueError: The last axis of state or command does not have length 2.
         """
         points, leading = as_points(state, command)
-        next_state, status = np.empty((len(points), 2)), np.empty(len(points), np.int64)
+        next_state = np.empty((len(points), 2))
+        status = np.empty(len(points), np.int64)
         on_all_cores(_hop_all, (self._constants,), points, next_state, status)
         return Outcome(next_state.reshape(*leading, 2), status.reshape(leading))
 
@@ -173,7 +182,8 @@ class ApexMap(StepMap):
 
 def as_points(state: ArrayLike, command: ArrayLike) -> tuple[Array, tuple[int, ...]]:
     """Points (speed, height, fx, fy) of shape (n, 4), and the leading shape of state and command."""
-    state, command = np.asarray(state, float), np.asarray(command, float)
+    state = np.asarray(state, float)
+    command = np.asarray(command, float)
     if state.shape[-1:] != (2,) or command.shape[-1:] != (2,):
         raise ValueError(
             f"state {state.shape} and command {command.shape} must end with the axes (speed, height) and (fx, fy)"

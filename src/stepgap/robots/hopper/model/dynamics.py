@@ -81,10 +81,12 @@ class LegInertia(NamedTuple):
 @compiled
 def leg_inertia(masses, bar, alpha_2):
     """`LegInertia` of both halves of the leg together, with `bar` from `four_bar` at α₂."""
-    sin_2, cos_2 = np.sin(alpha_2), np.cos(alpha_2)
+    sin_2 = np.sin(alpha_2)
+    cos_2 = np.cos(alpha_2)
     sin_k = sin_2 * bar.cos_beta + cos_2 * bar.sin_beta  # knee angle α₂ + β
     cos_k = cos_2 * bar.cos_beta - sin_2 * bar.sin_beta
-    b, db = bar.d_beta, bar.dd_beta
+    b = bar.d_beta
+    db = bar.dd_beta
     return LegInertia(
         s=2.0 * (masses.knee_moment * cos_2 + masses.shank_moment * bar.cos_beta),
         d_s=-2.0 * (masses.knee_moment * sin_2 + masses.shank_moment * bar.sin_beta * b),
@@ -120,7 +122,8 @@ class Terms(NamedTuple):
 @compiled
 def terms(masses, bar, alpha_1, alpha_2, rate_1, rate_2):
     """`Terms` of the equations of motion at leg angles [rad] and rates [rad/s]."""
-    sin_1, cos_1 = np.sin(alpha_1), np.cos(alpha_1)
+    sin_1 = np.sin(alpha_1)
+    cos_1 = np.cos(alpha_1)
     leg = leg_inertia(masses, bar, alpha_2)
     along = leg.dd_s * rate_2**2 - leg.s * rate_1**2
     across = 2.0 * leg.d_s * rate_1 * rate_2
@@ -150,7 +153,10 @@ def solve_symmetric(a, b, d, p, q):
 @compiled
 def flight_acceleration(m, torque_1, torque_2):
     """Accelerations (ẍ, ÿ, α̈₁, α̈₂) in flight (Eq. 5), with `m` from `terms` and motor torques [N·m]."""
-    x_1, x_2, y_1, y_2 = m.x_1 / m.x, m.x_2 / m.x, m.y_1 / m.y, m.y_2 / m.y
+    x_1 = m.x_1 / m.x
+    x_2 = m.x_2 / m.x
+    y_1 = m.y_1 / m.y
+    y_2 = m.y_2 / m.y
     acc_1, acc_2 = solve_symmetric(
         m.a - x_1 * m.x_1 - y_1 * m.y_1,
         -x_1 * m.x_2 - y_1 * m.y_2,
@@ -190,7 +196,8 @@ def stance_acceleration(m, toe, rate_1, rate_2, torque_1, torque_2):
     """
     c_x = -(2.0 * toe.x_12 * rate_1 * rate_2 + toe.x_22 * rate_2**2 - toe.x * rate_1**2)  # −J̇q̇
     c_y = -(2.0 * toe.y_12 * rate_1 * rate_2 + toe.y_22 * rate_2**2 - toe.y * rate_1**2)
-    r_x, r_y = m.n_x + m.x * c_x, m.n_y + m.y * c_y
+    r_x = m.n_x + m.x * c_x
+    r_y = m.n_y + m.y * c_y
     p = torque_1 + torque_2 - m.n_1 - m.x_1 * c_x - m.y_1 * c_y + toe.x_1 * r_x + toe.y_1 * r_y
     q = torque_1 - torque_2 - m.n_2 - m.x_2 * c_x - m.y_2 * c_y + toe.x_2 * r_x + toe.y_2 * r_y
     a, b, d = pinned_mass(m, toe)

@@ -51,9 +51,11 @@ class FootholdMap(StepMap):
     @cached_property
     def _toe(self) -> tuple[float, float]:
         """Distance of the landing foot from the hip [m], and its angle from the leg's axis [rad]."""
-        leg, length = leg_of(self.robot), self.gains.landing_length
+        leg = leg_of(self.robot)
+        length = self.gains.landing_length
         beta = asin(leg.top / leg.bottom * sin(knee_angle(leg, length)))
-        x, y = leg.foot * sin(beta), length + leg.foot * cos(beta)
+        x = leg.foot * sin(beta)
+        y = length + leg.foot * cos(beta)
         return sqrt(x**2 + y**2), float(np.arctan2(x, y))
 
     @property
@@ -65,7 +67,8 @@ class FootholdMap(StepMap):
         """Next states and status codes; state (…, 3) and command (…, 2) broadcast."""
         state = np.asarray(state, float)
         next_apex, status = self.apexes.evaluate(state[..., :2], command)
-        speed, next_speed = state[..., 0], next_apex[..., 0]
+        speed = state[..., 0]
+        next_speed = next_apex[..., 0]
         stance, flight = self._times(next_apex[..., 1])
         stride = self._ahead(next_speed) - self._ahead(speed) + stance * (speed + next_speed) / 2 + flight * next_speed
         return Outcome(np.concatenate([next_apex, stride[..., None]], axis=-1), status)

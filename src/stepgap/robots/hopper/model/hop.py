@@ -97,7 +97,8 @@ def _next_mode(mode, torque):
 
 @implements(switched, Flight)
 def _flight_switched(system, time, state, motor):
-    s, torques = system, flight_motion(system, time, state)[3]
+    s = system
+    torques = flight_motion(system, time, state)[3]
     mode_1 = _next_mode(s.mode_1, torques[0]) if motor == 1 else s.mode_1
     mode_2 = _next_mode(s.mode_2, torques[1]) if motor == 2 else s.mode_2
     return Flight(
@@ -108,7 +109,8 @@ def _flight_switched(system, time, state, motor):
 
 @implements(switched, Stance)
 def _stance_switched(system, time, state, motor):
-    s, torques = system, stance_motion(system, state)[3]
+    s = system
+    torques = stance_motion(system, state)[3]
     mode_1 = _next_mode(s.mode_1, torques[0]) if motor == 1 else s.mode_1
     mode_2 = _next_mode(s.mode_2, torques[1]) if motor == 2 else s.mode_2
     return Stance(
@@ -131,7 +133,10 @@ def _run_phase(system, state, time_limit, tolerance, trace, retracing):
     Returns:
         (status, event, time, state): OK and CONTACT or REVERSAL, or a status that is common to both phases.
     """
-    guards, time, event, h = rate_and_guards(system, 0.0, state)[1], 0.0, BROKEN, FIRST_STEP
+    guards = rate_and_guards(system, 0.0, state)[1]
+    time = 0.0
+    event = BROKEN
+    h = FIRST_STEP
     if guards[MOTOR_1] <= 0.0:
         system = switched(system, time, state, 1)
     if guards[MOTOR_2] <= 0.0:
@@ -156,8 +161,11 @@ def _run_phase(system, state, time_limit, tolerance, trace, retracing):
         system = switched(system, time, state, 1 if event == MOTOR_1 else 2)
     if event == CONTACT or event == REVERSAL:
         return OK, event, time, state
-    status = FELL if event == FALLING_OVER else FULL_STRETCH if event == STRETCHING else NO_APEX
-    return status, event, time, state
+    if event == FALLING_OVER:
+        return FELL, event, time, state
+    if event == STRETCHING:
+        return FULL_STRETCH, event, time, state
+    return NO_APEX, event, time, state
 
 
 @compiled
@@ -189,7 +197,8 @@ def to_midstance(masses, law, tolerances, speed, height, trace, retracing):
         return status if status != OK else NO_APEX, state
 
     bar = four_bar(masses.leg, state[1])
-    toe, m = foot(masses.leg, bar, state[0]), terms(masses, bar, state[0], state[1], state[2], state[3])
+    toe = foot(masses.leg, bar, state[0])
+    m = terms(masses, bar, state[0], state[1], state[2], state[3])
     hip = hip_in_flight(descent, m, time, state)
     _, speed_y, rate_1, rate_2 = impact(m, toe, hip.speed_x, hip.speed_y, state[2], state[3])
     state = (state[0], state[1], rate_1, rate_2)

@@ -65,7 +65,8 @@ class Foot(NamedTuple):
 @compiled
 def four_bar(leg, alpha_2):
     """`FourBar` at half the angle between the top links α₂ [rad]."""
-    sin_2, cos_2 = np.sin(alpha_2), np.cos(alpha_2)
+    sin_2 = np.sin(alpha_2)
+    cos_2 = np.cos(alpha_2)
     ratio = leg.top / leg.bottom
     sin_beta = ratio * sin_2
     cos_beta = np.sqrt(1.0 - sin_beta * sin_beta)
@@ -86,7 +87,8 @@ def four_bar(leg, alpha_2):
 @compiled
 def foot(leg, bar, alpha_1):
     """`Foot` at leg angle α₁ [rad], with `bar` from `four_bar` at α₂."""
-    sin_1, cos_1 = np.sin(alpha_1), np.cos(alpha_1)
+    sin_1 = np.sin(alpha_1)
+    cos_1 = np.cos(alpha_1)
     sin_f = sin_1 * bar.cos_beta + cos_1 * bar.sin_beta
     cos_f = cos_1 * bar.cos_beta - sin_1 * bar.sin_beta
     toe = leg.foot

@@ -125,7 +125,8 @@ def flight_motion(system, time, state):
     """(rate, hip, clearance of the foot [m], torques that the law asks for [N·m]) in flight."""
     bar = four_bar(system.masses.leg, state[1])
     m = terms(system.masses, bar, state[0], state[1], state[2], state[3])
-    hip, limit = hip_in_flight(system, m, time, state), system.law.torque_limit
+    hip = hip_in_flight(system, m, time, state)
+    limit = system.law.torque_limit
     torque_1, torque_2 = flight_torque(system.law, state[0], state[1], state[2], state[3], hip.speed_x)
     acceleration = flight_acceleration(
         m, limited(torque_1, system.mode_1, limit), limited(torque_2, system.mode_2, limit)
@@ -140,7 +141,8 @@ def stance_motion(system, state):
     bar = four_bar(system.masses.leg, state[1])
     toe = foot(system.masses.leg, bar, state[0])
     m = terms(system.masses, bar, state[0], state[1], state[2], state[3])
-    sin_1, cos_1 = np.sin(state[0]), np.cos(state[0])
+    sin_1 = np.sin(state[0])
+    cos_1 = np.cos(state[0])
     torque_1, torque_2 = stance_torque(system.law, bar, toe, sin_1, cos_1, system.force_x, system.force_y)
     limit = system.law.torque_limit
     torques = limited(torque_1, system.mode_1, limit), limited(torque_2, system.mode_2, limit)

@@ -56,7 +56,8 @@ LEAST_FLIGHT, MOST_CHANGE = 0.2, 0.06
 row differs from the slow mean (0.02; a robot that bounces, once 0.08)."""
 
 _YAW_AGAINST_LEG = int(Limited.YAW_AGAINST_LEG)
-_PITCH_AGAINST_LEG, _PITCH_AGAINST_FLIGHT = int(Limited.PITCH_AGAINST_LEG), int(Limited.PITCH_AGAINST_FLIGHT)
+_PITCH_AGAINST_LEG = int(Limited.PITCH_AGAINST_LEG)
+_PITCH_AGAINST_FLIGHT = int(Limited.PITCH_AGAINST_FLIGHT)
 
 
 class Standing(NamedTuple):
@@ -146,14 +147,20 @@ def judge_closures(settings, state, flight, sampled, force, phase, foot_height, 
         foot_height: Height of the foot above the ground, by leg and boom [m].
         body: `Body` of this tick.
     """
-    before, doubts = state.sensors.closures, 0
-    contact, evidence, height = before.contact, before.evidence, before.height
-    apex, fall, change = before.apex, before.fall, before.change
+    before = state.sensors.closures
+    doubts = 0
+    contact = before.contact
+    evidence = before.evidence
+    height = before.height
+    apex = before.apex
+    fall = before.fall
+    change = before.change
     if force > 0.0:
         if contact.readings == 0:
             height, doubts = _landed(settings.limits, height, foot_height)
             fall, change, unlike = _flown(before, flight.fit)
-            apex, doubts = np.nan, doubts | unlike
+            apex = np.nan
+            doubts = doubts | unlike
         if sampled > state.sampled:
             contact = _with_reading(contact, sampled, force, body.x, body.foot_x)
     elif contact.readings > 0:
@@ -175,10 +182,16 @@ def _no_contact():
 @as_written
 def _with_reading(contact, time, force, hip, foot):
     """`Standing` with a reading: its time [s], contact force [N], travel of the hip and distance of the foot [m]."""
-    begin, hip_there, foot_there = contact.begin, contact.hip, contact.foot
+    begin = contact.begin
+    hip_there = contact.hip
+    foot_there = contact.foot
     if contact.readings == 0:
-        begin, hip_there, foot_there = time, hip, foot
-    w, t, f = force * force, time - begin, foot - foot_there
+        begin = time
+        hip_there = hip
+        foot_there = foot
+    w = force * force
+    t = time - begin
+    f = foot - foot_there
     s = hip - hip_there + f
     return Standing(
         readings=contact.readings + 1, begin=begin, hip=hip_there, foot=foot_there, latest=t, w=contact.w + w,
@@ -212,13 +225,16 @@ def with_slip(before, slip, speed):
     For normal slips of deviation σ, the likelihood of a mean m against one of zero has the logarithm m (slip − m/2) /
     σ². With a tolerance instead of m/2, it is evidence of any mean beyond the tolerance.
     """
-    pace, least = abs(speed), SLIP_DEVIATION * SLIP_DEVIATION
+    pace = abs(speed)
+    least = SLIP_DEVIATION * SLIP_DEVIATION
     most = COUNTED_SLIP + COUNTED_SHARE * pace
     slip = min(most, max(-most, slip))
     change = slip - before.slip
     variance = max(least, before.variance + MEAN_GAIN * (0.5 * change * change - before.variance))
-    deviation, tolerance = np.sqrt(variance), DRIFT + DRIFT_SHARE * pace
-    along, square = WRONG_SCALE * slip * speed / variance, WRONG_SCALE * pace * pace / variance
+    deviation = np.sqrt(variance)
+    tolerance = DRIFT + DRIFT_SHARE * pace
+    along = WRONG_SCALE * slip * speed / variance
+    square = WRONG_SCALE * pace * pace / variance
     return YawEvidence(
         slip=slip,
         variance=variance,
@@ -240,7 +256,9 @@ def slip_of(contact):
 @as_written
 def _flown(before, fit):
     """Slow mean of the acceleration [m/s²], change from it, and a reason to doubt the pitch, after a flight."""
-    after, fall, mean = after_vertex(fit), vertical_acceleration(fit), before.fall
+    after = after_vertex(fit)
+    fall = vertical_acceleration(fit)
+    mean = before.fall
     if np.isnan(before.apex + after) or fit.latest < LEAST_FLIGHT:
         return mean, before.change, 0
     late = before.apex - (fit.latest - after)

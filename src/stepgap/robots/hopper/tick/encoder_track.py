@@ -115,7 +115,8 @@ def with_angle(track, tick, count, time, angle, torque, should_move):
             torque=torque, restless=0.0, restless_before=0.0, anchor=angle, still=0.0,
         )  # fmt: skip
         return first, NO_JUMP
-    took, movement = time - track.time, angle - track.angle
+    took = time - track.time
+    movement = angle - track.angle
     size = change = speed = pace = 0.0
     longest = max(took, max(track.took, track.took_before)) / tick
     scale = 1.0 / max(1.0, longest * longest)
@@ -125,14 +126,17 @@ def with_angle(track, tick, count, time, angle, torque, should_move):
         change = scale * tick * copysign(max(0.0, abs(bend) - abs(before)), bend)
         pace = tick * abs(before)
     if track.readings >= 3:
-        before, latest = track.movement_before / track.took_before, movement / took
+        before = track.movement_before / track.took_before
+        latest = movement / took
         size = scale * (track.movement - 0.5 * (before + latest) * track.took)
         speed = tick * max(abs(before), max(abs(latest), 0.5 * abs(track.movement / track.took)))
         pace = max(pace, tick * abs(before))
     restless = max(RESTLESS_KEPT * track.restless, abs(torque - track.torque))
-    anchor, still = track.anchor, track.still
+    anchor = track.anchor
+    still = track.still
     if abs(angle - anchor) > STILL_COUNTS * count:
-        anchor, still = angle, 0.0
+        anchor = angle
+        still = 0.0
     elif should_move:
         still += took
     after = EncoderTrack(
@@ -176,9 +180,12 @@ def with_count(counts, tick, unit, value, track, jump):
     size = min(abs(jump.size) / unit, NOISE_COUNTS)
     latest = tick * track.movement / (track.took * unit) if track.took > 0.0 else 0.0
     pace = counts.pace + PACE_GAIN * (latest - counts.pace)
-    begin, seen, stuck = counts.begin, counts.seen | 1 << int(value % RESIDUES), counts.stuck
+    begin = counts.begin
+    seen = counts.seen | 1 << int(value % RESIDUES)
+    stuck = counts.stuck
     if np.isnan(begin) or abs(pace) > SLOW_PACE:
-        begin, seen = value, 0
+        begin = value
+        seen = 0
     elif abs(value - begin) > SWEPT:
         begin, seen, stuck = value, 0, int(2 * _number_of_bits(seen) <= RESIDUES)
     return Counts(

@@ -88,7 +88,8 @@ def no_samples():
 @as_written
 def with_sample(fit, time, x, y):
     """`FlightFit` with a sample added: time since take-off [s], x relative to take-off [m], y [m]."""
-    u, v = time - CENTRE, y - LEVEL
+    u = time - CENTRE
+    v = y - LEVEL
     u2 = u * u
     return FlightFit(
         samples=fit.samples + 1,
@@ -199,7 +200,8 @@ def _polynomials(fit):
     w2 = fit.u2 - m * fit.u
     w3 = fit.u3 - m * (3.0 * fit.u2 - 2.0 * m * fit.u)
     w4 = fit.u4 - m * (4.0 * fit.u3 - m * (6.0 * fit.u2 - 3.0 * m * fit.u))
-    skew, level = w3 / w2, w2 / fit.samples
+    skew = w3 / w2
+    level = w2 / fit.samples
     return m, w2, skew, level, w4 - skew * w3 - w2 * level
 
 
@@ -242,16 +244,28 @@ class JointRates(NamedTuple):
 @as_written
 def with_reading(rates, time, alpha_1, alpha_2):
     """`JointRates` updated by the angles [rad] of a reading at a time [s]; a reading that is not new has no effect."""
-    rate_1, rate_2, before = rates.rate_1, rates.rate_2, rates.time_before
-    readings, latest, old_1, old_2 = rates.readings, rates.time, rates.alpha_1, rates.alpha_2
-    past_1, past_2 = rates.alpha_1_before, rates.alpha_2_before
+    rate_1 = rates.rate_1
+    rate_2 = rates.rate_2
+    before = rates.time_before
+    readings = rates.readings
+    latest = rates.time
+    old_1 = rates.alpha_1
+    old_2 = rates.alpha_2
+    past_1 = rates.alpha_1_before
+    past_2 = rates.alpha_2_before
     if readings == 0 or time > latest:
         if readings == 2:
             # rounded to picoseconds, so that the last digits do not depend on the time since the start
             took = np.rint(1e12 * (time - before)) / 1e12
-            rate_1, rate_2 = (alpha_1 - past_1) / took, (alpha_2 - past_2) / took
-        before, past_1, past_2 = latest, old_1, old_2
-        readings, latest, old_1, old_2 = min(readings + 1, 2), time, alpha_1, alpha_2
+            rate_1 = (alpha_1 - past_1) / took
+            rate_2 = (alpha_2 - past_2) / took
+        before = latest
+        past_1 = old_1
+        past_2 = old_2
+        readings = min(readings + 1, 2)
+        latest = time
+        old_1 = alpha_1
+        old_2 = alpha_2
     return JointRates(
         readings=readings, time=latest, alpha_1=old_1, alpha_2=old_2, time_before=before, alpha_1_before=past_1,
         alpha_2_before=past_2, rate_1=rate_1, rate_2=rate_2,

@@ -73,10 +73,13 @@ class HopControl(TickControl):
         limits: SafetyLimits,
         ground: UnevenGround = FLAT_GROUND,
     ):
-        law, uneven = joint_law(robot, gains), ground.is_measured
-        self._uneven, self._footholds = uneven, ground.has_footholds
+        law = joint_law(robot, gains)
+        uneven = ground.is_measured
+        self._uneven = uneven
+        self._footholds = ground.has_footholds
         self._settings = as_record(TickSettings(sensor_model, masses_of(robot), law, limits=limits, uneven=int(uneven)))
-        self._memory, self._row = as_record(HopState()), np.zeros(len(TICK_UNITS))
+        self._memory = as_record(HopState())
+        self._row = np.zeros(len(TICK_UNITS))
         _prepare(self._settings, self._memory, self._row)
 
     def observe(self, reading: HopperReading) -> HopState:
@@ -133,7 +136,8 @@ class HopControl(TickControl):
     def finished_step(self) -> FinishedStep:
         """The hop that ended with the last tick."""
         apex = Apex(*self._memory["apex"][0].item())
-        state, lost = [apex.speed, apex.height], np.array([apex.lost_x, apex.lost_y])
+        state = [apex.speed, apex.height]
+        lost = np.array([apex.lost_x, apex.lost_y])
         state = np.array([*state, apex.next_foothold] if self._footholds else state)
         return FinishedStep(state, np.array([apex.force_x, apex.force_y]), lost, self._context(apex.yaw))
 
@@ -166,7 +170,8 @@ class HopControl(TickControl):
         names = ", ".join(reason.name.lower().replace("_", " ") for reason in stopped if reason.name)
         if Limited.JOINT_SPEED not in stopped:
             return names
-        motion, stage = self.motion, from_record(Stage, self._memory["stage"])
+        motion = self.motion
+        stage = from_record(Stage, self._memory["stage"])
         speed = abs(motion.rate_1) + abs(motion.rate_2)
         return f"{names} ({speed:.1f} rad/s; at most {stage.joint_speed:.1f} in this stage)"
 
@@ -232,7 +237,8 @@ class HopperControl(RobotControl):
         """Description of a logged tick: pose, contact, torques and exceeded limits."""
         reading = HopperReading(*(tick[name] for name in HopperReading._fields))
         state = self._new_control(rig).observe(reading)
-        motion, beyond = state.motion, Limited(state.watch.stopped)
+        motion = state.motion
+        beyond = Limited(state.watch.stopped)
         return {
             "phase": Phase(int(tick["phase"])).name,
             "alpha_1": f"{degrees(motion.alpha_1):+.2f}°",
@@ -246,7 +252,8 @@ class HopperControl(RobotControl):
 
     def travels(self, rig: Rig, tick: Mapping[str, float]) -> dict[str, float]:
         """Travel of the hip by the boom's encoders, and by the leg over its foot on the ground [m]."""
-        sensors, leg = hopper_sensors(rig.sensor_model), leg_of(self.robot)
+        sensors = hopper_sensors(rig.sensor_model)
+        leg = leg_of(self.robot)
         if tick["contact_force"] <= sensors.touchdown_force:
             return {}
         toe = foot(leg, four_bar(leg, tick["alpha_2"]), tick["alpha_1"])
@@ -258,7 +265,8 @@ class HopperControl(RobotControl):
         }
 
     def _new_control(self, rig: Rig) -> HopControl:
-        sensors, limits = hopper_sensors(rig.sensor_model), self.limits_of(rig)
+        sensors = hopper_sensors(rig.sensor_model)
+        limits = self.limits_of(rig)
         return HopControl(sensors, self.robot, self.gains, limits, self.ground)
 
     def limits_of(self, rig: Rig) -> SafetyLimits:

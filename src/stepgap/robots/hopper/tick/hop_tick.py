@@ -89,7 +89,8 @@ def hop_tick(settings, state, inputs):
     )
     drop = LARGEST_DROP if settings.uneven and (phase == Phase.ASCENT or phase == Phase.DESCENT) else 0.0
     hop = _update_status(settings.law.leg, hop, over_ground, drop, checked.limited)
-    flags, apex = 0, state.apex
+    flags = 0
+    apex = state.apex
     if inputs.mode == Mode.STEP and checked.limited & STOPS == 0:
         flags, hop, flight, apex = _end_hop(settings, hop, flight, landing, apex, phase, body, inputs.time)
     flags |= _flags(settings.limits, hop, phase, checked)
@@ -106,7 +107,8 @@ def hop_tick(settings, state, inputs):
 @as_written
 def _landing(state, phase, motion, body, contact_force):
     """`Landing` of this tick: in the first one of a stance, where leg and boom find the foot; then how it sinks."""
-    last, height = state.landing, motion.hip_height + body.foot_y
+    last = state.landing
+    height = motion.hip_height + body.foot_y
     if phase == Phase.ASCENT or phase == Phase.DESCENT:
         return last
     if phase == Phase.THRUST or state.phase == Phase.COMPRESSION:
@@ -115,7 +117,9 @@ def _landing(state, phase, motion, body, contact_force):
             deepest=max(last.deepest, last.ground - height), strongest=max(last.strongest, contact_force),
             farther=last.farther,
         )  # fmt: skip
-    foothold, slope, farther = body.x + body.foot_x, last.slope, last.farther
+    foothold = body.x + body.foot_x
+    slope = last.slope
+    farther = last.farther
     if np.isfinite(state.apex.next_foothold):
         farther += LATELY * (foothold - state.apex.next_foothold)
     if state.hops > 0 and abs(foothold - last.foothold) > SHORT_HOP:
@@ -145,11 +149,14 @@ def _add_lost_force(law, state, applied_1, applied_2):
     hop = state.hop
     if state.phase != Phase.THRUST:
         return hop
-    lost_x, lost_y = hop.lost_x, hop.lost_y
-    lost_1, lost_2 = state.asked_1 - applied_1, state.asked_2 - applied_2
+    lost_x = hop.lost_x
+    lost_y = hop.lost_y
+    lost_1 = state.asked_1 - applied_1
+    lost_2 = state.asked_2 - applied_2
     if lost_1 != 0.0 or lost_2 != 0.0:
         force_x, force_y = lost_force(law, state.motion.alpha_1, state.motion.alpha_2, lost_1, lost_2)
-        lost_x, lost_y = lost_x + force_x, lost_y + force_y
+        lost_x = lost_x + force_x
+        lost_y = lost_y + force_y
     return HopProgress(
         deadline=hop.deadline, left_ground=hop.left_ground, force_x=hop.force_x, force_y=hop.force_y,
         thrust_ticks=hop.thrust_ticks + 1, lost_x=lost_x, lost_y=lost_y, status=hop.status,
@@ -159,8 +166,13 @@ def _add_lost_force(law, state, applied_1, applied_2):
 @as_written
 def _update_hop(hop, before, phase, mode_before, inputs):
     """`HopProgress` and the phase of this tick: updates takeoff, deadline, release from the hold, and command."""
-    deadline, left_ground, force_x, force_y = hop.deadline, hop.left_ground, hop.force_x, hop.force_y
-    thrust_ticks, lost_x, lost_y = hop.thrust_ticks, hop.lost_x, hop.lost_y
+    deadline = hop.deadline
+    left_ground = hop.left_ground
+    force_x = hop.force_x
+    force_y = hop.force_y
+    thrust_ticks = hop.thrust_ticks
+    lost_x = hop.lost_x
+    lost_y = hop.lost_y
     if phase == Phase.COMPRESSION and before != Phase.COMPRESSION:
         deadline = min(deadline, inputs.time + STEP_TIMEOUT)
     if before == Phase.THRUST and phase != Phase.THRUST:
@@ -170,7 +182,8 @@ def _update_hop(hop, before, phase, mode_before, inputs):
         phase = Phase.DESCENT.value
         deadline, left_ground, force_x, force_y, thrust_ticks, lost_x, lost_y, _ = _new_hop(np.inf, hop.status)
     if inputs.mode == Mode.STEP and not np.isnan(inputs.force_x) and _takes_command(phase, left_ground):
-        force_x, force_y = inputs.force_x, inputs.force_y
+        force_x = inputs.force_x
+        force_y = inputs.force_y
     return HopProgress(
         deadline=deadline, left_ground=left_ground, force_x=force_x, force_y=force_y, thrust_ticks=thrust_ticks,
         lost_x=lost_x, lost_y=lost_y, status=hop.status,

@@ -15,7 +15,8 @@ from stepgap.robots.hopper.tick.safety import Limited
 POWER_TIME = 2.0
 """Time constant of the mean power [s]; a hop takes less than one."""
 
-_OVERLOAD, _POWER = int(Limited.OVERLOAD), int(Limited.POWER)
+_OVERLOAD = int(Limited.OVERLOAD)
+_POWER = int(Limited.POWER)
 
 
 class Load(NamedTuple):
@@ -47,7 +48,8 @@ def add_load(limits, tick, load, motion, torque_1, torque_2):
     heat_1 = _heated(limits, tick, load.heat_1, torque_1)
     heat_2 = _heated(limits, tick, load.heat_2, torque_2)
     given = abs(torque_1 * (motion.rate_1 + motion.rate_2)) + abs(torque_2 * (motion.rate_1 - motion.rate_2))
-    power, reason = load.power + (given - load.power) * tick / POWER_TIME, 0
+    power = load.power + (given - load.power) * tick / POWER_TIME
+    reason = 0
     most = (limits.torque * limits.torque - _continuous(limits)) * limits.overload_time
     if max(heat_1, heat_2) > most:
         reason |= _OVERLOAD

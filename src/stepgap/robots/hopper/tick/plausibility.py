@@ -71,9 +71,11 @@ FREE_FALL = -2.0
 SWEEP = 0.012
 """Travel of the hip over a resting foot in which the yaw must move [m]; a foot that slips moves the hip, too (5 mm)."""
 
-_FROZEN, _JUMPED = int(Limited.MOTOR_1_FROZEN), int(Limited.MOTOR_1_JUMPED)
+_FROZEN = int(Limited.MOTOR_1_FROZEN)
+_JUMPED = int(Limited.MOTOR_1_JUMPED)
 _YAW_AGAINST_LEG = int(Limited.YAW_AGAINST_LEG)
-_YAW_NOISY, _PITCH_NOISY = int(Limited.YAW_NOISY), int(Limited.PITCH_NOISY)
+_YAW_NOISY = int(Limited.YAW_NOISY)
+_PITCH_NOISY = int(Limited.PITCH_NOISY)
 _CONTACT_IN_AIR, _GROUND_WITHOUT_CONTACT, _FOOT_BELOW_GROUND = (
     int(reason) for reason in (Limited.CONTACT_IN_AIR, Limited.GROUND_WITHOUT_CONTACT, Limited.FOOT_BELOW_GROUND)
 )
@@ -124,7 +126,9 @@ def judge_sensors(settings, state, sampled, phase, motion, body, flight, inputs)
         settings, state, sampled, contact, phase, body, inputs
     )
     yaw_there, foot_there, slid = _judge_stance(settings, state, contact, phase, body)
-    height, low, misplaced = motion.hip_height + body.foot_y, 0.0, 0
+    height = motion.hip_height + body.foot_y
+    low = 0.0
+    misplaced = 0
     if settings.uneven:  # above the ground of the stance before; until the first take-off none is known
         height = height - state.landing.ground if state.flight.start > 0.0 else 0.0
     if not settings.uneven or state.flight.start > 0.0:
@@ -144,9 +148,13 @@ def judge_sensors(settings, state, sampled, phase, motion, body, flight, inputs)
 @as_written
 def _judge_encoders(settings, state, sampled, contact, phase, body, inputs):
     """Tracks of the four encoders, counts of yaw and pitch, and the reasons to doubt one of them."""
-    watch, model, limits = state.sensors, settings.sensor_model, settings.limits
-    tick, motor = model.tick, _TURN / model.motor_counts
-    yaw_count, pitch_count = _TURN / model.boom_counts_horizontal, _TURN / model.boom_counts_vertical
+    watch = state.sensors
+    model = settings.sensor_model
+    limits = settings.limits
+    tick = model.tick
+    motor = _TURN / model.motor_counts
+    yaw_count = _TURN / model.boom_counts_horizontal
+    pitch_count = _TURN / model.boom_counts_vertical
     pulled = inputs.mode == Mode.STEP or inputs.mode == Mode.POSTURE
     moves_1 = pulled and abs(inputs.applied_1) > MOVING_TORQUE
     moves_2 = pulled and abs(inputs.applied_2) > MOVING_TORQUE
@@ -161,7 +169,8 @@ def _judge_encoders(settings, state, sampled, contact, phase, body, inputs):
     doubts |= _doubts(limits, motor_2, jump_2, jump_1, tick, motor, limits.frozen_time) << 1
     doubts |= _doubts(limits, yaw, jump_3, NO_JUMP, tick, yaw_count, limits.frozen_time) << 2
     doubts |= _doubts(limits, pitch, jump_4, NO_JUMP, tick, pitch_count, PITCH_STILL * limits.frozen_time) << 3
-    yaw_counts, pitch_counts = watch.yaw_counts, watch.pitch_counts
+    yaw_counts = watch.yaw_counts
+    pitch_counts = watch.pitch_counts
     if sampled > state.sampled:
         yaw_counts = with_count(yaw_counts, tick, yaw_count, inputs.boom_horizontal, yaw, jump_3)
         pitch_counts = with_count(pitch_counts, tick, pitch_count, inputs.boom_vertical, pitch, jump_4)
@@ -189,8 +198,10 @@ def jump_ratio(limits, jump, other, tick, count):
         tick: Time of a tick [s].
         count: Angle of a count [rad].
     """
-    least, jitter = max(limits.jump_angle, JUMP_COUNTS * count), limits.sample_jitter
-    shared, rounding = MOST_SHARED * least, ROUNDING * count
+    least = max(limits.jump_angle, JUMP_COUNTS * count)
+    jitter = limits.sample_jitter
+    shared = MOST_SHARED * least
+    rounding = ROUNDING * count
     size = _alone(jump.size, other.size, shared, rounding)
     change = _alone(jump.change, other.change, shared, rounding)
     most = least + JITTER_SHARE * jitter * jump.speed + tick * tick / LIGHT_LINK * jump.restless
@@ -210,7 +221,8 @@ def _judge_stance(settings, state, contact, phase, body):
     A foot that slips under a hip at rest would need a leg that pushes the ground but not the body. A foot that bounces
     moves freely, so each contact is judged on its own.
     """
-    yaw_there, foot_there = state.sensors.yaw_there, state.sensors.foot_there
+    yaw_there = state.sensors.yaw_there
+    foot_there = state.sensors.foot_there
     if not (contact and _is_stance(phase)):
         return np.nan, foot_there, 0
     if not (state.sensors.contact and _is_stance(state.phase)):
@@ -231,7 +243,8 @@ def _judge_foot(settings, state, sampled, contact, phase, height):
     limits = settings.limits
     low = height < FOOT_SHARE * limits.ground_height and not settings.uneven
     without = not contact and _in_flight(state, phase) and low
-    low, doubts = state.sensors.low + (sampled - state.sampled) if without else 0.0, 0
+    low = state.sensors.low + (sampled - state.sampled) if without else 0.0
+    doubts = 0
     if low > NO_CONTACT * limits.frozen_time and not _rises(state, phase):
         doubts |= _GROUND_WITHOUT_CONTACT
     if height > limits.ground_height and contact:

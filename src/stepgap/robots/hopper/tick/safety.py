@@ -169,7 +169,8 @@ def check_torque(limits, stage, watch, motion, health, doubts, torque_1, torque_
     stopped = watch.stopped | doubts | _unhealthy(limits, health.emergency_stop, lost, stale, late)
     stopped |= _out_of_range(limits, stage.joint_speed, motion, torque_1 + torque_2)
     if stopped:
-        braked, speed = watch.braked + 1, abs(motion.rate_1) + abs(motion.rate_2)
+        braked = watch.braked + 1
+        speed = abs(motion.rate_1) + abs(motion.rate_2)
         slowest = min(watch.slowest, speed)
         if speed > slowest + BRAKE_GROWTH:
             stopped |= _SPEED_GREW
@@ -211,15 +212,18 @@ def _brake(limits, before, speed):
 @as_written
 def _within_limits(limits, most, watch, alpha_2, torque_1, torque_2):
     """Returns the torques within limits [N·m], and why they differ from the requested ones."""
-    limited, step = 0, limits.torque_step
+    limited = 0
+    step = limits.torque_step
     if alpha_2 < limits.stretch_angle and torque_1 < torque_2:
         torque_1 = torque_2 = 0.5 * (torque_1 + torque_2)
         limited |= _STRETCH
     if abs(torque_1) > most or abs(torque_2) > most:
-        torque_1, torque_2 = _within(most, torque_1, 0.0), _within(most, torque_2, 0.0)
+        torque_1 = _within(most, torque_1, 0.0)
+        torque_2 = _within(most, torque_2, 0.0)
         limited |= _TORQUE
     if abs(torque_1 - watch.torque_1) > step or abs(torque_2 - watch.torque_2) > step:
-        torque_1, torque_2 = _within(step, torque_1, watch.torque_1), _within(step, torque_2, watch.torque_2)
+        torque_1 = _within(step, torque_1, watch.torque_1)
+        torque_2 = _within(step, torque_2, watch.torque_2)
         limited |= _TORQUE_STEP
     return torque_1, torque_2, limited
 
@@ -233,7 +237,8 @@ def _within(most, value, centre):
 @as_written
 def _out_of_range(limits, joint_speed, motion, torques):
     """Reasons why the motion or the torques, given as their sum, are not allowed."""
-    angles, rates = motion.alpha_1 + motion.alpha_2, motion.rate_1 + motion.rate_2
+    angles = motion.alpha_1 + motion.alpha_2
+    rates = motion.rate_1 + motion.rate_2
     if not isfinite(torques + angles + rates + motion.leg_length + motion.hip_height):
         return _NOT_FINITE
     reason = 0

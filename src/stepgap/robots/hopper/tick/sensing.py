@@ -43,11 +43,13 @@ def sense(settings, rates, sampled, inputs):
     model = settings.sensor_model
     phi_1 = inputs.motor_1 * _TURN / model.motor_counts
     phi_2 = inputs.motor_2 * _TURN / model.motor_counts
-    alpha_1, alpha_2 = 0.5 * (phi_1 + phi_2), 0.5 * (phi_1 - phi_2)
+    alpha_1 = 0.5 * (phi_1 + phi_2)
+    alpha_2 = 0.5 * (phi_1 - phi_2)
     rates = with_reading(rates, sampled, alpha_1, alpha_2)
     yaw = yaw_of(model, inputs.boom_horizontal)
     pitch = inputs.boom_vertical * _TURN / model.boom_counts_vertical
-    x, y = model.boom_length * yaw, model.pivot_height + model.boom_length * np.sin(pitch)
+    x = model.boom_length * yaw
+    y = model.pivot_height + model.boom_length * np.sin(pitch)
     length, hip_rate, shift_x, shift_y, foot_x, foot_y = _leg_state(
         settings.masses, alpha_1, alpha_2, rates.rate_1, rates.rate_2
     )
@@ -92,5 +94,7 @@ def update_flight(model, state, sampled, motion, body, inputs):
         model.takeoff_length, body.hip_rate,
     )  # fmt: skip
     if phase == Phase.ASCENT and state.phase != Phase.ASCENT:
-        start, x, fit = sampled, body.x, no_samples()
+        start = sampled
+        x = body.x
+        fit = no_samples()
     return FlightState(start, x, fit, last_speed), phase

@@ -38,7 +38,8 @@ def stage_of(limits, mode, share, hops):
     factor = 1.0
     if hops < limits.first_hops:
         factor = limits.first_share + (1.0 - limits.first_share) * hops / limits.first_hops
-    torque, joint_speed = factor * limits.torque, factor * limits.joint_speed
+    torque = factor * limits.torque
+    joint_speed = factor * limits.joint_speed
     if mode == Mode.LAND and limits.posture_torque < torque:
         torque = max(limits.posture_torque, (1.0 - share) * torque)
     return Stage(torque, joint_speed)

@@ -61,6 +61,7 @@ def _stance_torque(law, alpha_1, alpha_2, force_x, force_y):
 def lost_force(law, alpha_1, alpha_2, lost_1, lost_2):
     """Force on the body that torques (lost_1, lost_2) cause in stance: the inverse of τ = −Jᵀ force."""
     toe = foot(law.leg, four_bar(law.leg, alpha_2), alpha_1)
-    q_1, q_2 = lost_1 + lost_2, lost_1 - lost_2
+    q_1 = lost_1 + lost_2
+    q_2 = lost_1 - lost_2
     determinant = toe.x_1 * toe.y_2 - toe.x_2 * toe.y_1
     return (toe.y_1 * q_2 - toe.y_2 * q_1) / determinant, (toe.x_2 * q_1 - toe.x_1 * q_2) / determinant

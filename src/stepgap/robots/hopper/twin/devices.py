@@ -103,18 +103,22 @@ def read_counts(devices, views):
         devices: Record of `Devices`.
         views: `Views`.
     """
-    rig, qpos, qvel = devices[0], views.qpos, views.qvel
+    rig = devices[0]
+    qpos = views.qpos
+    qvel = views.qvel
     yaw, pitch = boom_angles(rig, qpos)
     motor_1 = (qpos[rig.motor_1] + rig.offset_1) * rig.motor_scale
     motor_2 = (qpos[rig.motor_2] + rig.offset_2) * rig.motor_scale
-    yaw, pitch = yaw * rig.yaw_scale, pitch * rig.pitch_scale
+    yaw = yaw * rig.yaw_scale
+    pitch = pitch * rig.pitch_scale
     outcome = READ
     if not np.isfinite(motor_1 + motor_2 + yaw + pitch):
         outcome = OUT_OF_REACH
     elif max(abs(qvel[rig.motor_1]), abs(qvel[rig.motor_2])) > rig.overspeed:
         outcome = TOO_FAST
     if rig.motors_round:
-        motor_1, motor_2 = np.rint(motor_1), np.rint(motor_2)
+        motor_1 = np.rint(motor_1)
+        motor_2 = np.rint(motor_2)
     if rig.yaw_rounds:
         yaw = np.rint(yaw)
     if rig.pitch_rounds:
@@ -145,11 +149,15 @@ def drive(devices, torque_1, torque_2, noise, views):
     Returns:
         The torques within the drives' limit [N·m]; NaN, and nothing passed to MuJoCo, if one is not finite.
     """
-    rig, ctrl, force, waves = devices[0], views.ctrl, views.force, views.waves
+    rig = devices[0]
+    ctrl = views.ctrl
+    force = views.force
+    waves = views.waves
     if not (np.isfinite(torque_1) and np.isfinite(torque_2)):
         return np.nan, np.nan
     limit = rig.torque_limit
-    torque_1, torque_2 = min(max(torque_1, -limit), limit), min(max(torque_2, -limit), limit)
+    torque_1 = min(max(torque_1, -limit), limit)
+    torque_2 = min(max(torque_2, -limit), limit)
     ctrl[0], ctrl[1] = _saturated(rig, torque_1), _saturated(rig, torque_2)
     force[rig.motor_1] = rig.noise_kept * force[rig.motor_1] + rig.noise_fresh * noise[0]
     force[rig.motor_2] = rig.noise_kept * force[rig.motor_2] + rig.noise_fresh * noise[1]
@@ -168,7 +176,8 @@ def _saturated(devices, torque):
 @as_written
 def ground_under(devices, views):
     """Height of the ground under the foot [m]; on treads, that of the tread on which it is, or to which it falls."""
-    rig, uneven = devices[0], views.uneven
+    rig = devices[0]
+    uneven = views.uneven
     yaw = _foot_yaw(rig, views.foot) + rig.floor_yaw
     height = _wave_height(views.waves, yaw)
     if len(uneven.treads) > 0:
@@ -199,7 +208,9 @@ def move_ground(devices, views):
 
     A foot on the ground stays on its tread until it lifts.
     """
-    rig, uneven, foot = devices[0], views.uneven, views.foot
+    rig = devices[0]
+    uneven = views.uneven
+    foot = views.foot
     yaw = _foot_yaw(rig, foot)
     place = rig.boom_length * (yaw + rig.floor_yaw)
     height = foot[2] - _wave_height(views.waves, yaw + rig.floor_yaw)

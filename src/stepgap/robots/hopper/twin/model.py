@@ -45,7 +45,10 @@ force of friction coefficient × this × slip speed × the mass coupled to the f
 HARMONICS = (3, 5, 8, 13, 21)
 """Waves of the rough ground per turn of the boom; the shortest is about two hops long."""
 
-FORWARD, UP, LEG_AXIS, PITCH_AXIS = (1, 0, 0), (0, 0, 1), (0, -1, 0), (-1, 0, 0)
+FORWARD = (1, 0, 0)
+UP = (0, 0, 1)
+LEG_AXIS = (0, -1, 0)
+PITCH_AXIS = (-1, 0, 0)
 
 
 class GroundProfile:
@@ -207,7 +210,8 @@ def _add_boom(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) -> m
     inertia_x, inertia_z = (
         gap.boom_inertia_scale * value for value in (robot.boom_inertia_vertical, robot.boom_inertia_horizontal)
     )
-    hinge, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+    hinge = mujoco.mjtJoint.mjJNT_HINGE
+    slide = mujoco.mjtJoint.mjJNT_SLIDE
     hopper = spec.worldbody.add_body(name="hopper")
     hopper.explicitinertial = True
     hopper.mass = gap.body_mass_scale * robot.body_mass
@@ -378,8 +382,11 @@ def _set_contact(model: mujoco.MjModel, robot: RobotParameters, gap: RealityGap)
 
 def _add_shapes(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) -> None:
     """Adds visible shapes of boom, body and links."""
-    capsule, cylinder = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER
-    dark, blue, orange = (0.2, 0.2, 0.25, 1), (0.15, 0.45, 0.75, 1), (0.85, 0.4, 0.15, 1)
+    capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
+    cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
+    dark = (0.2, 0.2, 0.25, 1)
+    blue = (0.15, 0.45, 0.75, 1)
+    orange = (0.85, 0.4, 0.15, 1)
 
     def add(body: str, kind: mujoco.mjtGeom, ends: list[float], radius: float, colour: tuple[float, ...]) -> None:
         shape = spec.body(body).add_geom(type=kind, fromto=ends, size=[radius, 0, 0], rgba=colour, group=1)
@@ -397,7 +404,8 @@ def _add_shapes(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) ->
 
 def _add_squares(spec: mujoco.MjSpec) -> None:
     """Adds a floor with squares, on which the robot's motion is visible."""
-    two_d, checker = mujoco.mjtTexture.mjTEXTURE_2D, mujoco.mjtBuiltin.mjBUILTIN_CHECKER
+    two_d = mujoco.mjtTexture.mjTEXTURE_2D
+    checker = mujoco.mjtBuiltin.mjBUILTIN_CHECKER
     squares = spec.add_texture(name="squares", type=two_d, builtin=checker, width=256, height=256)
     squares.rgb1, squares.rgb2 = np.full(3, 0.8), np.full(3, 0.7)
     material = spec.add_material(name="squares", texrepeat=(1, 1), texuniform=True)

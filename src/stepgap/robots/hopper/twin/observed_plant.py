@@ -21,7 +21,8 @@ def observed_plant(rig: Rig, twin: Twin, control: HopperControl, on_ticks: OnTic
         on_ticks: Called with the kept ticks; the columns are those of `HopperKinematics.observed_units`.
         every: Interval of the kept ticks.
     """
-    count, truth = 0, ()
+    count = 0
+    truth = ()
 
     def on_read() -> None:
         nonlocal truth
@@ -54,7 +55,8 @@ class _ObservedRig(Rig):
     """
 
     def __init__(self, rig: Rig, on_read: Callable[[], None]):
-        self._rig, self._on_read = rig, on_read
+        self._rig = rig
+        self._on_read = on_read
 
     @property
     def sensor_model(self) -> SensorModel:

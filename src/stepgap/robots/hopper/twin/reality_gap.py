@@ -188,6 +188,7 @@ class RealityGap(Gap):
         values = {}
         for name, share in wanted.items():
             known = differences(cls)[name]
-            none, whole = float(known.exact or 0.0), known.whole
+            none = float(known.exact or 0.0)
+            whole = known.whole
             values[name] = whole / max(share, 1e-3) if isinf(none) else none + share * (whole - none)
         return cls(**values)

@@ -55,7 +55,8 @@ def run_ticks(
     """
     settings, memory, row = control
     model, data, substeps = physics
-    flags, uneven = 0, len(views.uneven.treads) > 0
+    flags = 0
+    uneven = len(views.uneven.treads) > 0
     for i in range(len(rows)):
         counts, outcome = read_counts(devices, views)
         if outcome != READ:

@@ -68,7 +68,8 @@ class HopperSimulation(Simulation):
         world: np.random.Generator,
         ground: UnevenGround = FLAT_GROUND,
     ):
-        self.parameters, self.make_control = parameters, make_control
+        self.parameters = parameters
+        self.make_control = make_control
         profile = GroundProfile(gap, parameters.boom_length, world, ground)
         self.make_twin = partial(_twin, parameters, gap, profile, ground.stone_spacing > 0)
         self.make_twin(np.random.default_rng(0))  # reports errors before the first deployment

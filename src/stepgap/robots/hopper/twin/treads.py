@@ -85,14 +85,17 @@ def tread_under(uneven, tread, place, height):
     """
     count = len(uneven.treads)
     for _ in range(count):
-        along, long = along_tread(uneven, tread, place), _long(uneven, tread)
+        along = along_tread(uneven, tread, place)
+        long = _long(uneven, tread)
         if count == 1 or 0.0 <= along < long:
             return tread
         if along >= long:
-            following, depth = (tread + 1) % count, along - long
+            following = (tread + 1) % count
+            depth = along - long
             edge = uneven.treads[following, TREAD_HEIGHT]
         else:
-            following, depth = (tread - 1) % count, -along
+            following = (tread - 1) % count
+            depth = -along
             edge = _end_height(uneven, following)
         if edge - height > depth:
             return tread
@@ -131,18 +134,25 @@ def move_riser(rig, uneven, foot, yaw, place, height):
         place: Where it is on the ground [m].
         height: Its height above the waves of the ground [m].
     """
-    tread, count = int(uneven.under[0]), len(uneven.treads)
-    riser, turn = uneven.riser, uneven.riser_turn
-    along, long = along_tread(uneven, tread, place), _long(uneven, tread)
-    following, before = (tread + 1) % count, (tread - 1) % count
+    tread = int(uneven.under[0])
+    count = len(uneven.treads)
+    riser = uneven.riser
+    turn = uneven.riser_turn
+    along = along_tread(uneven, tread, place)
+    long = _long(uneven, tread)
+    following = (tread + 1) % count
+    before = (tread - 1) % count
     ahead = long - along
-    front, rear = uneven.treads[following, TREAD_HEIGHT], _end_height(uneven, before)
+    front = uneven.treads[following, TREAD_HEIGHT]
+    rear = _end_height(uneven, before)
     stops_front = front > height and front > _end_height(uneven, tread) + LOWEST_RISER
     stops_rear = rear > height and rear > uneven.treads[tread, TREAD_HEIGHT] + LOWEST_RISER
     if stops_front and (ahead <= along or not stops_rear):
-        distance, side = ahead, 1.0
+        distance = ahead
+        side = 1.0
     elif stops_rear:
-        distance, side = -along, -1.0
+        distance = -along
+        side = -1.0
     else:
         riser[0], riser[1], riser[2] = 0.0, 0.0, _AWAY
         turn[0], turn[1], turn[2], turn[3] = 1.0, 0.0, 0.0, 0.0

@@ -51,12 +51,20 @@ def true_hip(devices, qpos, qvel):
         qvel: Their rates.
     """
     rig = devices[0]
-    x, z, x_rate, z_rate = 0.0, 0.0, 0.0, 0.0
+    x = 0.0
+    z = 0.0
+    x_rate = 0.0
+    z_rate = 0.0
     if rig.boom_elastic:
-        x, z, x_rate, z_rate = qpos[2], qpos[3], qvel[2], qvel[3]
+        x = qpos[2]
+        z = qpos[3]
+        x_rate = qvel[2]
+        z_rate = qvel[3]
     if not rig.boom_arc:
         return (qpos[0] + x, qpos[1] + z), (qvel[0] + x_rate, qvel[1] + z_rate)
-    radius, sine, cosine = rig.boom_length, np.sin(qpos[1]), np.cos(qpos[1])
+    radius = rig.boom_length
+    sine = np.sin(qpos[1])
+    cosine = np.cos(qpos[1])
     return (
         (radius * qpos[0] + x, rig.pivot_height + radius * sine + z * cosine),
         (radius * qvel[0] + x_rate, (radius * cosine - z * sine) * qvel[1] + z_rate * cosine),

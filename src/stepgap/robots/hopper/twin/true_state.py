@@ -59,7 +59,8 @@ def true_state(model: Any, scratch: Any, devices: Record, views: Views, time: fl
         time: Time since connecting [s].
         held: Whether the hip is still held.
     """
-    rig, data = devices[0], scratch
+    rig = devices[0]
+    data = scratch
     data.qpos[:], data.qvel[:] = views.qpos, views.qvel
     mujoco.mj_kinematics(model, data)
     hip, hip_rate = true_hip(devices, data.qpos, data.qvel)

@@ -108,8 +108,11 @@ class Twin(CompiledRig):
         require(isfinite(start_speed), "start_speed", start_speed, "be finite")
         require(isfinite(floor_yaw), "floor_yaw", floor_yaw, "be finite")
         require(isfinite(hold) and hold >= 0, "hold", hold, "not be negative")
-        self._robot, self._gap, self._rng = robot, gap, rng
-        self._start_height, self._start_speed = start_height, start_speed
+        self._robot = robot
+        self._gap = gap
+        self._rng = rng
+        self._start_height = start_height
+        self._start_speed = start_speed
         self._hold_ticks = round(hold / tick)
         self._substeps = max(FEWEST_STEPS, ceil(tick / LONGEST_STEP - 1e-9))
         self._ground = ground or GroundProfile(gap, robot.boom_length, rng)
@@ -119,8 +122,11 @@ class Twin(CompiledRig):
         self._model = build_model(robot, gap, tick / self._substeps, self._ground.has_risers)
         self._data = mujoco.MjData(self._model)
         self._bind()
-        self._noise, self._noise_used = NO_NOISE, len(NO_NOISE)
-        self._connected, self._fault, self._hold_remaining = False, "", 0
+        self._noise = NO_NOISE
+        self._noise_used = len(NO_NOISE)
+        self._connected = False
+        self._fault = ""
+        self._hold_remaining = 0
         self._apex = as_record(TrueApex())
         self._set_floor_yaw(floor_yaw)
         waves = self._ground.height(floor_yaw) - self._ground.tread_height(floor_yaw)
@@ -131,7 +137,8 @@ class Twin(CompiledRig):
 
     def _bind(self) -> None:
         """Takes views of MuJoCo's memory."""
-        model, data = self._model, self._data
+        model = self._model
+        data = self._data
         self._scratch = mujoco.MjData(model)
         self._views = Views(
             qpos=data.qpos,
@@ -148,14 +155,19 @@ class Twin(CompiledRig):
 
     def _uneven_views(self) -> UnevenViews:
         """Treads with their contacts, and what MuJoCo moves with them."""
-        model, data, treads, robot, gap = self._model, self._data, self._ground.treads, self._robot, self._gap
+        model = self._model
+        data = self._data
+        treads = self._ground.treads
+        robot = self._robot
+        gap = self._gap
         table = np.zeros((0, 8))
         if treads is not None:
             shares = list(zip(treads.stiffness.tolist(), treads.friction.tolist(), strict=True))
             contacts = {share: contact_of(model, robot, gap, *share) for share in set(shares)}
             places = np.column_stack([treads.start, treads.height, treads.slope])
             table = np.hstack([places, [contacts[share] for share in shares]])
-        pair, risers = model.pair("foot_ground").id, self._ground.has_risers
+        pair = model.pair("foot_ground").id
+        risers = self._ground.has_risers
         return UnevenViews(
             treads=table,
             length=2 * pi * robot.boom_length,
@@ -180,7 +192,8 @@ class Twin(CompiledRig):
 
     def _devices_at(self, floor_yaw: float) -> Devices:
         """Sensors and motors, with the floor turned under the robot by an angle [rad]."""
-        gap, sensors = self._gap, self._sensor_model
+        gap = self._gap
+        sensors = self._sensor_model
         kept = exp(-sensors.tick / gap.torque_noise_time) if gap.torque_noise_time > 0 else 0.0
         return Devices(
             motor_1=self._motors[0],
@@ -216,7 +229,8 @@ class Twin(CompiledRig):
 
         The deflection of the boom, which its encoders do not see, is included. Empty before the first take-off.
         """
-        speed, height = float(self._apex["speed"][0]), float(self._apex["height"][0])
+        speed = float(self._apex["speed"][0])
+        height = float(self._apex["height"][0])
         return (speed, height) if isfinite(height) else ()
 
     @property
@@ -226,7 +240,8 @@ class Twin(CompiledRig):
 
     def connect(self) -> None:
         """Puts the robot into its starting pose, held and with limp motors, and sets the time to zero."""
-        model, data = self._model, self._data
+        model = self._model
+        data = self._data
         mujoco.mj_resetData(model, data)
         data.qpos[:] = self._start_pose()
         model.eq("hold_boom_vertical").data[0] = data.qpos[1]
@@ -237,7 +252,9 @@ class Twin(CompiledRig):
         mujoco.mj_forward(model, data)
         if self._ground.treads is not None:
             move_ground(self._devices, self._views)  # also compiles it, for which a ring would not wait later
-        self._connected, self._fault, self._apex = True, "", as_record(TrueApex())
+        self._connected = True
+        self._fault = ""
+        self._apex = as_record(TrueApex())
         self._hold_remaining = self._hold_ticks
         if self._hold_remaining == 0:
             self._release()
@@ -346,7 +363,9 @@ class Twin(CompiledRig):
             raise ValueError("a robot that moves keeps its sensors, delays and joints; only other numbers may change")
         data = mujoco.MjData(model)
         mujoco.mj_copyData(data, model, self._data)
-        self._gap, self._model, self._data = gap, model, data
+        self._gap = gap
+        self._model = model
+        self._data = data
         self._bind()
         self._set_floor_yaw(self._floor_yaw)
         if self._ground.treads is not None:
@@ -363,7 +382,8 @@ class Twin(CompiledRig):
 
     def true_state(self) -> TrueState:
         """True state, for tests and viewers, never for a controller; it does not change the motion."""
-        time, held = self._data.time, self._hold_remaining > 0
+        time = self._data.time
+        held = self._hold_remaining > 0
         return true_state(self._model, self._scratch, self._devices, self._views, time, held)
 
     def model_xml(self) -> str:
@@ -431,6 +451,7 @@ class Twin(CompiledRig):
 
 def _leg_triangle(robot: RobotParameters, length: float) -> tuple[float, float]:
     """Angles between a leg of this length and its links at hip and lower joint: α₂ and β [rad]."""
-    top, bottom = robot.top_length, robot.bottom_length
+    top = robot.top_length
+    bottom = robot.bottom_length
     alpha = acos((top**2 + length**2 - bottom**2) / (2 * top * length))
     return alpha, asin(top * sin(alpha) / bottom)
