@@ -456,10 +456,8 @@ def difference_jacobian(step_map: StepMap, state: ArrayLike, command: ArrayLike,
     return np.swapaxes((ahead - behind) / (2 * step[:, None]), -1, -2)
 
 
-NOT_GIVEN = _read_only(())
-"""Default of an array of a record that its maker does not give."""
-_NO_CONTEXT: Mapping[str, float] = MappingProxyType({})
-"""Default of the context of a record."""
+NOT_GIVEN = _read_only(())  # Default of an array of a record that its maker does not give
+_NO_CONTEXT: Mapping[str, float] = MappingProxyType({})  # Default of the context of a record
 
 
 @dataclass(frozen=True, eq=False)

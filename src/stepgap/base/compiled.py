@@ -30,8 +30,7 @@ OPTIONS = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "arcp
 Sums are not regrouped: Numba tests whether x is finite by x − x, which would always be 0 then.
 """
 
-KEPT_VERSIONS = 12
-"""Number of versions of compiled code, some 10 MB each, that remain in the cache."""
+KEPT_VERSIONS = 12  # Number of versions of compiled code, some 10 MB each, that remain in the cache
 
 AS_WRITTEN = {"nogil": True, "error_model": "numpy"}
 """As `OPTIONS`, but every product, quotient and sum is rounded separately, as in Python and NumPy."""

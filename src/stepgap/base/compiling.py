@@ -14,8 +14,7 @@ from numba.core.event import Event, Listener, install_listener
 from stepgap.base.compiled import cache_folder
 from stepgap.base.signals import ENDING, handled
 
-REPORT_INTERVAL = 5.0
-"""Time after which compilation is reported again [s]."""
+REPORT_INTERVAL = 5.0  # Time after which compilation is reported again [s]
 
 
 class _Compilation(Listener):

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from stepgap.base.ranges import format_value
 
-LARGEST_NUMBER = 1e9
-"""Largest magnitude of a number that is accepted as a measurement [SI units]."""
+LARGEST_NUMBER = 1e9  # Largest magnitude of a number that is accepted as a measurement [SI units]
 
 _DESCRIPTIONS = ("a number", "a list of numbers", "a list of equally long lists of numbers")
 

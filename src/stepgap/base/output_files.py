@@ -8,8 +8,7 @@ from pathlib import Path
 from stepgap.base.errors import InputError
 from stepgap.base.files import create, removed_on_failure
 
-PICTURE_FORMATS = ("pdf", "png", "svg")
-"""File formats of a figure."""
+PICTURE_FORMATS = ("pdf", "png", "svg")  # File formats of a figure
 
 EXISTING_IS_COMPLETE = " (one that StepGap wrote is complete)"
 """What is true of each output that exists: it gets its name when it is complete, also if a process is killed."""

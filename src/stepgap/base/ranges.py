@@ -2,8 +2,7 @@
 
 from typing import Any
 
-LARGEST_INTEGER = 10**300
-"""Integers of this size or larger are not accepted as a number."""
+LARGEST_INTEGER = 10**300  # Integers of this size or larger are not accepted as a number
 
 
 def require(condition: object, name: str, value: Any, rule: str) -> None:

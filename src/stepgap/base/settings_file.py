@@ -14,8 +14,7 @@ from stepgap.base.files import read_bounded_text
 from stepgap.base.plugins import suggestion
 from stepgap.base.ranges import LARGEST_INTEGER, format_value
 
-LARGEST_SETTINGS_FILE = 2**20
-"""Largest file of settings that is read [bytes]."""
+LARGEST_SETTINGS_FILE = 2**20  # Largest file of settings that is read [bytes]
 
 FORMER_NAME = "former name"
 """Metadata key of a renamed settings field: its value is the former name, for which the error gives the present one."""
@@ -23,8 +22,7 @@ FORMER_NAME = "former name"
 IS_KEY = "is a key"
 """Metadata key of a settings field: False if the field is not a key of the table, and has other ways into the file."""
 
-_ITEMS = {float: "numbers", int: "integers"}
-"""What a list contains, for messages; strings if it is not here."""
+_ITEMS = {float: "numbers", int: "integers"}  # What a list contains, for messages; strings if it is not here
 
 BYTE_ORDER_MARK = "\ufeff"
 

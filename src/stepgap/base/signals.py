@@ -9,8 +9,7 @@ from types import FrameType
 LOST_TERMINAL = tuple(getattr(signal, name) for name in ("SIGHUP", "SIGQUIT") if hasattr(signal, name))
 """Signals that a terminal sends to all its programs: when it is closed, and for a key; Windows has neither."""
 
-ENDING = (signal.SIGTERM, *LOST_TERMINAL)
-"""Signals that end a program."""
+ENDING = (signal.SIGTERM, *LOST_TERMINAL)  # Signals that end a program
 
 PAUSING = tuple(getattr(signal, name) for name in ("SIGTSTP",) if hasattr(signal, name))
 """Signals with which a terminal stops all its programs until they are continued (Ctrl-Z); Windows has none."""

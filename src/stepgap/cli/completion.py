@@ -27,8 +27,7 @@ _stepgap_or_setting() {{
 compdef _stepgap_or_setting stepgap
 """
 
-_WITH_SETTINGS = {"bash": _BASH, "zsh": _ZSH}
-"""What is added to the script of Cyclopts, by the shell."""
+_WITH_SETTINGS = {"bash": _BASH, "zsh": _ZSH}  # What is added to the script of Cyclopts, by the shell
 
 
 def completion(shell: Literal["bash", "zsh", "fish"], /) -> None:

@@ -29,8 +29,7 @@ RENDERING_TRIAL = "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string
 REALTIME_TRIAL = "from stepgap.hardware.realtime.pace import ask_for_realtime; print('; '.join(ask_for_realtime()))"
 """Python code that prints the real-time rights that are refused."""
 
-TRIAL_TIMEOUT = 30.0
-"""Longest time of a trial in another process [s]."""
+TRIAL_TIMEOUT = 30.0  # Longest time of a trial in another process [s]
 
 NEEDS_GL = "needed only for MuJoCo's own pictures, not for runs, reports and their figures"
 

@@ -16,8 +16,7 @@ from stepgap.cli.terminal import announces_compilation
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.step import Array, Quantity, StepMap, StepSpace
 
-DEFAULT_GRID = 15
-"""Grid points along each axis of a table; it has the fourth power of this many commands."""
+DEFAULT_GRID = 15  # Grid points along each axis of a table; it has the fourth power of this many commands
 
 
 @announces_compilation

@@ -32,8 +32,7 @@ if TYPE_CHECKING:  # slow imports are made where they are used
 
 STARTERS = "stepgap.starters"
 """Entry points of this group write a robot from files of others: `mjcf` from a model, `policy` from a network, too."""
-IMPORTERS = "stepgap.importers"
-"""Entry points of this group read the steps of logs of other programs."""
+IMPORTERS = "stepgap.importers"  # Entry points of this group read the steps of logs of other programs
 PRACTICE = """\
 Until then the robot is for practice only: it jumps to the recorded step that is nearest to state and command, and only
 a part of the errors that these jumps cause can be learned."""

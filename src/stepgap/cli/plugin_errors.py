@@ -5,8 +5,7 @@ from importlib.metadata import distributions
 from importlib.util import find_spec
 from pathlib import Path
 
-ENTRY_POINTS = "stepgap."
-"""Beginning of the names of all groups of entry points that StepGap knows."""
+ENTRY_POINTS = "stepgap."  # Beginning of the names of all groups of entry points that StepGap knows
 
 
 def location_in_plugin(error: BaseException) -> str:

@@ -12,8 +12,7 @@ from stepgap.cli.terminal import announces_compilation, warn
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.prior import RobotSteps
 
-_LEAST_STEPS = 15
-"""Number of completed steps from which a run says something about its robot."""
+_LEAST_STEPS = 15  # Number of completed steps from which a run says something about its robot
 
 
 @announces_compilation

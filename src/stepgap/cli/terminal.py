@@ -10,8 +10,7 @@ from typing import Any, TypeGuard
 
 from stepgap.base.errors import InputError
 
-STOPPED = 130
-"""Exit code after Ctrl-C, as in shells."""
+STOPPED = 130  # Exit code after Ctrl-C, as in shells
 
 
 def warn(message: str) -> None:

@@ -8,12 +8,9 @@ from stepgap.step import Array
 
 SEARCHED = (81, 1089)
 """Numbers of points of the coarse and the fine search; the fine one is used if no coarse point has a value."""
-BASINS = 3
-"""Number of these points from which a search starts."""
-SEPARATION = 0.5
-"""Starts differ by more than this in at least one coordinate."""
-ZOOMED = 25
-"""Number of points around the best one in each round of a search that comes nearer and nearer."""
+BASINS = 3  # Number of these points from which a search starts
+SEPARATION = 0.5  # Starts differ by more than this in at least one coordinate
+ZOOMED = 25  # Number of points around the best one in each round of a search that comes nearer and nearer
 ZOOM_ROUNDS = 13
 
 

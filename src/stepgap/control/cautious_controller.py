@@ -28,8 +28,7 @@ from stepgap.control.step_controller import StepController, checked_target
 from stepgap.control.wrapped_map import BudgetedMap, CommandChange, EvaluationBudget
 from stepgap.step import Array, StepFailed, StepMap, StepSpace, StepStatus
 
-RISK = 2.0
-"""The next state must be viable even if it is off by this number of standard deviations."""
+RISK = 2.0  # The next state must be viable even if it is off by this number of standard deviations
 FAILURE_RADIUS = 0.2
 """A step closer than this to one that failed, in every coordinate, is not taken [half ranges]."""
 SEARCH_POINTS = 81

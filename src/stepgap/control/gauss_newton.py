@@ -19,23 +19,18 @@ from scipy.linalg import get_lapack_funcs
 
 from stepgap.step import Array
 
-TOLERANCE = 1e-9
-"""Norm at which a solution is not improved further."""
-REACHED = 1e-6
-"""Norm that counts as zero; an integrated map is not more accurate than this."""
+TOLERANCE = 1e-9  # Norm at which a solution is not improved further
+REACHED = 1e-6  # Norm that counts as zero; an integrated map is not more accurate than this
 FLAT = 1e-10
 """A point is stationary when the squared norm can fall by no more than this fraction, unless another one is given."""
 NEARBY = 1e-3
 """A Jacobian with Broyden's updates counts as exact up to this distance from the point of its evaluation."""
 MOST_TRIALS = 25
-MOST_DAMPING = 1e4
-"""A search ends with a larger damping, relative to the squared norm of the Jacobian."""
+MOST_DAMPING = 1e4  # A search ends with a larger damping, relative to the squared norm of the Jacobian
 LEAST_DAMPING = 1e-2
 """Damping after a trial without a value, relative to the squared norm of the Jacobian; it grows eightfold with each."""
-NO_DAMPING = 1e-6
-"""A smaller damping is neglected, relative to the squared norm of the Jacobian."""
-ACCEPTED = 1e-4
-"""A step is taken if the squared norm falls by this fraction of what was expected."""
+NO_DAMPING = 1e-6  # A smaller damping is neglected, relative to the squared norm of the Jacobian
+ACCEPTED = 1e-4  # A step is taken if the squared norm falls by this fraction of what was expected
 (_gesv,) = get_lapack_funcs(("gesv",), dtype=np.float64)
 
 Function = Callable[[Array], Array]

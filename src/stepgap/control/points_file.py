@@ -8,8 +8,7 @@ from stepgap.base.files import read_bounded_text
 from stepgap.control.reference import parse_rows
 from stepgap.step import Array, Outcome, StepSpace, StepStatus
 
-LARGEST_POINTS_FILE = 2**28
-"""Largest file of points that is read [bytes]."""
+LARGEST_POINTS_FILE = 2**28  # Largest file of points that is read [bytes]
 
 
 def read_points(path: Path, space: StepSpace) -> Array:

@@ -17,11 +17,8 @@ from stepgap.step import Array, Quantity, StepSpace
 Indices = NDArray[np.intp]
 """Row numbers of `Reference.targets`, from 0."""
 
-LARGEST_REFERENCE = 2**20
-"""Largest file of a reference that is read [bytes]."""
-
-SETTLING_STEPS = 4
-"""Steps after a change of the target that count as transient."""
+LARGEST_REFERENCE = 2**20  # Largest file of a reference that is read [bytes]
+SETTLING_STEPS = 4  # Steps after a change of the target that count as transient
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 from stepgap.base.ranges import require
 
-LONGEST_HORIZON = 10
-"""Largest number of steps that are planned together."""
+LONGEST_HORIZON = 10  # Largest number of steps that are planned together
 
 
 @dataclass(frozen=True)
@@ -52,5 +51,4 @@ class ControlSettings:
         )
 
 
-ALL_RULES = ControlSettings()
-"""The default: all rules, no table."""
+ALL_RULES = ControlSettings()  # The default: all rules, no table

@@ -93,8 +93,7 @@ class CommandChange:
         return replace(self, previous=command)
 
 
-NO_LIMIT = CommandChange()
-"""Any command may follow any other."""
+NO_LIMIT = CommandChange()  # Any command may follow any other
 
 
 @dataclass(eq=False)

@@ -9,11 +9,8 @@ from stepgap.base.normal import INTERVAL_95, std_interval_95
 from stepgap.learning.steps import Steps
 from stepgap.step import Array, Codes, StepStatus
 
-WINDOW: Final = 20
-"""Number of consecutive steps over which an error is compared with the band."""
-
-FEWEST_TRACKED: Final = 20
-"""Smallest number of steps from which an interval of the RMSE is computed."""
+WINDOW: Final = 20  # Number of consecutive steps over which an error is compared with the band
+FEWEST_TRACKED: Final = 20  # Smallest number of steps from which an interval of the RMSE is computed
 
 
 def steps_to_band(errors: Array, band: Array) -> int | None:

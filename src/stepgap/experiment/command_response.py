@@ -16,14 +16,9 @@ from stepgap.gauss.linear_regression import fit_linear
 from stepgap.learning.steps import Steps
 from stepgap.step import Array, StepMap
 
-CONFIDENT: Final = 0.001
-"""Largest p-value of a finding: several hypotheses are tested in every deployment."""
-
-FEWEST_STEPS_PER_WEIGHT: Final = 4
-"""Fewest steps for each weight of a regression."""
-
-CLEARLY_SEEN: Final = 8.0
-"""Smallest expected effect, in standard errors, whose absence is a finding."""
+CONFIDENT: Final = 0.001  # Largest p-value of a finding: several hypotheses are tested in every deployment
+FEWEST_STEPS_PER_WEIGHT: Final = 4  # Fewest steps for each weight of a regression
+CLEARLY_SEEN: Final = 8.0  # Smallest expected effect, in standard errors, whose absence is a finding
 
 
 @dataclass(frozen=True, eq=False)

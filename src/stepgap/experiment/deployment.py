@@ -30,8 +30,7 @@ ExecutedSteps = Generator[LoggedStep, None, None]
 """Generator of steps as they are executed; closing it stops the plant."""
 
 
-MISSED = 0.1
-"""Part of half a range of use by which a plan misses a distance that may be out of reach."""
+MISSED = 0.1  # Part of half a range of use by which a plan misses a distance that may be out of reach
 
 
 class AdaptiveMap(Protocol):

@@ -16,8 +16,7 @@ from stepgap.records.prior_file import PriorFile, read_prior
 from stepgap.records.steps_csv import RecordError, read_step_log, text_of
 from stepgap.step import StepSpace
 
-SURROGATE = "nominal_map.json"
-"""File in a run's folder with the surrogate of a simulator."""
+SURROGATE = "nominal_map.json"  # File in a run's folder with the surrogate of a simulator
 
 WARM_START = "warm_start.csv"
 """File in a run's folder with the steps that were known before its first deployment."""

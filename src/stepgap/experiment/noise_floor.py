@@ -29,8 +29,7 @@ noise floor after two and three."""
 PHASES = 6
 """Number of phases of the periodic context, such as angles on a circle, at which a step is repeated."""
 
-REPEATS = 2
-"""Number of repetitions at each phase, which differ in noise only."""
+REPEATS = 2  # Number of repetitions at each phase, which differ in noise only
 
 MakePlant = Callable[[np.random.Generator], RepeatablePlant | None]
 """Makes a plant that draws everything random from a generator; None where no plant can repeat a step."""

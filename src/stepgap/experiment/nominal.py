@@ -32,14 +32,12 @@ from stepgap.step import Array, Outcome, StepFailed, StepMap, StepSpace, StepSta
 WORTH_PROCESSES = 0.02
 """Duration of a simulated step [s] from which several processes sample a simulator; they start in seconds."""
 
-SLOW = 0.02
-"""Duration of a step [s] from which on a map is too slow for the choice of commands."""
+SLOW = 0.02  # Duration of a step [s] from which on a map is too slow for the choice of commands
 
 FEW_EVALUATIONS = 15
 """Number of steps that the choice of a command evaluates on a smooth map that reaches the target."""
 
-TIMED_STEPS = 3
-"""Number of steps whose duration is measured."""
+TIMED_STEPS = 3  # Number of steps whose duration is measured
 
 
 USELESS = 0.5

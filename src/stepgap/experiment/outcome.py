@@ -14,11 +14,8 @@ from stepgap.records.summary import Deployment, NoiseFloor
 from stepgap.records.text import decimal, unit_suffix
 from stepgap.step import Array, StepMap
 
-CUT = 0.01
-"""A command counts as cut by limits if they remove more than this part of its half range."""
-
-TRACKED = 3.0
-"""An error of at most this number of noise floors counts as tracking."""
+CUT = 0.01  # A command counts as cut by limits if they remove more than this part of its half range
+TRACKED = 3.0  # An error of at most this number of noise floors counts as tracking
 
 NEARLY_ZERO = 1e-3
 """An error of at most this part of half a range of use counts as tracking, too: of a plant without noise."""
@@ -135,11 +132,8 @@ COMPARED_STEPS = 5
 FAR_RANGES = 3.0
 """A state is far outside its range of use if it is more than this number of widths of the range away from it."""
 
-FEWEST_OFFSET = 5
-"""Smallest number of steps that show that a coordinate stays away from its targets."""
-
-FAR_OFFSET = 2.0
-"""Smallest ratio of a mean error to its scatter that is called an offset."""
+FEWEST_OFFSET = 5  # Smallest number of steps that show that a coordinate stays away from its targets
+FAR_OFFSET = 2.0  # Smallest ratio of a mean error to its scatter that is called an offset
 
 
 def far_states(steps: Steps) -> Iterable[str]:

@@ -31,14 +31,9 @@ from stepgap.robots.entry_points import simulations_of
 from stepgap.robots.robot import Simulation
 from stepgap.step import StepMap
 
-PLANTS = "stepgap.plants"
-"""Entry points of this group are callables `PlantRequest` → `Plants`."""
-
-ANY_RIG = "any-rig"
-"""The plant of this name runs all rigs, which are found by their own names."""
-
-LARGEST_PORT = 65535
-"""Largest TCP port."""
+PLANTS = "stepgap.plants"  # Entry points of this group are callables `PlantRequest` → `Plants`
+ANY_RIG = "any-rig"  # The plant of this name runs all rigs, which are found by their own names
+LARGEST_PORT = 65535  # Largest TCP port
 
 
 @dataclass(frozen=True, eq=False)

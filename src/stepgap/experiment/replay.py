@@ -27,8 +27,7 @@ from stepgap.rigs.rig import RigFault
 from stepgap.robots.scene import GroundPieces, Kinematics, Motion, Scene
 from stepgap.step import Array
 
-FOOTPRINT = 0.06
-"""Length of the ground that is drawn where a foot stood [m]."""
+FOOTPRINT = 0.06  # Length of the ground that is drawn where a foot stood [m]
 
 
 def kinematics_of(run: Run) -> Kinematics | Missing:

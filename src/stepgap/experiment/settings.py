@@ -32,11 +32,8 @@ from stepgap.step import StepSpace
 
 _Choice = TypeVar("_Choice")
 
-ROBOT = "robot"
-"""Key of the robot's name."""
-
-DEFAULT_ROBOT = "hopper"
-"""Name of the robot if no other is given."""
+ROBOT = "robot"  # Key of the robot's name
+DEFAULT_ROBOT = "hopper"  # Name of the robot if no other is given
 
 _PATHS = ("reference", "rig", "warm_start", "prior", "nominal.file")
 """Settings of every experiment that name a file or a folder."""
@@ -44,14 +41,12 @@ _PATHS = ("reference", "rig", "warm_start", "prior", "nominal.file")
 PRIOR_OF_ROBOT, NO_PRIOR = "robot", "none"
 """Values of the setting `prior` that name no file: that which comes with the robot, and no prior."""
 
-PROCESS = "process"
-"""The plant that is another program; all others but the simulated ones are names of rigs."""
+PROCESS = "process"  # The plant that is another program; all others but the simulated ones are names of rigs
 
 FROM_TEMPLATE, FROM_LOG = "template", "log"
 """Kinds of nominal map that every robot has, each with a file."""
 
-LARGEST_NOMINAL_FILE = 2**28
-"""Largest file of a nominal map that is read [bytes]."""
+LARGEST_NOMINAL_FILE = 2**28  # Largest file of a nominal map that is read [bytes]
 
 SHORT_OPTIONS = {
     "iterations": "learning.iterations",
@@ -61,11 +56,8 @@ SHORT_OPTIONS = {
 }
 """Settings whose options have other names, by the option."""
 
-INTEGRAL_GAIN = 0.5
-"""Part k of an error by which the method `integral` changes its correction."""
-
-RLS_FORGETTING = 0.99
-"""Factor of the weight of a step's error after every further step, in the method `rls`."""
+INTEGRAL_GAIN = 0.5  # Part k of an error by which the method `integral` changes its correction
+RLS_FORGETTING = 0.99  # Factor of the weight of a step's error after every further step, in the method `rls`
 
 
 class Method(NamedTuple):

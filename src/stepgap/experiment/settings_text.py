@@ -16,8 +16,7 @@ from stepgap.experiment.settings import METHODS, Experiment, experiment_table
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.gap import Gap, differences
 
-COMMENT_WIDTH = 100
-"""Longest line of a comment."""
+COMMENT_WIDTH = 100  # Longest line of a comment
 
 _KEY = re.compile(r"(\w+) = ")
 _HEADER = re.compile(r"\[+([\w.]+)\]+")

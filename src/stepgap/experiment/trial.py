@@ -57,11 +57,8 @@ def trial_run(
     return Run(folder, ticks=recorder.kept, nominal=nominal.map)
 
 
-TRIAL_STEPS = 20
-"""Number of steps of a trial that are drawn."""
-
-LONGEST_HELD = 3
-"""Largest number of steps for which a trial holds a target."""
+TRIAL_STEPS = 20  # Number of steps of a trial that are drawn
+LONGEST_HELD = 3  # Largest number of steps for which a trial holds a target
 
 
 def trial_reference(settings: Experiment, held: Reference) -> Reference:

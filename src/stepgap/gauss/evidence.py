@@ -21,8 +21,7 @@ from stepgap.step import Array
 PRIOR_LENGTH_SCALE, PRIOR_NOISE_RATIO, PRIOR_SLOPE_RATIO = 3.0, 0.5, 1.0
 """Medians of the priors, in input scales and signals."""
 
-PRIOR_SIGNAL = 0.25
-"""Median of the prior of the signal, in value scales."""
+PRIOR_SIGNAL = 0.25  # Median of the prior of the signal, in value scales
 
 
 class LogParameters(NamedTuple):

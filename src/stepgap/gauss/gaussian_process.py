@@ -36,8 +36,7 @@ from stepgap.step import Array
 LARGEST_SAVED = 6000
 """Largest number of points of a saved exact process that is read; the memory grows with its square."""
 
-LARGEST_INDUCING = 1000
-"""Largest number of inducing points of a saved process that is read."""
+LARGEST_INDUCING = 1000  # Largest number of inducing points of a saved process that is read
 
 
 @final

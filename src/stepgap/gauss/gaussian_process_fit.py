@@ -37,8 +37,7 @@ On six functions with 1,100 and 2,000 points, the held-out error of such a spars
 the exact process with hyper-parameters from all points, which takes up to seven times as long.
 """
 
-INDUCING_SIZES = (50, 100, 200, 400, 800)
-"""Numbers of inducing points that are tried, in turn."""
+INDUCING_SIZES = (50, 100, 200, 400, 800)  # Numbers of inducing points that are tried, in turn
 
 LEAST_GAIN = 0.005
 """Least gain of the mean log predictive density of held-out values that justifies more inducing points [nats]."""
@@ -55,8 +54,7 @@ NOISE_RATIO_BOUNDS = (1e-4, 1e2)
 SLOPE_RATIO_BOUNDS = (1e-3, 1e2)
 """Search range of the slopes' standard deviation over the signal's; at its lower end slopes are negligible."""
 
-LEAST_NOISE = 1e-3
-"""Least standard deviation of the noise, in value scales; it is negligible in practice."""
+LEAST_NOISE = 1e-3  # Least standard deviation of the noise, in value scales; it is negligible in practice
 
 
 def fit_gaussian_process(

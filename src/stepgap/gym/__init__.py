@@ -32,10 +32,8 @@ from stepgap.robots.entry_points import load_robot, simulations_of
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap, StepStatus
 
-STEP_ID = "stepgap/Step-v0"
-"""Name of the environment for `gymnasium.make`, by default that of the hopper."""
-MODEL = "model"
-"""Plant that is the nominal map with noise."""
+STEP_ID = "stepgap/Step-v0"  # Name of the environment for `gymnasium.make`, by default that of the hopper
+MODEL = "model"  # Plant that is the nominal map with noise
 OBSERVATION_LIMIT = 10.0
 """Distance from the middle of the range at which observations are clipped [half ranges]."""
 LARGEST_COST = 10.0

@@ -21,15 +21,12 @@ from stepgap.hybrid.motion import axpy, hermite, rate_and_guards, rate_jacobian
 from stepgap.hybrid.rosenbrock import rosenbrock_step
 from stepgap.hybrid.tsitouras import tsitouras_step
 
-TIME_OUT = -1
-"""`integrate` reached the time limit before any event."""
-BROKEN = -2
-"""`integrate` found a state or rate that is not finite, or needed too many steps."""
+TIME_OUT = -1  # `integrate` reached the time limit before any event
+BROKEN = -2  # `integrate` found a state or rate that is not finite, or needed too many steps
 
 MAX_STEPS = 20_000
 MAX_PIECES = 200
-_GROWTH = 5.0
-"""Largest ratio of the sizes of two consecutive steps."""
+_GROWTH = 5.0  # Largest ratio of the sizes of two consecutive steps
 GUARD_TOLERANCE = 1e-5
 """Accuracy of an event on the interpolant of a step, relative to the guard's values around it."""
 DIP_MARGIN = 0.2

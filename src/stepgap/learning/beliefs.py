@@ -33,22 +33,18 @@ from stepgap.learning.belief import Belief, Kind
 from stepgap.learning.first_beliefs import PERIODIC_STD, RATES, Family, first_beliefs
 from stepgap.step import Array
 
-RUN_COUNT: Final = 50.0
-"""Number of steps that the noise of an earlier run is worth at most."""
+RUN_COUNT: Final = 50.0  # Number of steps that the noise of an earlier run is worth at most
 RUN_FAR, RUN_TRUST = 4.0, 0.01
 """A step of it whose error is further off than so many deviations counts so much."""
-CHANGED_PART: Final = 0.25
-"""Part of the covariance between robots by which a robot changes."""
+CHANGED_PART: Final = 0.25  # Part of the covariance between robots by which a robot changes
 HAZARD, RETURN_HAZARD, FIRST_HAZARD = 3e-4, 1e-3, 3e-3
 """Probability of a change before a step, of a return to what was before, and of a change between two deployments. The
 last is below `LEAST_WEIGHT`, so that a change plans no step before one spoke for it."""
-WRONG: Final = 0.02
-"""Probability of a push or a wrong measurement in a step."""
+WRONG: Final = 0.02  # Probability of a push or a wrong measurement in a step
 WRONG_WIDTH, WRONG_FREEDOM = 10.0, 2.0
 """Width of the error of such a step, in noise deviations, and its degrees of freedom: its tails are heavy, or a single
 large jump would make a newborn belief certain."""
-SUSPECT: Final = 0.1
-"""From this probability of a wrong step on, the next one may have begun elsewhere."""
+SUSPECT: Final = 0.1  # From this probability of a wrong step on, the next one may have begun elsewhere
 WRONG_MEASUREMENTS: Final = (0.1, 0.9)
 """Numbers of wrong steps that were, and were not, wrong measurements, before the first one."""
 ACCIDENTS, WIDER, WIDENINGS = 2, 16.0, 4

@@ -17,22 +17,17 @@ from stepgap.step import Array
 
 RATES: Final = (0.0, 0.1)
 """Random walk of constant and periodic part in a step, of two beliefs that are otherwise equal [noise deviations]."""
-PERIODIC_STD: Final = 0.3
-"""Prior standard deviation of the periodic part [noise deviations]."""
+PERIODIC_STD: Final = 0.3  # Prior standard deviation of the periodic part [noise deviations]
 ERROR_BEFORE_STD, COMMAND_BEFORE_STD = 0.05, 0.03
 """Prior standard deviations of the weights of the step before: of its error, and of its command [half ranges]."""
-WAVE_STD: Final = 0.06
-"""Prior standard deviation of the part that no quadratic has [half ranges]."""
+WAVE_STD: Final = 0.06  # Prior standard deviation of the part that no quadratic has [half ranges]
 UNKNOWN_STDS: Final = ((0.3, 0.08), (0.6, 0.6))
 """Prior standard deviations of the weights of robots of which nothing is known: up to degree 1, and of degree 2."""
 UNKNOWN_NOISE, NOMINAL_NOISE = 0.03, 0.1
 """Expected standard deviation of their noise, and of that of a nominal map that is right [half ranges]."""
-RIGHT_STD: Final = 1e-3
-"""Prior standard deviation of the weights where a map is right [half ranges]."""
-EXPECTED_NOISE_COUNT: Final = 8.0
-"""Number of steps that an expected noise is worth."""
-RIVAL: Final = 0.02
-"""Probability of each rival of what is expected of a robot, before its first step."""
+RIGHT_STD: Final = 1e-3  # Prior standard deviation of the weights where a map is right [half ranges]
+EXPECTED_NOISE_COUNT: Final = 8.0  # Number of steps that an expected noise is worth
+RIVAL: Final = 0.02  # Probability of each rival of what is expected of a robot, before its first step
 MOST_MONOMIALS: Final = 150
 """With more monomials of degree 2 beliefs are about degree 1: no deployment tells so many weights apart."""
 WAVES, WAVE_LENGTH, LEAST_FOR_WAVES = 30, 1.0, 100

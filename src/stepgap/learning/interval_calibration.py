@@ -27,20 +27,14 @@ import numpy as np
 from stepgap.base.normal import INTERVAL_95, log_density
 from stepgap.step import Array, StepSpace
 
-WEIGHT_STD: Final = 0.15
-"""Standard deviation of each weight a priori."""
-
-MEMORY: Final = 500.0
-"""Number of steps in which the influence of a step falls to 1/e."""
-
-QUANTILE_WEIGHT: Final = 5.0
-"""Weight of the quantile loss in a step."""
+WEIGHT_STD: Final = 0.15  # Standard deviation of each weight a priori
+MEMORY: Final = 500.0  # Number of steps in which the influence of a step falls to 1/e
+QUANTILE_WEIGHT: Final = 5.0  # Weight of the quantile loss in a step
 
 LARGEST_RATIO: Final = 3.0
 """In the likelihood, |u| counts as no larger: a push says nothing about the usual errors."""
 
-LARGEST_FACTOR: Final = 20.0
-"""Bound of the factor, and of its reciprocal."""
+LARGEST_FACTOR: Final = 20.0  # Bound of the factor, and of its reciprocal
 
 FARTHEST_STATE: Final = 1.5
 """States farther from the middle count as at this distance [half ranges]: beyond, factors are not extrapolated."""

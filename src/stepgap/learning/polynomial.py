@@ -21,14 +21,12 @@ from stepgap.gauss.monomials import monomials, monomials_gradient, number_of_mon
 from stepgap.learning.regression import BatchRegression, Parameter, Prediction, ResidualModel, TrainingData
 from stepgap.step import Array
 
-PRIOR_STD = 30.0
-"""Prior standard deviation of a weight, in standard deviations of the noise."""
+PRIOR_STD = 30.0  # Prior standard deviation of a weight, in standard deviations of the noise
 
 PRIOR_COUNT = 3.0
 """Number of values that the prior of the noise is worth; with fewer, Student's t has no standard deviation."""
 
-NOISE_SCALE = 0.02
-"""Prior standard deviation of the noise of a step's error, in half ranges of the state."""
+NOISE_SCALE = 0.02  # Prior standard deviation of the noise of a step's error, in half ranges of the state
 
 
 @final
@@ -163,11 +161,6 @@ def _model(name: str, degree: int, description: str) -> ResidualModel:
     return ResidualModel(name, description, fit, from_dict, candidate=True, complexity=degree + 1)
 
 
-CONSTANT: Final = _model("constant", 0, "a constant")
-"""The residual `constant`."""
-
-LINEAR: Final = _model("linear", 1, "a linear function")
-"""The residual `linear`."""
-
-QUADRATIC: Final = _model("quadratic", 2, "a quadratic polynomial")
-"""The residual `quadratic`."""
+CONSTANT: Final = _model("constant", 0, "a constant")  # The residual `constant`
+LINEAR: Final = _model("linear", 1, "a linear function")  # The residual `linear`
+QUADRATIC: Final = _model("quadratic", 2, "a quadratic polynomial")  # The residual `quadratic`

@@ -20,11 +20,8 @@ from stepgap.learning.first_beliefs import features_of, unknown_belief
 from stepgap.learning.regression import BatchRegression, Parameter, Prediction, Regression, ResidualModel, TrainingData
 from stepgap.step import Array
 
-NOISE_ROUNDS: Final = 3
-"""Number of rounds in which predictions of values that are left out find their noise."""
-
-MOST_FEATURES_READ: Final = 1000
-"""Largest number of features that is read."""
+NOISE_ROUNDS: Final = 3  # Number of rounds in which predictions of values that are left out find their noise
+MOST_FEATURES_READ: Final = 1000  # Largest number of features that is read
 
 
 @final

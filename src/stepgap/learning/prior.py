@@ -22,11 +22,8 @@ from stepgap.learning.first_beliefs import Family, unknown
 from stepgap.learning.observations import Observations
 from stepgap.step import Array, StepSpace
 
-DEGREE = 2
-"""Degree of the polynomials."""
-
-LEAST_FOR_PRIOR = 5
-"""Number of robots from which a prior can be found."""
+DEGREE = 2  # Degree of the polynomials
+LEAST_FOR_PRIOR = 5  # Number of robots from which a prior can be found
 
 _ROUNDS = 60
 """Number of rounds of expectation maximisation; later ones change no weight by more than a hundredth of its spread."""

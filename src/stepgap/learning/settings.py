@@ -26,8 +26,7 @@ GONE: Final[Mapping[str, str]] = {
 }
 """Dotted names of the settings of former versions, with what to write now, for users; recorded runs may have them."""
 
-AUTO: Final = "auto"
-"""Name of the residual that selects the installed candidate with the best predictions."""
+AUTO: Final = "auto"  # Name of the residual that selects the installed candidate with the best predictions
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,8 @@ from stepgap.logs.tables.text_format import AS_FOUND, TextFormat
 from stepgap.records.steps_csv import MOST_COORDINATES
 from stepgap.step import Array, ContextQuantity, Quantity, StepSpace
 
-LARGEST_VALUE = 1e12
-"""Largest magnitude of a number that is accepted as a measurement."""
-
-_ROUNDING = 1e-14
-"""Differences of numbers that are smaller than this part of them are rounding."""
+LARGEST_VALUE = 1e12  # Largest magnitude of a number that is accepted as a measurement
+_ROUNDING = 1e-14  # Differences of numbers that are smaller than this part of them are rounding
 
 ROLES = ("state", "next", "command", "target", "predicted")
 """Parts of a step that have one column per coordinate."""

@@ -17,8 +17,7 @@ STEP_ENDED, FAILED, _UNREADABLE, _TOUCHDOWN = (
 )  # fmt: skip
 
 
-TICKS_AT_ONCE = 32
-"""Ticks of a compiled rig between two looks at Ctrl-C: about a millisecond of computing."""
+TICKS_AT_ONCE = 32  # Ticks of a compiled rig between two looks at Ctrl-C: about a millisecond of computing
 
 
 class RigPlant(Plant):

@@ -25,20 +25,11 @@ from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.records.summary import read_text
 from stepgap.step import Array, StepMap, StepSpace
 
-SCHEMA: Final = 1
-"""Number of the format."""
-
-SAME_STEP: Final = 1e-6
-"""Largest difference of the same step on other machines and versions [half ranges]."""
-
-DIGITS: Final = 9
-"""Significant digits with which the steps of a nominal map are written."""
-
-LARGEST_MODEL: Final = 2**26
-"""Largest model file that is read [bytes]."""
-
-MAP: Final = "map"
-"""Name of the source of nominal next states that is a map."""
+SCHEMA: Final = 1  # Number of the format
+SAME_STEP: Final = 1e-6  # Largest difference of the same step on other machines and versions [half ranges]
+DIGITS: Final = 9  # Significant digits with which the steps of a nominal map are written
+LARGEST_MODEL: Final = 2**26  # Largest model file that is read [bytes]
+MAP: Final = "map"  # Name of the source of nominal next states that is a map
 
 
 @final

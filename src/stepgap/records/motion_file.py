@@ -16,11 +16,8 @@ from stepgap.robots.scene import GroundPieces, Motion, Scene
 INTERVAL: Final = 0.01
 """Time between two frames of a replay [s]; the nearest multiple of the time between two ticks is used."""
 
-LARGEST_MOTION: Final = 2**27
-"""Largest motion file that is read [bytes]."""
-
-ORIGIN: Final = "origin"
-"""Entry that identifies the data from which a motion was computed."""
+LARGEST_MOTION: Final = 2**27  # Largest motion file that is read [bytes]
+ORIGIN: Final = "origin"  # Entry that identifies the data from which a motion was computed
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,20 +16,14 @@ from stepgap.gauss.monomials import monomials
 from stepgap.learning.prior import DEGREE, CoordinatePrior, Prior
 from stepgap.step import Array, StepSpace
 
-LARGEST_PRIOR = 2**24
-"""Largest file of a prior that is read [bytes]."""
-
-_FORMAT = "stepgap prior 1"
-"""Value of the key `format`."""
-
-_LEAST_SCALE = 1e-9
-"""Smallest scale of an input and smallest noise that is read."""
+LARGEST_PRIOR = 2**24  # Largest file of a prior that is read [bytes]
+_FORMAT = "stepgap prior 1"  # Value of the key `format`
+_LEAST_SCALE = 1e-9  # Smallest scale of an input and smallest noise that is read
 
 _LEAST_CONDITION = 1e-13
 """Smallest eigenvalue of the information of a prior, relative to its largest one or to that of some steps."""
 
-_DIGITS = 8
-"""Significant digits of the numbers."""
+_DIGITS = 8  # Significant digits of the numbers
 
 
 @final

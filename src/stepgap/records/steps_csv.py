@@ -17,28 +17,21 @@ from stepgap.base.names import is_name
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import ContextQuantity, Quantity, StepRecord, StepSpace, StepStatus
 
-LARGEST_STEPS_FILE = 256 * 2**20
-"""Largest `steps.csv` that is read [bytes]."""
+LARGEST_STEPS_FILE = 256 * 2**20  # Largest `steps.csv` that is read [bytes]
 
 LONGEST_HEADER = 2**18
 """Longest first line of `steps.csv` [bytes]; that of 100 coordinates with names of 60 letters has 40 kB."""
 
-MOST_COORDINATES = 100
-"""Largest number of state coordinates; each has its own figure."""
+MOST_COORDINATES = 100  # Largest number of state coordinates; each has its own figure
 
 
 class RecordError(InputError):
     """A step log cannot be used; the message is one line that names the file and its fault."""
 
 
-_FORMER = "place_after"
-"""Name of a column of the context in the first versions."""
-
-AFTER = "_after"
-"""End of the names of the columns of the context."""
-
-RECOVERY = "; `stepgap recover` saves what comes before it"
-"""End of the message about a damaged row."""
+_FORMER = "place_after"  # Name of a column of the context in the first versions
+AFTER = "_after"  # End of the names of the columns of the context
+RECOVERY = "; `stepgap recover` saves what comes before it"  # End of the message about a damaged row
 
 
 def column_names(space: StepSpace) -> list[str]:

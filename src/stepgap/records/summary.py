@@ -14,8 +14,7 @@ from stepgap.base.json_data import as_object, check_value, describe_value, integ
 from stepgap.learning.alarm import ALARM_SOURCES, Alarm
 from stepgap.step import Array
 
-SUMMARY_SCHEMA = 1
-"""Version of `summary.json`."""
+SUMMARY_SCHEMA = 1  # Version of `summary.json`
 
 MEASURES = ("rmse", "mae", "bias", "steady_rmse", "transient_rmse", "true_rmse")
 """Tracking errors in `summary.json`, each with one number per state coordinate."""
@@ -23,11 +22,8 @@ MEASURES = ("rmse", "mae", "bias", "steady_rmse", "transient_rmse", "true_rmse")
 MEASURED = tuple(measure for measure in MEASURES if measure != "true_rmse")
 """Those that are known of any robot, also of hardware."""
 
-LARGEST_SUMMARY = 2**24
-"""Largest `summary.json` that is read [bytes]."""
-
-LONGEST_RESIDUAL_NAME = 100
-"""Longest name of a residual model [characters]."""
+LARGEST_SUMMARY = 2**24  # Largest `summary.json` that is read [bytes]
+LONGEST_RESIDUAL_NAME = 100  # Longest name of a residual model [characters]
 
 
 class OtherSchema(StepGapError, ValueError):

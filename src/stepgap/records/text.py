@@ -6,8 +6,7 @@ import numpy as np
 
 from stepgap.step import Array, Quantity
 
-LONGEST_NUMBER = 14
-"""Largest number of characters of a number with the decimals of its coordinate."""
+LONGEST_NUMBER = 14  # Largest number of characters of a number with the decimals of its coordinate
 
 
 def decimal(value: float, digits: int = 3) -> str:

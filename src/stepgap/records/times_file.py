@@ -16,8 +16,7 @@ from stepgap.base.json_data import as_object, integer, is_measurement, objects, 
 from stepgap.records.missing import Missing
 from stepgap.records.summary import read_text
 
-TIMES_FILE: Final = "times.json"
-"""Name of the file."""
+TIMES_FILE: Final = "times.json"  # Name of the file
 
 TIMED_PARTS: Final = ("fit", "planning", "learning")
 """What is timed: the fit before a deployment, the choice of each command, and learning from each step afterwards."""
@@ -25,8 +24,7 @@ TIMED_PARTS: Final = ("fit", "planning", "learning")
 STATISTICS: Final = ("count", "total", "median", "p95", "largest")
 """Numbers of each part in the file: how many times were measured, and their statistics [s]."""
 
-LARGEST_TIMES: Final = 2**24
-"""Largest `times.json` that is read [bytes]."""
+LARGEST_TIMES: Final = 2**24  # Largest `times.json` that is read [bytes]
 
 Times = dict[int, dict[str, dict[str, float]]]
 """Statistics by the number of the deployment and by part."""

@@ -18,11 +18,8 @@ OFFSET_ADVICE: Final = (
 )
 """What to do about a coordinate that ends on the same side of all targets."""
 
-AT_A_BOUND: Final = 0.99
-"""A command counts as at its bound beyond this part of its half range."""
-
-OFTEN: Final = 0.1
-"""Part of the steps from which on a command at its bound is worth a sentence."""
+AT_A_BOUND: Final = 0.99  # A command counts as at its bound beyond this part of its half range
+OFTEN: Final = 0.1  # Part of the steps from which on a command at its bound is worth a sentence
 
 
 def diagnosis_sentences(run: Run) -> list[str]:

@@ -37,11 +37,8 @@ WIDTH: Final = 7.16
 MOST_VECTORS: Final = 2000
 """Number of steps above which curves are drawn as pixels inside the vector graphic, so that its file stays small."""
 
-LONGEST_LABEL: Final = 26
-"""Largest number of drawn characters of a name."""
-
-DOTS_PER_INCH: Final = 200
-"""Resolution of the PNG files."""
+LONGEST_LABEL: Final = 26  # Largest number of drawn characters of a name
+DOTS_PER_INCH: Final = 200  # Resolution of the PNG files
 
 LOOK: Final[dict[Any, Any]] = {
     "font.size": 8,
@@ -61,8 +58,7 @@ UNDATED: Final[Mapping[str, Mapping[str, None]]] = {
 
 _REMEDY: Final = "figures need a working matplotlib (pip install --force-reinstall matplotlib)"
 
-LONGEST_ERROR: Final = 120
-"""Largest number of quoted characters of an error."""
+LONGEST_ERROR: Final = 120  # Largest number of quoted characters of an error
 
 HOVER_SCRIPT: Final = files("stepgap.report").joinpath("hover.js").read_text(encoding="utf-8")
 """Script that shows the values; it does nothing on a page without figures."""

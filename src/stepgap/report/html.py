@@ -27,8 +27,7 @@ POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:;"
 """Content security policy of a page: only its own styles, and images within it."""
 
 
-NO_LINKS: Final[Mapping[str, str]] = {}
-"""No cell of a table is a link."""
+NO_LINKS: Final[Mapping[str, str]] = {}  # No cell of a table is a link
 
 
 def page(title: str, sections: Sequence[str], script: str = "") -> str:

@@ -23,8 +23,7 @@ from stepgap.step import Array
 
 Mask = NDArray[np.bool_]
 
-LOOP_DRAWS: Final = 500
-"""Number of bootstrap samples."""
+LOOP_DRAWS: Final = 500  # Number of bootstrap samples
 
 FEWEST_DEGREES_OF_FREEDOM: Final = 20
 """Smallest number of degrees of freedom from which multipliers are computed."""

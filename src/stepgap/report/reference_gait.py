@@ -20,8 +20,7 @@ from stepgap.records.text import in_words
 from stepgap.report.learned_residual import LearnedResidual, steps_before
 from stepgap.step import Array, StepFailed, StepMap, StepSpace
 
-MOST_GAITS: Final = 40
-"""Largest number of targets whose limit cycles are computed."""
+MOST_GAITS: Final = 40  # Largest number of targets whose limit cycles are computed
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,7 @@ LEVELS: Final = 65535
 COARSE_LEVELS: Final = 8191
 """Number of levels of all other channels, such as points relative to the body: 0.1 mm in 0.8 m, in half the bytes."""
 
-MOST_FRAMES: Final = 60_000
-"""Largest number of frames of a motion on the page; a longer motion is thinned."""
+MOST_FRAMES: Final = 60_000  # Largest number of frames of a motion on the page; a longer motion is thinned
 
 CONTROLS: Final = """<div id="replay-view">
 <canvas id="replay-canvas" tabindex="0" role="img" aria-label="The robot; drag to turn the view"></canvas>

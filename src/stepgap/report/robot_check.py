@@ -19,8 +19,7 @@ from stepgap.robots.nominal_maps.surrogate_map import SurrogateMap
 from stepgap.robots.robot import Robot
 from stepgap.step import StepFailed, StepMap, StepStatus
 
-PLACED_STATES: Final = 20
-"""Number of states into which a model is put."""
+PLACED_STATES: Final = 20  # Number of states into which a model is put
 
 PLACED_ERROR: Final = 0.01
 """Largest difference between a state and the one into which the model was put [half ranges]."""

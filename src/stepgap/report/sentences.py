@@ -13,8 +13,7 @@ from stepgap.report.verdict import NEAR_FLOOR, Achievement
 from stepgap.robots.published_result import PublishedResult
 from stepgap.step import Array, StepStatus, ending_of
 
-MOST_NAMED = 6
-"""Largest number of targets that a sentence names."""
+MOST_NAMED = 6  # Largest number of targets that a sentence names
 
 
 def headline(run: Run) -> str:

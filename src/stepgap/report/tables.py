@@ -17,8 +17,7 @@ from stepgap.report.verdict import Achievement
 from stepgap.robots.published_result import PublishedResult
 from stepgap.step import Array
 
-DASH = "–"
-"""Mark of a missing value in a table."""
+DASH = "–"  # Mark of a missing value in a table
 
 
 def column_table(caption: str, columns: Mapping[str, Sequence[str]]) -> str:

@@ -17,11 +17,8 @@ from stepgap.step import StepStatus
 UNEVEN: Final = 3.0
 """A step is too short or too long if its duration differs from the median by more than this factor."""
 
-NOISY: Final = 0.5
-"""Noise of a step from which on it hides the state [half ranges]."""
-
-MOSTLY: Final = 0.5
-"""Part of the states that are outside a range of use from which on the range is wrong."""
+NOISY: Final = 0.5  # Noise of a step from which on it hides the state [half ranges]
+MOSTLY: Final = 0.5  # Part of the states that are outside a range of use from which on the range is wrong
 
 
 def check_motion(run: Run) -> Iterator[PartResult]:

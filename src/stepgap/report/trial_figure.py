@@ -14,11 +14,8 @@ if TYPE_CHECKING:  # slow imports are made where they are used
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-POSTURES: Final = 6
-"""Number of postures that are drawn in each step, at most."""
-
-MOST_POSTURES: Final = 60
-"""Number of postures in the picture, at most."""
+POSTURES: Final = 6  # Number of postures that are drawn in each step, at most
+MOST_POSTURES: Final = 60  # Number of postures in the picture, at most
 
 
 def trial_figure(run: Run, kinematics: Kinematics | Missing) -> "Figure":

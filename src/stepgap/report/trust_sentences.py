@@ -4,8 +4,7 @@ from typing import Final
 
 from stepgap.experiment.run import Run
 
-MOST_ALARMS: Final = 6
-"""A deployment with more alarms gets a sentence on their number."""
+MOST_ALARMS: Final = 6  # A deployment with more alarms gets a sentence on their number
 
 
 def trust_sentences(run: Run) -> list[str]:

@@ -22,8 +22,7 @@ from stepgap.records.summary import Deployment
 from stepgap.records.text import decimal
 from stepgap.step import Array
 
-ABOUT: Final = 1.05
-"""Factor between two errors without intervals up to which they count as equal."""
+ABOUT: Final = 1.05  # Factor between two errors without intervals up to which they count as equal
 
 NEAR_FLOOR: Final = 1.25
 """Errors up to this number of noise floors are at the noise floor, where that has no interval."""

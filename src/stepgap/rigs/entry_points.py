@@ -6,8 +6,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.plugins import load_plugin, plugin_names
 from stepgap.rigs.rig import Rig
 
-GROUP = "stepgap.rigs"
-"""Entry points of this group are callables (settings file, robot) → `Rig`."""
+GROUP = "stepgap.rigs"  # Entry points of this group are callables (settings file, robot) → `Rig`
 
 
 def rig_names() -> tuple[str, ...]:

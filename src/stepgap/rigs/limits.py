@@ -31,5 +31,4 @@ class RigLimits:
         return ()
 
 
-MOST_LATE_TICKS = 50
-"""Largest value of `late_ticks`."""
+MOST_LATE_TICKS = 50  # Largest value of `late_ticks`

@@ -57,8 +57,7 @@ class Health(NamedTuple):
     emergency_stop: bool = False
 
 
-HEALTHY = Health()
-"""A tick without errors."""
+HEALTHY = Health()  # A tick without errors
 
 LOST = Health(frame_lost=True, stale=True)
 """A tick whose frame was lost, so that the reading is that of the tick before."""

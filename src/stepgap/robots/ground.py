@@ -18,32 +18,24 @@ from stepgap.base.ranges import require
 from stepgap.control.reference import parse_rows
 from stepgap.step import Array, Quantity
 
-LARGEST_SLOPE = 0.5
-"""Steepest ramp, rise over length."""
+LARGEST_SLOPE = 0.5  # Steepest ramp, rise over length
 
 FINEST = 0.01
 """Length of the straight pieces of a random field [m], or a tenth of its wave length where that is shorter."""
 
-SHORTEST = 0.02
-"""Shortest length of a tread, a ramp, a wave or a patch [m]."""
+SHORTEST = 0.02  # Shortest length of a tread, a ramp, a wave or a patch [m]
 
 GAP_DEPTH = 0.5
 """Depth of the gaps between stones [m]: a leg that steps into one finds no ground, and the robot falls."""
 
-RUN_UP = 0.3
-"""Length of ground without gaps before the first stone [m], on which a robot is put."""
-
-LARGEST_PROFILE = 2**20
-"""Largest file of a profile that is read [bytes]."""
-
-HIGHEST = 1.0
-"""Largest height of a profile, up or down [m]."""
+RUN_UP = 0.3  # Length of ground without gaps before the first stone [m], on which a robot is put
+LARGEST_PROFILE = 2**20  # Largest file of a profile that is read [bytes]
+HIGHEST = 1.0  # Largest height of a profile, up or down [m]
 
 _PROFILE = (Quantity("place", "m", 0.0, 10.0), Quantity("height", "m", -0.05, 0.05))
 """Columns of the file of a profile."""
 
-_STRIDE = 0.3
-"""Distance of two footholds that limits expect [m]."""
+_STRIDE = 0.3  # Distance of two footholds that limits expect [m]
 
 
 class Treads(NamedTuple):
@@ -305,5 +297,4 @@ def _evenly(length: float, wanted: float) -> Array:
     return np.linspace(0, length, 2 * pairs, endpoint=False)
 
 
-FLAT_GROUND = UnevenGround()
-"""Ground that is the same everywhere."""
+FLAT_GROUND = UnevenGround()  # Ground that is the same everywhere

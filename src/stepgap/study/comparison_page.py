@@ -33,8 +33,7 @@ from stepgap.step import Array
 if TYPE_CHECKING:  # slow imports are made where they are used
     from matplotlib.figure import Figure
 
-MOST_RUNS: Final = 12
-"""Largest number of runs on one page, so that their curves can be distinguished."""
+MOST_RUNS: Final = 12  # Largest number of runs on one page, so that their curves can be distinguished
 
 COMPARED: Final = {"rmse": "RMSE", "steady_rmse": "steady RMSE", "transient_rmse": "transient RMSE"}
 """Compared errors, with their labels."""
@@ -51,8 +50,7 @@ RUN_COLOURS: Final = (BLUE, VERMILLION, BLACK, "#009E73", "#CC79A7")
 RUN_MARKERS: Final = ("o", "s", "^", "D", "v", "x", "P")
 RUN_LINES: Final = ("-", "--", "-.", ":")
 
-FEWEST_SEEDS: Final = 3
-"""Smallest number of seeds whose spread is shown."""
+FEWEST_SEEDS: Final = 3  # Smallest number of seeds whose spread is shown
 
 SPREAD_NOTE: Final = (
     "These runs have the same settings and versions, except the seed, so they repeat one experiment: their spread is "

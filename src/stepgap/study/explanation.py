@@ -29,8 +29,7 @@ from stepgap.learning.observations import Observations
 from stepgap.robots.gap import Gap, differences
 from stepgap.step import Array
 
-SIGNATURE_DEGREE: Final = 2
-"""Degree of the polynomials."""
+SIGNATURE_DEGREE: Final = 2  # Degree of the polynomials
 
 LARGEST_WEIGHT: Final = 30.0
 """Prior standard deviation of a polynomial's weight, in standard deviations of the steps about it."""
@@ -45,14 +44,9 @@ IMPROBABLE: Final = 3.6
 RESTS: Final = (0.0, *np.geomspace(1e-3, 0.3, 9).tolist())
 """Possible standard deviations of the weights of the rest [half ranges]."""
 
-PRIOR_SIZE: Final = 3.0
-"""Standard deviation of the size of a cause beforehand [usual sizes]."""
-
-LARGEST_SHARE: Final = 12.0
-"""Largest size of a cause, in usual sizes."""
-
-LARGEST_SIMULATED: Final = 4.0
-"""Largest size at which a cause is simulated [usual sizes]."""
+PRIOR_SIZE: Final = 3.0  # Standard deviation of the size of a cause beforehand [usual sizes]
+LARGEST_SHARE: Final = 12.0  # Largest size of a cause, in usual sizes
+LARGEST_SIMULATED: Final = 4.0  # Largest size at which a cause is simulated [usual sizes]
 
 SMALLEST_SIMULATED: Final = 0.2
 """Smallest such size; of a smaller one, the effect may be less than the scatter of the simulation."""
@@ -63,8 +57,7 @@ ALIKE: Final = 0.9
 UNSEEN_STD: Final = 0.5
 """Standard deviation of the size of a cause alone from which on the run says nothing of it [usual sizes]."""
 
-REST_LOG_ODDS: Final = 3.0
-"""Logarithm of the odds from which on it is said that there is a rest."""
+REST_LOG_ODDS: Final = 3.0  # Logarithm of the odds from which on it is said that there is a rest
 
 Shares = Mapping[str, float]
 """Sizes of causes, in usual sizes, by their names."""

@@ -17,8 +17,7 @@ from stepgap.study.explanation import REST_LOG_ODDS, CauseSize, Explanation
 if TYPE_CHECKING:  # slow imports are made where they are used
     from matplotlib.figure import Figure
 
-LEAST_EXPLAINED: Final = 0.1
-"""Share of the squared difference from which on a cause is worth a sentence."""
+LEAST_EXPLAINED: Final = 0.1  # Share of the squared difference from which on a cause is worth a sentence
 
 _CAPTION: Final = (
     "Left: share of the squared difference between the errors of the run and of the simulated robot without gap, less "

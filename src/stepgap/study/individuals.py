@@ -34,8 +34,7 @@ LARGEST_Z: Final = 3.5
 """Value of z from which on a robot is unlike the others; of ten robots that are alike, with fifteen traits, some robot
 exceeds it by chance in 7 % of cases at most."""
 
-LEAST_COMMON: Final = 20
-"""Number of steps of each robot from which its traits can be found."""
+LEAST_COMMON: Final = 20  # Number of steps of each robot from which its traits can be found
 
 MOST_UNCERTAIN: Final = 2.0
 """A map knows a point if its standard deviation there is at most this [standard deviations of a step's noise]; where it

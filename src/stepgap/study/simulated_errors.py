@@ -38,20 +38,14 @@ from stepgap.study.explanation import (
     fit_surface,
 )
 
-STEPS_PER_MONOMIAL: Final = 8
-"""Number of simulated steps for each monomial of the polynomials."""
-
-MOST_SIMULATED_STEPS: Final = 240
-"""Largest number of simulated steps of a robot."""
-
-MOST_FALLS: Final = 3
-"""How often a robot that falls starts again."""
+STEPS_PER_MONOMIAL: Final = 8  # Number of simulated steps for each monomial of the polynomials
+MOST_SIMULATED_STEPS: Final = 240  # Largest number of simulated steps of a robot
+MOST_FALLS: Final = 3  # How often a robot that falls starts again
 
 LEARNING: Final = LearningSettings(residual="constant", online=True)
 """How a simulated robot learns, so that it visits the states of the run."""
 
-JITTER: Final = 0.05
-"""Standard deviation by which targets differ from states of the run [half ranges]."""
+JITTER: Final = 0.05  # Standard deviation by which targets differ from states of the run [half ranges]
 
 
 @final

@@ -16,11 +16,8 @@ from stepgap.records.step_columns import Column
 from stepgap.records.summary import MEASURES, parse_deployment
 from stepgap.step import StepSpace
 
-RESULTS = "results.csv"
-"""Name of the table in the folder of a sweep."""
-
-LARGEST_RESULTS = 2**31
-"""Largest table that is read [bytes]."""
+RESULTS = "results.csv"  # Name of the table in the folder of a sweep
+LARGEST_RESULTS = 2**31  # Largest table that is read [bytes]
 
 _CASE = "case"
 _SEED = "seed"

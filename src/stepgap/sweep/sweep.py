@@ -20,11 +20,8 @@ from stepgap.experiment.inputs import experiment_files, load_known, load_referen
 from stepgap.experiment.settings import Experiment, changed_experiment, merged_experiment, names_file, nested
 from stepgap.step import StepSpace
 
-SWEEP_FILE = "sweep.toml"
-"""File in the folder of a sweep with its axes."""
-
-POINTS_SHA256 = "points_sha256"
-"""Key in that file: SHA-256 of the points of the axes."""
+SWEEP_FILE = "sweep.toml"  # File in the folder of a sweep with its axes
+POINTS_SHA256 = "points_sha256"  # Key in that file: SHA-256 of the points of the axes
 
 TWIN_NUMBER, SEED = "twin", "seed"
 """Names of the axes of random twins and of seeds."""
@@ -32,8 +29,7 @@ TWIN_NUMBER, SEED = "twin", "seed"
 Keep = Literal["runs", "steps", "nothing"]
 """Files of a case that are kept: those of its run, its settings and steps, or none."""
 
-KEEP: tuple[Keep, ...] = get_args(Keep)
-"""All values of `Keep`."""
+KEEP: tuple[Keep, ...] = get_args(Keep)  # All values of `Keep`
 
 
 @dataclass(frozen=True)

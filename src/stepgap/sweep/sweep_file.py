@@ -34,11 +34,8 @@ from stepgap.sweep.sweep import (
     with_changes,
 )
 
-MOST_CASES = 10**6
-"""Largest number of cases of a sweep."""
-
-LARGEST_END = 1e300
-"""Largest end of a range."""
+MOST_CASES = 10**6  # Largest number of cases of a sweep
+LARGEST_END = 1e300  # Largest end of a range
 
 _KEYS = ("base", "seeds", "twins", "keep", "axes", "sobol", POINTS_SHA256)
 

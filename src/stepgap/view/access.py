@@ -25,11 +25,8 @@ from websockets.frames import CloseCode
 
 from stepgap.base.errors import StepGapError
 
-LARGEST_MESSAGE = 2**20
-"""Largest message to the page [bytes]."""
-
-CHANGEABLE = {"value"}
-"""What messages may change of a control."""
+LARGEST_MESSAGE = 2**20  # Largest message to the page [bytes]
+CHANGEABLE = {"value"}  # What messages may change of a control
 
 Handler = Callable[[Any], Awaitable[None]]
 """Handles a connection until it is closed."""

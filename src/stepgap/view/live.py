@@ -15,14 +15,9 @@ from stepgap.records.summary import Deployment
 from stepgap.robots.scene import Kinematics
 from stepgap.view.address import HERE, free_port
 
-VIEW_INTERVAL = 0.008
-"""Time between two drawn ticks [s]."""
-
-ROWS = 2**16
-"""Number of ticks that the ring keeps for the page: nine minutes of motion."""
-
-_LONGEST_END = 10.0
-"""Time after which a page that does not end by itself is killed [s]."""
+VIEW_INTERVAL = 0.008  # Time between two drawn ticks [s]
+ROWS = 2**16  # Number of ticks that the ring keeps for the page: nine minutes of motion
+_LONGEST_END = 10.0  # Time after which a page that does not end by itself is killed [s]
 
 
 class LiveView(LivePage):

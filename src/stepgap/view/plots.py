@@ -16,8 +16,7 @@ from stepgap.step import Array, Quantity
 
 INK = "#3c3e46"
 TRANSPARENT = "rgba(0,0,0,0)"
-HEIGHT = 160
-"""Height of a chart [pixels]."""
+HEIGHT = 160  # Height of a chart [pixels]
 
 NO_DOTS = uplot.Series_Points(show=False)
 

@@ -23,14 +23,12 @@ SHADES: dict[Shade, Colour] = {"body": DARK_RGB, "near": BLUE_RGB, "far": SKY_RG
 TRACK_WIDTH, MARK_EVERY = 0.16, 0.1
 """Width of the marks on the track, and their distance [m]."""
 
-AMBIENT_LIGHT = 2.0
-"""Intensity of the light that comes from all sides, beside viser's lamps."""
+AMBIENT_LIGHT = 2.0  # Intensity of the light that comes from all sides, beside viser's lamps
 
 LONGEST_FLAT, DEPTH = 0.05, 0.02
 """Longest part of a piece of an uneven ground that is drawn flat, and how far the floor is below the lowest one [m]."""
 
-TRACK_MARKS = 400
-"""Number of marks on a straight track on either side of the start."""
+TRACK_MARKS = 400  # Number of marks on a straight track on either side of the start
 
 
 class RobotScene:

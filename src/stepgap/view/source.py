@@ -22,8 +22,7 @@ from stepgap.robots.scene import GroundPieces, Kinematics, Motion
 from stepgap.step import Array
 from stepgap.view.live import VIEW_INTERVAL
 
-STILL = 0.75
-"""Displayed duration of a step with unknown motion [s]."""
+STILL = 0.75  # Displayed duration of a step with unknown motion [s]
 
 
 class Source:

@@ -12,8 +12,7 @@ from stepgap.view.access import guarded
 from stepgap.view.address import free_port
 from stepgap.view.page import Page
 
-FRAME = 1 / 30
-"""Time between two frames [s]."""
+FRAME = 1 / 30  # Time between two frames [s]
 
 
 def start_server(host: str, port: int | None) -> ViserServer:

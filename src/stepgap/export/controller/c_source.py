@@ -36,14 +36,9 @@ _WORDS = (
     "auto break case char const continue default do double else enum extern float for goto if inline int long register "
     "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while"
 )
-KEYWORDS: Final = frozenset(_WORDS.split())
-"""Words that cannot begin the names of the functions."""
-
-KINDS: Final = get_args(Kind)
-"""Where a belief began, by its number in C."""
-
-PER_LINE: Final = 6
-"""Numbers in a line of an array."""
+KEYWORDS: Final = frozenset(_WORDS.split())  # Words that cannot begin the names of the functions
+KINDS: Final = get_args(Kind)  # Where a belief began, by its number in C
+PER_LINE: Final = 6  # Numbers in a line of an array
 
 REGRESSION: Final = {
     "kind": "ZERO",

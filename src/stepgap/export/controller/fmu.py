@@ -21,8 +21,7 @@ from stepgap.export.controller.c_source import c_source
 from stepgap.export.controller.portable_controller import PortableController
 from stepgap.step import Quantity, StepSpace
 
-COMPILERS: Final = ("cc", "gcc", "clang")
-"""Names of C compilers, in the order in which they are looked for."""
+COMPILERS: Final = ("cc", "gcc", "clang")  # Names of C compilers, in the order in which they are looked for
 
 FLAGS: Final = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off")
 """Options of the compiler; only the functions of FMI are visible, so that units do not use each other's functions."""
@@ -35,14 +34,9 @@ PLATFORMS: Final = {
 }
 """Folder of the binary and its suffix, by system and processor."""
 
-COMPILE_TIME: Final = 120.0
-"""Longest time that the compiler may take [s]."""
-
-IDENTIFIER: Final = "stepgap_controller"
-"""Name of the model in its files."""
-
-MAIN: Final = "fmi3.c"
-"""Source of the functions of FMI."""
+COMPILE_TIME: Final = 120.0  # Longest time that the compiler may take [s]
+IDENTIFIER: Final = "stepgap_controller"  # Name of the model in its files
+MAIN: Final = "fmi3.c"  # Source of the functions of FMI
 
 
 def controller_fmu(controller: PortableController) -> bytes:

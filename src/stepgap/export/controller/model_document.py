@@ -31,11 +31,8 @@ from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.surrogate_map import NEIGHBOURS, SurrogateMap, exponents_of
 from stepgap.step import Quantity, StepMap, StepStatus
 
-FORMAT: Final = "StepGap model"
-"""Value of the key `format`."""
-
-MODEL_SCHEMA: Final = 4
-"""Number of the format; it grows with every change that a reader must know of."""
+FORMAT: Final = "StepGap model"  # Value of the key `format`
+MODEL_SCHEMA: Final = 4  # Number of the format; it grows with every change that a reader must know of
 
 CONSTANTS: Final = (
     "PERIODIC_STD", "HAZARD", "RETURN_HAZARD", "FIRST_HAZARD", "WRONG", "WRONG_WIDTH", "WRONG_FREEDOM", "SUSPECT",

@@ -23,11 +23,8 @@ from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.surrogate_map import Samples, SurrogateMap
 from stepgap.step import Array, Quantity, StepMap, StepSpace, StepStatus
 
-LARGEST_PORTABLE: Final = 2**28
-"""Largest model file that is read [bytes]."""
-
-LARGEST_DEGREE: Final = 10
-"""Largest total degree of a nominal map that is read."""
+LARGEST_PORTABLE: Final = 2**28  # Largest model file that is read [bytes]
+LARGEST_DEGREE: Final = 10  # Largest total degree of a nominal map that is read
 
 SAME_NUMBERS: Final = 1e-6
 """Relative difference of numbers that another processor or version computes from the same data."""

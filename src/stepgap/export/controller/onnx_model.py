@@ -14,11 +14,8 @@ from stepgap.export.controller.formulas import corrections, nominal_state, scale
 from stepgap.export.controller.model_document import believed_regressions
 from stepgap.step import StepStatus
 
-OPSET: Final = 17
-"""Version of ONNX's operators, known to runtimes since 2022."""
-
-IR_VERSION: Final = 8
-"""Version of ONNX's files that belongs to these operators."""
+OPSET: Final = 17  # Version of ONNX's operators, known to runtimes since 2022
+IR_VERSION: Final = 8  # Version of ONNX's files that belongs to these operators
 
 
 def onnx_model(document: Mapping[str, Any]) -> bytes:

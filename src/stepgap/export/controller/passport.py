@@ -14,8 +14,7 @@ from stepgap.experiment.run import Run
 from stepgap.records.missing import Missing
 from stepgap.step import Array
 
-LONGEST_NAME: Final = 60
-"""Longest name of a robot [characters]."""
+LONGEST_NAME: Final = 60  # Longest name of a robot [characters]
 
 
 def passport_of(run: Run, deployment: int | None, name: str = "") -> dict[str, Any]:

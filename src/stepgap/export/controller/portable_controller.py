@@ -52,8 +52,7 @@ SMALL_LOSS = 0.05
 """No more inducing points are taken once mean and standard deviation differ by less than this from those of the exact
 process, in standard deviations of a step's noise."""
 
-COMPARISON_POINTS = 1000
-"""Number of random points at which a replacement is compared with the original."""
+COMPARISON_POINTS = 1000  # Number of random points at which a replacement is compared with the original
 
 SAMPLE_RESOLUTION = 2.0**-15
 """Unit in which the sampled points of a surrogate are stored, in half ranges: they only locate the steps that fail."""

@@ -17,11 +17,8 @@ from stepgap.export.controller.model_document import model_document
 from stepgap.export.controller.passport import passport_lines
 from stepgap.export.controller.portable_controller import PortableController
 
-PERMITTED: Final = frozenset({*sys.stdlib_module_names, "numpy"})
-"""Packages that the file may import."""
-
-COPIED_PACKAGE: Final = "stepgap"
-"""Package whose definitions are copied."""
+PERMITTED: Final = frozenset({*sys.stdlib_module_names, "numpy"})  # Packages that the file may import
+COPIED_PACKAGE: Final = "stepgap"  # Package whose definitions are copied
 
 
 class Place(NamedTuple):
@@ -50,8 +47,7 @@ class _Module(NamedTuple):
     copied: dict[str, Place]
 
 
-FILTER: Final = "stepgap.export.controller.step_filter"
-"""Module of the filter."""
+FILTER: Final = "stepgap.export.controller.step_filter"  # Module of the filter
 
 INSTEAD: Final = {
     Place("stepgap.control.gauss_newton", "_gesv"): Place(FILTER, "solved_square"),

@@ -26,8 +26,7 @@ from stepgap.step import Array, Codes, Outcome, Quantity, StepFailed, StepMap, S
 UNCORRECTED: Final = len(StepStatus)
 """Status of a plan without a usable measurement: its command is that of the nominal map if the target is held."""
 
-TINY: Final = 1e-100
-"""Imaginary part of an input with which a formula is differentiated: no digit is lost."""
+TINY: Final = 1e-100  # Imaginary part of an input with which a formula is differentiated: no digit is lost
 
 
 class FilterPlan(NamedTuple):
@@ -336,8 +335,7 @@ class Numbers:
         return np.sum((x[:, None] - centres) ** 2, axis=2)
 
 
-NUMBERS: Final = Numbers()
-"""The algebra of the formulas here."""
+NUMBERS: Final = Numbers()  # The algebra of the formulas here
 
 
 def uncompiled(function: Any) -> Any:

@@ -7,8 +7,7 @@ from typing import Any
 
 from stepgap.plants.ticks.tick_log import TOPIC
 
-TIME = "time"
-"""Field that is the time of a tick; it is the horizontal axis."""
+TIME = "time"  # Field that is the time of a tick; it is the horizontal axis
 
 Tiles = dict[str, Any] | str
 """Part of the window: the name of a panel, or a division into two parts."""

@@ -15,8 +15,7 @@ from stepgap.records.missing import Missing
 from stepgap.records.step_columns import Column
 from stepgap.records.summary import MEASURES, NoiseFloor, Summary
 
-LONGEST_FIELD_NAME = 63
-"""Largest length of a field's name in MATLAB."""
+LONGEST_FIELD_NAME = 63  # Largest length of a field's name in MATLAB
 
 
 def matlab_file(run: Run, columns: Sequence[Column]) -> bytes:

@@ -30,8 +30,7 @@ from stepgap.records.model_files import MAP, NominalSource, saved_model_text
 from stepgap.records.steps_csv import RecordError, read_step_log
 from stepgap.step import Array, StepSpace, StepStatus
 
-MOST_STEPS = 100_000
-"""Largest number of steps; those of a day of hopping."""
+MOST_STEPS = 100_000  # Largest number of steps; those of a day of hopping
 
 NOMINALS = {
     MAP: "the robot's nominal map",
@@ -44,8 +43,7 @@ NOMINALS = {
 FAR: Final = 1.25
 """A number is suspicious if it is beyond the middle nine tenths of all by more than this multiple of their range,"""
 
-FAR_FROM_CONSTANT: Final = 50.0
-"""which counts as this multiple of their value if they are all equal."""
+FAR_FROM_CONSTANT: Final = 50.0  # which counts as this multiple of their value if they are all equal
 
 MOST_SUSPICIOUS: Final = 0.1
 """If a larger part of the rows seemed to be suspicious, the others are no measure of them, and none is."""

@@ -10,8 +10,7 @@ from stepgap.logs.fits.validation import Validation
 from stepgap.report.drawing import BLACK, BLUE, VERMILLION, axis_label
 from stepgap.step import Quantity
 
-PANEL = 4.2
-"""Width and height of a panel [inches]."""
+PANEL = 4.2  # Width and height of a panel [inches]
 
 LOOKS: tuple[dict[str, Any], ...] = (
     {"color": VERMILLION, "marker": "x", "linestyle": "", "markersize": 4},

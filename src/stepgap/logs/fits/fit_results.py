@@ -18,11 +18,8 @@ from stepgap.logs.foreign_log import describe_left_out
 from stepgap.records.text import with_unit
 from stepgap.step import Array, Quantity
 
-FIT_SCHEMA = 8
-"""Version of the JSON file."""
-
-_MOST_NAMED = 10
-"""Largest number of suspicious rows that are named."""
+FIT_SCHEMA = 8  # Version of the JSON file
+_MOST_NAMED = 10  # Largest number of suspicious rows that are named
 
 LARGEST_CHANGE = 10.0
 """An error that is larger than another one by more than this multiple is far worse, whatever the number."""

@@ -31,11 +31,8 @@ from stepgap.step import Array
 FOLDS = 10
 """Number of parts that are held out in turn; standard errors are computed from at least as many blocks."""
 
-LEAST_STEPS: Final = 2 * FOLDS
-"""Least number of steps for a comparison of residuals."""
-
-TOGETHER: Final = 2000
-"""Number of steps whose predictions are computed together; it bounds the memory."""
+LEAST_STEPS: Final = 2 * FOLDS  # Least number of steps for a comparison of residuals
+TOGETHER: Final = 2000  # Number of steps whose predictions are computed together; it bounds the memory
 
 CERTAIN: Final = 2.0
 """Least difference, in standard errors, for one residual to be called better than another."""

@@ -12,11 +12,8 @@ from stepgap.logs.sections.signals import Signal
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
 
-GLITCH: Final = 0.2
-"""A phase is a glitch if it is shorter than this part of a typical phase of its kind."""
-
-SHORT_PHASE: Final = 0.4
-"""A phase is doubtful if it is shorter than this part of a typical phase of its kind."""
+GLITCH: Final = 0.2  # A phase is a glitch if it is shorter than this part of a typical phase of its kind
+SHORT_PHASE: Final = 0.4  # A phase is doubtful if it is shorter than this part of a typical phase of its kind
 
 HIGH, LOW = 0.3, 0.1
 """A foot touches down where its force exceeds HIGH of the force in firm contact, and lifts off below LOW of it."""

@@ -14,8 +14,7 @@ from stepgap.step import Array
 _POSITION = ("position.x", "position.y")
 _ORIENTATION = tuple(f"orientation.{axis}" for axis in "xyzw")
 
-_NORM = (0.9, 1.1)
-"""Norms of a quaternion that is one; a sensor that has none often gives zeros."""
+_NORM = (0.9, 1.1)  # Norms of a quaternion that is one; a sensor that has none often gives zeros
 
 
 def with_pose(log: SignalLog, settings: SectionSettings) -> SignalLog:

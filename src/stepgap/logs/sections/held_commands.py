@@ -19,14 +19,9 @@ from stepgap.step import Array
 LASTING: Final = 5.0
 """A command that is not followed by another one is known for this many times the usual time between two of them."""
 
-SLACK: Final = 0.1
-"""A step may be longer or shorter by this part, so that it ends where the command changes."""
-
-CELLS: Final = 10
-"""Number of parts of a step in which the motion is compared with the command."""
-
-MOST_CELLS: Final = 6000
-"""Number of these parts, from the begin of the log on, that are compared."""
+SLACK: Final = 0.1  # A step may be longer or shorter by this part, so that it ends where the command changes
+CELLS: Final = 10  # Number of parts of a step in which the motion is compared with the command
+MOST_CELLS: Final = 6000  # Number of these parts, from the begin of the log on, that are compared
 
 EXPLAINED: Final = 0.2
 """Least part of the variance of a velocity that its commands must explain, for the lag to be known."""

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from stepgap.logs.sections.signals import Signal
 from stepgap.step import Array
 
-FEWEST_SAMPLES: Final = 6
-"""A parabola is fitted to at least this number of samples."""
+FEWEST_SAMPLES: Final = 6  # A parabola is fitted to at least this number of samples
 
 OUTLYING: Final = 6.0
 """A sample whose residual exceeds this number of robust standard deviations, such as that of a dropout, is left out."""

@@ -19,14 +19,12 @@ from stepgap.step import Array
 LEAD: Final = 0.1
 """A plan that is made up to this part of a step before a section is for the step that begins there."""
 
-UNCLEAR: Final = 0.05
-"""A plan that is made closer than this part of a step to that limit is not used."""
+UNCLEAR: Final = 0.05  # A plan that is made closer than this part of a step to that limit is not used
 
 SAMPLED: Final = 4
 """A signal with at least this number of samples for each step is sampled; one with fewer consists of plans."""
 
-HELD: Final = (0.2, 0.8)
-"""Parts of a step between which a sampled command must not change."""
+HELD: Final = (0.2, 0.8)  # Parts of a step between which a sampled command must not change
 
 
 @final

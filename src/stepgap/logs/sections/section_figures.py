@@ -14,14 +14,12 @@ from stepgap.logs.sections.steps_table import label_of
 from stepgap.report.drawing import BLACK, BLUE, LIGHT, VERMILLION, plain
 from stepgap.step import Array
 
-SECTIONS_IN_ROW = 25
-"""Number of sections in one row of the overview."""
+SECTIONS_IN_ROW = 25  # Number of sections in one row of the overview
 
 MOST_OVERVIEW_ROWS, MOST_VIEWS, PANELS = 40, 20, 4
 """Largest numbers of rows of the overview, of doubtful sections, and of signals that are drawn about each."""
 
-POINTS_IN_ROW = 4000
-"""Number of samples that are drawn in a row."""
+POINTS_IN_ROW = 4000  # Number of samples that are drawn in a row
 
 FOUND: dict[str, Any] = {"color": BLUE, "marker": "o", "linestyle": "", "markersize": 4, "label": "section"}
 DOUBTFUL: dict[str, Any] = {"color": VERMILLION, "marker": "X", "linestyle": "", "markersize": 8, "label": "doubtful"}

@@ -18,14 +18,9 @@ RULES = ("phase", "contact", "force", "crossing", "every")
 COORDINATES = ("state", "command", "target", "predicted")
 """Keys that name coordinates; `SignalCoordinate.of` reads their entries."""
 
-NEXT_FOOT = "next_foot"
-"""Section of walking: another foot touches down than before."""
-
-BOOM_COLUMNS = ("height", "forward")
-"""Columns that are computed from the angles of a boom."""
-
-POSE_COLUMNS = ("forward", "left", "turn")
-"""Columns that are computed from a pose."""
+NEXT_FOOT = "next_foot"  # Section of walking: another foot touches down than before
+BOOM_COLUMNS = ("height", "forward")  # Columns that are computed from the angles of a boom
+POSE_COLUMNS = ("forward", "left", "turn")  # Columns that are computed from a pose
 
 
 @final

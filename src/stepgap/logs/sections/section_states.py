@@ -14,8 +14,7 @@ from stepgap.logs.sections.step_means import step_means
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
 
-WINDOW_PARTS: Final = (1.0, 0.7, 0.5, 0.35, 0.25)
-"""Windows that are tried, in parts of the longest one."""
+WINDOW_PARTS: Final = (1.0, 0.7, 0.5, 0.35, 0.25)  # Windows that are tried, in parts of the longest one
 
 BIAS: Final = 1.5
 """A window is too long if its estimates differ from those of a shorter one by more standard errors than this (RMS)."""
@@ -32,16 +31,14 @@ SMALL_RESIDUALS: Final = 1e-3
 UNCERTAIN: Final = 5.0
 """A section is doubtful if a standard error is larger than a typical one by this factor,"""
 
-IMPRECISE: Final = 0.1
-"""and larger than this part of the standard deviation of the state over all sections."""
+IMPRECISE: Final = 0.1  # and larger than this part of the standard deviation of the state over all sections
 
 _EXACT: Final = 1e-6
 """Errors below this part of the range of a signal are those of a part that rests; what is usual is that of the others.
 
 A joint that rests in most hops would otherwise make the noise of all others unusual."""
 
-MOST_SAMPLES_OFF: Final = 0.2
-"""A fit is doubtful if a larger part of its samples was left out."""
+MOST_SAMPLES_OFF: Final = 0.2  # A fit is doubtful if a larger part of its samples was left out
 
 
 @final

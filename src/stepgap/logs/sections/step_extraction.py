@@ -32,8 +32,7 @@ from stepgap.logs.sections.tops import hop_faults
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
 
-MOST_REGULAR: Final = 1_000_000
-"""Largest number of steps at equal intervals."""
+MOST_REGULAR: Final = 1_000_000  # Largest number of steps at equal intervals
 
 LONGEST_GAP: Final = 0.2
 """A step is left out if a signal has no samples for this part of a typical step: a section could be hidden."""
@@ -41,8 +40,7 @@ LONGEST_GAP: Final = 0.2
 EARLIEST: Final = -0.15
 """Nothing is extracted either if the motion is before the commands by more than this part of a step."""
 
-MOST_DOUBTFUL: Final = 0.25
-"""Nothing is extracted from a log if a larger part of its sections is doubtful."""
+MOST_DOUBTFUL: Final = 0.25  # Nothing is extracted from a log if a larger part of its sections is doubtful
 
 
 @final

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from stepgap.logs.sections.signals import Signal
 from stepgap.step import Array
 
-FEWEST_IN_STEP: Final = 4
-"""A mean needs at least this number of samples,"""
+FEWEST_IN_STEP: Final = 4  # A mean needs at least this number of samples,
 
 LONGEST_GAP_IN_MEAN: Final = 0.45
 """and none of them may be missing for this part of a step: one of five samples may."""

@@ -16,14 +16,12 @@ _Indices = NDArray[np.intp]
 CLEAR: Final = 3.0
 """The least prominent top of a hop must be more prominent than any other maximum by this factor."""
 
-SMALL: Final = 0.15
-"""Other maxima must be less prominent than this part of the median top of a hop."""
+SMALL: Final = 0.15  # Other maxima must be less prominent than this part of the median top of a hop
 
 SHALLOW, TALL = 0.2, 0.5
 """Parts of a typical descent after an apex: of the least descent of a hop, and of a top that is another hop."""
 
-MOST_INTERPOLATED: Final = 2**22
-"""A signal is interpolated at no more times than this."""
+MOST_INTERPOLATED: Final = 2**22  # A signal is interpolated at no more times than this
 
 
 def tops(signal: Signal, rise: float = 0.0) -> list[float]:

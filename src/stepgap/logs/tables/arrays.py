@@ -8,8 +8,7 @@ import numpy as np
 
 from stepgap.logs.tables.log_table import MOST_NUMBERS, LogColumn, LogTable, check_size
 
-MOST_COLUMNS = 10_000
-"""Largest number of columns of one array; wider arrays, such as pictures, are left out."""
+MOST_COLUMNS = 10_000  # Largest number of columns of one array; wider arrays, such as pictures, are left out
 
 
 _PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "ps": 1e12}

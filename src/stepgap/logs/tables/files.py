@@ -11,14 +11,9 @@ from stepgap.base.errors import InputError
 from stepgap.base.versions import optional_package
 from stepgap.records.steps_csv import RecordError
 
-LARGEST_LOG = 64 * 2**20
-"""Largest text log that is read, decompressed [bytes]."""
-
-LARGEST_FILE = 2**31
-"""Largest log in a binary format [bytes]."""
-
-LARGEST_PART = 2**28
-"""Largest chunk of a log after decompression [bytes]."""
+LARGEST_LOG = 64 * 2**20  # Largest text log that is read, decompressed [bytes]
+LARGEST_FILE = 2**31  # Largest log in a binary format [bytes]
+LARGEST_PART = 2**28  # Largest chunk of a log after decompression [bytes]
 
 
 def begin_of(path: Path) -> bytes:

@@ -12,8 +12,7 @@ from stepgap.logs.columns import LARGEST_VALUE, unknown_column
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
 
-MOST_NUMBERS = 2**25
-"""Largest number of values, rows times columns, that is read from one log."""
+MOST_NUMBERS = 2**25  # Largest number of values, rows times columns, that is read from one log
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 

@@ -15,8 +15,7 @@ from stepgap.logs.tables.files import content_of, leaving_out, reading
 from stepgap.logs.tables.log_table import MOST_NUMBERS, LogTable, check_size
 from stepgap.records.steps_csv import RecordError
 
-_LARGEST_MAT = 16 * MOST_NUMBERS
-"""Largest content of a MAT file, decompressed [bytes]."""
+_LARGEST_MAT = 16 * MOST_NUMBERS  # Largest content of a MAT file, decompressed [bytes]
 
 _HEADER_5 = 128
 _HEADER_4 = 20

@@ -14,8 +14,7 @@ from stepgap.records.steps_csv import RecordError
 
 NPY_MAGIC = b"\x93NUMPY"
 
-_LARGEST_ARRAY_FILE = 16 * MOST_NUMBERS
-"""Largest file or member of an archive that is read [bytes]."""
+_LARGEST_ARRAY_FILE = 16 * MOST_NUMBERS  # Largest file or member of an archive that is read [bytes]
 
 
 def read_npy(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:

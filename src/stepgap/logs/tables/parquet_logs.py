@@ -11,8 +11,7 @@ from stepgap.logs.tables.messages import MOST_ELEMENTS, too_long
 
 PARQUET_MAGIC = b"PAR1"
 
-_LARGEST_COLUMN = 16 * MOST_NUMBERS
-"""Largest column that is read, decompressed [bytes]."""
+_LARGEST_COLUMN = 16 * MOST_NUMBERS  # Largest column that is read, decompressed [bytes]
 
 
 def read_parquet(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:

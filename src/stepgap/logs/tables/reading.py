@@ -29,8 +29,7 @@ from stepgap.records.steps_csv import RecordError
 
 _GIT_LFS = b"version https://git-lfs"
 
-NO_ROLES: Mapping[str, str] = MappingProxyType({})
-"""Columns whose meaning is not known."""
+NO_ROLES: Mapping[str, str] = MappingProxyType({})  # Columns whose meaning is not known
 
 
 def read_log_tables(

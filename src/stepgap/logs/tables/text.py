@@ -16,14 +16,12 @@ from stepgap.logs.tables.log_table import LogTable, check_size, column_of_cells,
 from stepgap.logs.tables.text_format import TextFormat, decimal_of, delimiter_of
 from stepgap.records.steps_csv import RecordError
 
-SAMPLED_ROWS = 50
-"""Rows from which the separator is found."""
+SAMPLED_ROWS = 50  # Rows from which the separator is found
 
 NAMES_BELOW = "if its names are in another line, give its beginning as `header` in the table [format] of --columns"
 """What to do where the first line is not that of the names of columns."""
 
-_STATED = re.compile('"?sep=([,;\t])"?')
-"""First line of some files: the separator, for spreadsheets."""
+_STATED = re.compile('"?sep=([,;\t])"?')  # First line of some files: the separator, for spreadsheets
 
 _Row = tuple[int, list[str]]
 """Number of a line, and its cells."""

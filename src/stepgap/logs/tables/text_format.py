@@ -59,8 +59,7 @@ class TextFormat:
             raise ValueError(f"encoding = {self.encoding!r:.40}, but it must be an encoding, {known}") from None
 
 
-AS_FOUND = TextFormat()
-"""Everything as found in the file."""
+AS_FOUND = TextFormat()  # Everything as found in the file
 
 
 def decoded(content: bytes, encoding: str, source: str) -> str:

@@ -13,14 +13,9 @@ from typing import IO, final
 
 from stepgap.plants.process.messages import ProcessFault
 
-LONGEST_LINE = 65536
-"""Largest number of bytes of a line."""
-
-MOST_WAITING = 16
-"""Number of lines without a question after which the program is not listened to any more."""
-
-CONNECTING = 5.0
-"""Timeout of a connection [s]."""
+LONGEST_LINE = 65536  # Largest number of bytes of a line
+MOST_WAITING = 16  # Number of lines without a question after which the program is not listened to any more
+CONNECTING = 5.0  # Timeout of a connection [s]
 
 
 class LineChannel(ABC):

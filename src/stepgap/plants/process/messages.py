@@ -27,8 +27,7 @@ from stepgap.base.json_data import LARGEST_NUMBER, is_measurement, parse_json
 from stepgap.base.ranges import format_value
 from stepgap.step import Array, Quantity, StepSpace, StepStatus
 
-PROTOCOL = 1
-"""Version of the protocol."""
+PROTOCOL = 1  # Version of the protocol
 
 
 class ProcessFault(StepGapError):
@@ -67,11 +66,8 @@ def step(number: int, command: Array, space: StepSpace) -> str:
     return _line({"step": number, "command": dict(zip(space.command_names, command.tolist(), strict=True))})
 
 
-START = '{"start": true}\n'
-"""Line that asks the program to release the robot."""
-
-STOP = '{"stop": true}\n'
-"""Last line to the program."""
+START = '{"start": true}\n'  # Line that asks the program to release the robot
+STOP = '{"stop": true}\n'  # Last line to the program
 
 
 def check_ready(line: str, space: StepSpace) -> None:

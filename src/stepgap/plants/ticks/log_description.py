@@ -12,11 +12,8 @@ from typing import Any, Self
 
 from stepgap.base.versions import versions_here
 
-DESCRIPTION = "stepgap"
-"""Name of the metadata record with the description."""
-
-EVENT = "event"
-"""Name of the metadata record of an event."""
+DESCRIPTION = "stepgap"  # Name of the metadata record with the description
+EVENT = "event"  # Name of the metadata record of an event
 
 Range = tuple[float, float]
 """Least and largest allowed value of a field; infinite where there is no limit."""

@@ -34,10 +34,8 @@ from stepgap.plants.ticks.tick_message import CHANNEL, HEAD_SIZE, SCHEMA_NAME, T
 from stepgap.step import Array
 
 TOPIC = "ticks"
-CHUNK = 64 * 2**10
-"""Size at which a chunk is written to the file [bytes]."""
-LARGEST_RECORD = 2**20
-"""Largest record that is read [bytes]."""
+CHUNK = 64 * 2**10  # Size at which a chunk is written to the file [bytes]
+LARGEST_RECORD = 2**20  # Largest record that is read [bytes]
 
 _HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQIIQ")

@@ -17,12 +17,9 @@ from mcap.opcode import Opcode
 from stepgap.step import Array
 
 SCHEMA_NAME = "stepgap.Tick"
-CHANNEL = 1
-"""Number of the only channel of a log."""
-MOST_FIELDS = 2000
-"""Largest number of fields in a tick; about as many Protobuf keys have two bytes or less."""
-LATEST = 9e9
-"""Latest time [s]; MCAP counts nanoseconds in 64 bits."""
+CHANNEL = 1  # Number of the only channel of a log
+MOST_FIELDS = 2000  # Largest number of fields in a tick; about as many Protobuf keys have two bytes or less
+LATEST = 9e9  # Latest time [s]; MCAP counts nanoseconds in 64 bits
 
 _HEAD = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")]
 _TIMES = [("log_time", "<u8"), ("publish_time", "<u8")]

@@ -13,14 +13,11 @@ import numpy as np
 
 from stepgap.step import Array
 
-SHARED_FOLDER = Path("/dev/shm")
-"""Folder that shows shared memory, on Linux."""
+SHARED_FOLDER = Path("/dev/shm")  # Folder that shows shared memory, on Linux
 
 MARK = int.from_bytes(b"stepring", sys.byteorder)
-HEAD = 8
-"""Offset of the count of rows pushed, in words of 64 bits; it has a separate cache line."""
-ROWS_START = 128
-"""Offset of the first row [bytes]."""
+HEAD = 8  # Offset of the count of rows pushed, in words of 64 bits; it has a separate cache line
+ROWS_START = 128  # Offset of the first row [bytes]
 
 
 class TickRing:

@@ -24,8 +24,7 @@ if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.settings import Experiment
     from stepgap.report.part_results import PartResult
 
-_WRONG = 1
-"""Exit code if a part of the robot is wrong."""
+_WRONG = 1  # Exit code if a part of the robot is wrong
 
 
 @announces_compilation

@@ -14,8 +14,7 @@ from stepgap.step import StepSpace
 if TYPE_CHECKING:  # slow imports are made where they are used
     from matplotlib.figure import Figure
 
-FARTHEST = 4.5
-"""Number of standard deviations above which a point is drawn at the edge."""
+FARTHEST = 4.5  # Number of standard deviations above which a point is drawn at the edge
 
 
 def left_out_figure(space: StepSpace, learned: LearnedResidual) -> "Figure":

@@ -20,14 +20,9 @@ if TYPE_CHECKING:  # slow imports are made where they are used
 MOST_SHOWN: Final = 6
 """Largest number of coordinates against which errors are drawn, and of those whose errors are."""
 
-MOST_COMMANDS: Final = 3
-"""Number of commands among them, if there are too many coordinates."""
-
-LETTERS_PER_LINE: Final = 14
-"""Largest number of letters in a line of a label."""
-
-SAME: Final = 1e-3
-"""Difference of two states that is not visible [half ranges]."""
+MOST_COMMANDS: Final = 3  # Number of commands among them, if there are too many coordinates
+LETTERS_PER_LINE: Final = 14  # Largest number of letters in a line of a label
+SAME: Final = 1e-3  # Difference of two states that is not visible [half ranges]
 
 WIDE_TICK: Final = 0.75
 """Width that a number on the horizontal axis may need, with the space beside it [inches]."""

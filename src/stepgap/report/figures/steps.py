@@ -49,8 +49,7 @@ if TYPE_CHECKING:  # slow imports are made where they are used
 LEAST_FLOOR: Final = 1e-2
 """Fraction of the smallest error below which the noise floor is not drawn, because it would squeeze the errors."""
 
-MOST_CHANGES: Final = 60
-"""Number of changes of the target up to which each change is marked."""
+MOST_CHANGES: Final = 60  # Number of changes of the target up to which each change is marked
 
 VISIBLE: Final = 0.01
 """Relative change of a standard deviation above which a caption explains that it changes."""

@@ -15,8 +15,7 @@ from stepgap.step import Array, StepSpace
 if TYPE_CHECKING:  # slow imports are made where they are used
     from matplotlib.figure import Figure
 
-SURFACE_GRID: Final = 33
-"""Number of grid points along each input."""
+SURFACE_GRID: Final = 33  # Number of grid points along each input
 
 SURFACE_MARGIN: Final = 0.05
 """Part of the range of the recorded values by which the drawn range is larger, on each side."""

@@ -7,17 +7,10 @@ from stepgap.step import Array
 
 _NAMES = ("height", "stride")
 
-STRIDES_GIVEN = 227
-"""Number of targets, as many as the paper's reference has."""
-
-STRIDES = (0.05, 0.42)
-"""Shortest and longest random stride [m]."""
-
-HEIGHTS = (0.55, 0.61)
-"""Lowest and highest random height above the ground [m]."""
-
-OVER_STONES = 0.58
-"""Height above the stones [m]."""
+STRIDES_GIVEN = 227  # Number of targets, as many as the paper's reference has
+STRIDES = (0.05, 0.42)  # Shortest and longest random stride [m]
+HEIGHTS = (0.55, 0.61)  # Lowest and highest random height above the ground [m]
+OVER_STONES = 0.58  # Height above the stones [m]
 
 
 def random_strides() -> Reference:

@@ -67,8 +67,7 @@ LEG_SIGNALS: Mapping[str, str] = {
 }
 """What is drawn over time: the measured leg from the hip to the ankle, and the torques that were applied."""
 
-TOUCHING_FORCE = 1.0
-"""Ground force above which the foot is drawn as touching the ground [N]."""
+TOUCHING_FORCE = 1.0  # Ground force above which the foot is drawn as touching the ground [N]
 
 
 class HopperPose(NamedTuple):

@@ -13,8 +13,7 @@ from stepgap.control.reference import Reference
 from stepgap.robots.published_result import PublishedResult
 from stepgap.step import Array
 
-STATE_NAMES: Final = ("speed", "height")
-"""State of the paper's hopper at the apex (Sec. 4.2)."""
+STATE_NAMES: Final = ("speed", "height")  # State of the paper's hopper at the apex (Sec. 4.2).
 
 PAPER_STEPS = 227
 PAPER_START = (0.0, 0.55)
@@ -27,8 +26,7 @@ PAPER_FLOORS = (
 )
 """Apex heights [m], each with the steps, counted from 1, at which the speeds of `PAPER_STAIR` [m/s] begin."""
 
-LAST_ITERATION: Final = 4
-"""Its last redeployment, "4 hardware deployments" (Sec. 6)."""
+LAST_ITERATION: Final = 4  # Its last redeployment, "4 hardware deployments" (Sec. 6).
 
 NO_GP: Final[Mapping[str, Mapping[str, float]]] = {
     "rmse": {"speed": 0.0671, "height": 0.0193},

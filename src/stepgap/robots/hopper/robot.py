@@ -26,8 +26,7 @@ if TYPE_CHECKING:  # they load Numba and MuJoCo, which the settings do not need
     from stepgap.robots.hopper.tick.hop_control import HopperControl
     from stepgap.robots.hopper.twin.simulation import HopperSimulation
 
-TWIN = "twin"
-"""Name of the simulated plant."""
+TWIN = "twin"  # Name of the simulated plant
 
 FORMER_BOUNDS = (
     "command.thrust_rest_length",

@@ -22,14 +22,12 @@ STEPS = tuple(np.geomspace(1e-4, 0.1, 7).tolist())
 AGREEMENT = 0.1
 """Jacobians with two sizes of step agree if at half of the points they differ by at most this part of their size."""
 
-NEGLIGIBLE = 0.1
-"""Part of the norm of a Jacobian below which the norm of one of its columns counts as zero."""
+NEGLIGIBLE = 0.1  # Part of the norm of a Jacobian below which the norm of one of its columns counts as zero
 
 MOST_EVALUATIONS = 400
 """Number of evaluations for the choice of a step, unless the number of coordinates requires more."""
 
-COMPARED_POINTS = 3, 12
-"""Smallest and largest number of points at which Jacobians are compared."""
+COMPARED_POINTS = 3, 12  # Smallest and largest number of points at which Jacobians are compared
 
 
 @final

@@ -18,8 +18,7 @@ from stepgap.step import Array, Outcome, StepMap, StepSpace
 RELATIVE_ROUNDING = 1e-9
 """Variation that counts as rounding, as a fraction of the largest absolute value of a coordinate."""
 
-ABSOLUTE_ROUNDING = 1e-12
-"""Variation that counts as rounding in any case [unit of the coordinate]."""
+ABSOLUTE_ROUNDING = 1e-12  # Variation that counts as rounding in any case [unit of the coordinate]
 
 DEPENDENT = 1e-12
 """Coordinates, each in standard deviations, vary only together if their variance in some direction is less than this

@@ -22,11 +22,8 @@ from stepgap.step import Array, Codes, Outcome, StepMap, StepSpace, StepStatus
 WIDENED: Final = 1.25
 """Half the sampled range of a state in half ranges of use, because a robot leaves these at times."""
 
-GENERATION: Final = 32
-"""Number of steps that are computed before the states in which they end are known."""
-
-SAMPLE_PARTS: Final = 16
-"""Number of parts in which steps are computed, at most."""
+GENERATION: Final = 32  # Number of steps that are computed before the states in which they end are known
+SAMPLE_PARTS: Final = 16  # Number of parts in which steps are computed, at most
 
 MapFunction = Callable[..., Iterable[Outcome]]
 """The function `map`, or that of an executor."""

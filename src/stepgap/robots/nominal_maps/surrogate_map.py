@@ -30,11 +30,8 @@ from stepgap.step import Array, Codes, Outcome, StepMap, StepSpace, StepStatus
 FIRST_SAMPLES, MOST_SAMPLES = 128, 2048
 """Smallest and largest number of samples; powers of two, for which a Sobol sequence is balanced."""
 
-DEGREES = (1, 2, 3, 4, 5)
-"""Total degrees that are tried."""
-
-WORTHWHILE = 0.85
-"""The samples are doubled again if that made the error at most this part of the one before."""
+DEGREES = (1, 2, 3, 4, 5)  # Total degrees that are tried
+WORTHWHILE = 0.85  # The samples are doubled again if that made the error at most this part of the one before
 
 GOOD_ENOUGH = 1e-3
 """Error in half ranges of the state below which no further samples are taken, unless another one is given."""

@@ -16,14 +16,9 @@ from stepgap.base.errors import InputError
 from stepgap.base.files import read_bounded, write_whole
 from stepgap.sweep.cases.plan import CaseResult, Plan
 
-LARGEST_RESULT = 2**26
-"""Largest result of a case that is read [bytes]."""
-
-LOCK = "lock"
-"""Empty file that a process locks while it writes files that all share."""
-
-_IN_A_FOLDER = 1000
-"""Number of results in one folder, since file systems become slow with many more."""
+LARGEST_RESULT = 2**26  # Largest result of a case that is read [bytes]
+LOCK = "lock"  # Empty file that a process locks while it writes files that all share
+_IN_A_FOLDER = 1000  # Number of results in one folder, since file systems become slow with many more
 
 
 class CaseFolder:

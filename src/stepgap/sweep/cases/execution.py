@@ -29,17 +29,13 @@ from stepgap.base.versions import optional_package
 from stepgap.sweep.cases.case_folder import CaseFolder
 from stepgap.sweep.cases.plan import CaseResult, Compute, Plan, computed, reason_of
 
-LOCAL = "local"
-"""Name of a dask cluster on this machine, which is started for the cases."""
+LOCAL = "local"  # Name of a dask cluster on this machine, which is started for the cases
 
 LARGEST_BACKLOG = 1000
 """Number of cases that a dask scheduler has at the same time; more workers than this would wait."""
 
-GRACE = 5.0
-"""Time that a process has to end by itself [s]."""
-
-_SCHEDULER_WAIT = 30
-"""Longest time until a dask scheduler answers [s]."""
+GRACE = 5.0  # Time that a process has to end by itself [s]
+_SCHEDULER_WAIT = 30  # Longest time until a dask scheduler answers [s]
 
 
 class ClusterLost(StepGapError):

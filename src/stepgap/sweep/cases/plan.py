@@ -7,8 +7,7 @@ from typing import Any, NamedTuple, Protocol
 
 from stepgap.base.errors import StepGapError
 
-LONGEST_REASON = 500
-"""Longest reason of a failure that is recorded [characters]."""
+LONGEST_REASON = 500  # Longest reason of a failure that is recorded [characters]
 
 
 class Plan(Protocol):

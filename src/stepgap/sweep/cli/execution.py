@@ -29,8 +29,7 @@ if TYPE_CHECKING:  # slow imports are made where they are used
 JOB_ARRAYS = ("SLURM_ARRAY_TASK_ID", "LSB_JOBINDEX", "SGE_TASK_ID", "PBS_ARRAY_INDEX", "PBS_ARRAYID")
 """Environment variables with the number of a task of a job array, of SLURM, LSF, Grid Engine, PBS Pro and TORQUE."""
 
-_FAILURES_SHOWN = 5
-"""Number of failed cases whose reasons are printed; all are in the table."""
+_FAILURES_SHOWN = 5  # Number of failed cases whose reasons are printed; all are in the table
 
 
 @Parameter(name="*")

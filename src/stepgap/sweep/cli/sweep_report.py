@@ -56,5 +56,4 @@ def _context(folder: Path) -> SweepContext:
     return SweepContext(planned, defaults, settings.space.state)
 
 
-SWEEP_REPORT = FolderReport(is_sweep, report_sweep)
-"""Reports of sweeps, for `stepgap report`."""
+SWEEP_REPORT = FolderReport(is_sweep, report_sweep)  # Reports of sweeps, for `stepgap report`

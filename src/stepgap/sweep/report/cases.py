@@ -16,8 +16,7 @@ MOST_LEVELS: Final = 16
 RANGES: Final = 8
 """Number of ranges with equally many cases into which a setting with many numbers is divided."""
 
-NAMES: Final = ("twin",)
-"""Settings whose numbers are names, because they have no order."""
+NAMES: Final = ("twin",)  # Settings whose numbers are names, because they have no order
 
 _LARGEST_CASE: Final = 10**8
 

@@ -12,8 +12,7 @@ from stepgap.report.plots import clear_frame, log_scale, shared_legend
 from stepgap.step import Array, Quantity
 from stepgap.sweep.report.cases import SweepAxis, SweepCases
 
-MOST_LEVELS_DRAWN: Final = 20
-"""Number of levels of an axis that are drawn."""
+MOST_LEVELS_DRAWN: Final = 20  # Number of levels of an axis that are drawn
 
 _ROW, _HEAD = 0.16, 0.22
 """Heights of a level and of the space around an axis [inches]."""

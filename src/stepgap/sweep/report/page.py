@@ -20,17 +20,10 @@ from stepgap.step import Array, Quantity
 from stepgap.sweep.report.cases import SweepAxis, SweepCases, sweep_cases
 from stepgap.sweep.results_table import RESULTS, read_results
 
-MOST_AXES: Final = 8
-"""Number of axes whose levels are drawn."""
-
-MOST_ROWS: Final = 20
-"""Number of rows of a table of levels or of failed cases."""
-
-MOST_WORST: Final = 10
-"""Number of cases in a table of the worst ones."""
-
-LONGEST_CELL: Final = 40
-"""Longest text of a setting in a table of cases [characters]."""
+MOST_AXES: Final = 8  # Number of axes whose levels are drawn
+MOST_ROWS: Final = 20  # Number of rows of a table of levels or of failed cases
+MOST_WORST: Final = 10  # Number of cases in a table of the worst ones
+LONGEST_CELL: Final = 40  # Longest text of a setting in a table of cases [characters]
 
 _CAPTION: Final = (
     "RMSE by the value of each setting, whatever the other settings: median of the cases with this value of which that "

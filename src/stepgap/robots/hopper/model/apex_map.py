@@ -21,10 +21,8 @@ from stepgap.robots.hopper.model.leg import Leg
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.step import Array, Outcome, StepMap, StepSpace
 
-SMALLEST_SHARE = 32
-"""Smallest number of steps for which an extra thread pays off."""
-NUDGE = 8e-8
-"""Step of the finite differences that give the Jacobian, in half ranges."""
+SMALLEST_SHARE = 32  # Smallest number of steps for which an extra thread pays off
+NUDGE = 8e-8  # Step of the finite differences that give the Jacobian, in half ranges
 FINER = 0.01
 """Stance tolerance for the Jacobian relative to that for the map; errors are larger where a motor barely saturates."""
 

@@ -39,11 +39,8 @@ WRONG_SCALE, ALLOWED_FEW, ALLOWED_MANY = 0.1, 0.07, 0.04
 """Error of scale for which evidence is collected, and allowed ones: a foot that slips backward seems to be too few
 counts for the swing of the leg."""
 
-MOST_EVIDENCE = 8.0
-"""Evidence from which the yaw is doubted (4.6)."""
-
-MEAN_GAIN = 0.2
-"""Weight of the latest hop in slow means."""
+MOST_EVIDENCE = 8.0  # Evidence from which the yaw is doubted (4.6)
+MEAN_GAIN = 0.2  # Weight of the latest hop in slow means
 
 FOOT_SHARE = 0.5
 """Largest slow mean of the height of the foot at touchdown above or below the ground, as a part of `ground_height`."""

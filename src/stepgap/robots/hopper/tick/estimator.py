@@ -15,11 +15,8 @@ import numpy as np
 
 from stepgap.base.compiled import as_written
 
-APEX_DROP = 0.004
-"""Distance of the hip below its highest point at which the apex counts as passed [m]."""
-
-SPEED_DELAY = 0.05
-"""Flight time after which the speed of the flight is used [s]."""
+APEX_DROP = 0.004  # Distance of the hip below its highest point at which the apex counts as passed [m]
+SPEED_DELAY = 0.05  # Flight time after which the speed of the flight is used [s]
 
 ACCELERATION = 0.05
 """Standard deviation of the horizontal accelerations that are expected in flight [m/s²].
@@ -33,8 +30,7 @@ CENTRE = 0.15
 With take-off as the origin, cancellation among the fourth powers would cost the height two more digits.
 """
 
-LEVEL = 0.4
-"""Origin of the heights in the sums [m]."""
+LEVEL = 0.4  # Origin of the heights in the sums [m]
 
 
 class FlightFit(NamedTuple):

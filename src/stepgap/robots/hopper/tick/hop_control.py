@@ -29,8 +29,7 @@ from stepgap.robots.hopper.tick.stage import Stage
 from stepgap.robots.hopper.tick.tick_row import TICK_BITS, TICK_COLUMN, TICK_NAMES, TICK_UNITS
 from stepgap.step import Array, StepSpace, StepStatus
 
-NO_COMMAND = (nan, nan)
-"""Command of an order without a command."""
+NO_COMMAND = (nan, nan)  # Command of an order without a command
 
 _SCALARS = (*[0.0] * 7, False, False, 0, False, 0, *[0.0] * 5)
 """Arguments of `tick` after the arrays, by which their types are known; integer counts are converted to floats."""

@@ -16,8 +16,7 @@ from stepgap.robots.hopper.tick.safety import JointMotion, Watch
 from stepgap.robots.hopper.tick.sensors import HopperSensorModel
 from stepgap.robots.hopper.tick.stage import Stage
 
-STEP_TIMEOUT = 4.0
-"""Longest time from apex to apex [s]."""
+STEP_TIMEOUT = 4.0  # Longest time from apex to apex [s]
 
 
 class TickSettings(NamedTuple):

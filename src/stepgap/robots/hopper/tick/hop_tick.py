@@ -52,8 +52,7 @@ SHORT_HOP = 0.03
 LATELY = 0.15
 """Weight of the latest foothold in the mean by which footholds lie beyond where they were expected."""
 
-STEEPEST = 0.3
-"""Largest slope that two footholds show; what rises more is a riser."""
+STEEPEST = 0.3  # Largest slope that two footholds show; what rises more is a riser
 
 
 @as_written

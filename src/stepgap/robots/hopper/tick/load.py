@@ -12,8 +12,7 @@ from typing import NamedTuple
 from stepgap.base.compiled import as_written
 from stepgap.robots.hopper.tick.safety import Limited
 
-POWER_TIME = 2.0
-"""Time constant of the mean power [s]; a hop takes less than one."""
+POWER_TIME = 2.0  # Time constant of the mean power [s]; a hop takes less than one
 
 _OVERLOAD = int(Limited.OVERLOAD)
 _POWER = int(Limited.POWER)

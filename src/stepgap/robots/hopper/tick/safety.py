@@ -86,8 +86,7 @@ _LATE = int(Limited.LATE)
 _EMERGENCY_STOP = int(Limited.EMERGENCY_STOP)
 _SPEED_GREW = int(Limited.SPEED_GREW)
 _BRAKED = int(BRAKED)
-STOPS = int(Limited(sum(Limited)) & ~CHANGES_TORQUE)
-"""Bits of all reasons that stop the robot."""
+STOPS = int(Limited(sum(Limited)) & ~CHANGES_TORQUE)  # Bits of all reasons that stop the robot
 
 
 class JointMotion(NamedTuple):

@@ -27,8 +27,7 @@ FOOT_RADIUS = 1e-5
 STICKING = 1e4
 """Coefficient that stands for infinite friction; the friction force that a hop needs is far smaller."""
 
-HARD = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""Stiffest impedance that MuJoCo allows."""
+HARD = (0.9999, 0.9999, 0.001, 0.5, 2.0)  # Stiffest impedance that MuJoCo allows
 
 RECOVERY_RATE = 2000.0
 """Rate at which rigid ground removes a penetration [1/s]. At a higher rate it would throw the light foot up; at a lower

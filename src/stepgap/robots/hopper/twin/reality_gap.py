@@ -10,8 +10,7 @@ import numpy as np
 from stepgap.base.ranges import require
 from stepgap.robots.gap import NOT_NEGATIVE, POSITIVE, Drawn, Gap, Rule, difference, differences, within
 
-LONGEST_DELAY = 1.0
-"""Longest delay of the drives [s]; the simulation keeps the torques of this time."""
+LONGEST_DELAY = 1.0  # Longest delay of the drives [s]; the simulation keeps the torques of this time
 
 SHARE = Drawn(0.0, 1.5)
 EITHER_SIGN = Drawn(0.0, 1.5, signed=True)

@@ -14,11 +14,8 @@ from stepgap.step import Array
 TREAD_START, TREAD_HEIGHT, TREAD_SLOPE, _IMPEDANCE, _SPRING, _DAMPER, _SLIP, _FRICTION = range(8)
 """Columns of a table of treads: place at which it begins [m], height there [m], rise over length, and the contact."""
 
-LOWEST_RISER = 1e-5
-"""Smallest difference of height from a tread to the next that stops the foot [m]."""
-
-_AWAY = -100.0
-"""Height of a riser that the foot is not near [m]."""
+LOWEST_RISER = 1e-5  # Smallest difference of height from a tread to the next that stops the foot [m]
+_AWAY = -100.0  # Height of a riser that the foot is not near [m]
 
 
 class UnevenViews(NamedTuple):

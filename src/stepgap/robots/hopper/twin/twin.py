@@ -49,11 +49,8 @@ From the start to the first apex, over 500 random starts of the preset `paper`, 
 2.5 mm. A repeated step scatters by 8 mm/s and 1.1 mm.
 """
 
-FEWEST_STEPS = 4
-"""Smallest number of physics steps in a tick."""
-
-START_LENGTH = Gains().landing_length
-"""Leg length of the held twin [m]."""
+FEWEST_STEPS = 4  # Smallest number of physics steps in a tick
+START_LENGTH = Gains().landing_length  # Leg length of the held twin [m]
 
 OVERSPEED = 400.0
 """Motor speed at which the drives trip [rad/s], ten times that of a hop; at little more, MuJoCo would diverge."""

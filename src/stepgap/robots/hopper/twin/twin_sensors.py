@@ -6,8 +6,7 @@ from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.tick.sensors import HopperSensorModel
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 
-EXACT_COUNTS = 16384
-"""Counts per turn of a sensor without quantisation; the twin does not round them."""
+EXACT_COUNTS = 16384  # Counts per turn of a sensor without quantisation; the twin does not round them
 
 
 def twin_sensor_model(robot: RobotParameters, gap: RealityGap, tick: float = 1e-3) -> HopperSensorModel:
