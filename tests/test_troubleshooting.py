@@ -45,7 +45,7 @@ def test_its_statuses_are_those_of_a_failed_step() -> None:
 
 def test_its_settings_exist() -> None:
     names = sorted(set(SETTING.findall(PAGE)))
-    assert len(names) >= 10
+    assert len(names) >= 8
     settings: Experiment = read_experiment(None, [])
     for name in names:
         table, key = name.split(".")

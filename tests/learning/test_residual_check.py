@@ -99,7 +99,7 @@ def test_a_wrong_answer_is_refused_when_the_model_is_fitted(method: str, answer:
 
 
 def test_a_fit_that_fails_or_makes_no_regression_names_the_model() -> None:
-    def no_space(data: TrainingData, start: Regression | None) -> Regression:
+    def no_space(data: TrainingData) -> Regression:
         raise OSError(28, "No space left")
 
     with pytest.raises(ResidualError, match=r"residual 'told': OSError: .*No space left"):

@@ -80,7 +80,9 @@ def changed(content: Any, path: tuple[str | int, ...], change: Callable[[Any], A
     inner = content
     for key in path[:-1]:
         inner = inner[key]
-    inner[path[-1]] = change(inner[path[-1]])
+    last = path[-1]
+    before = inner.get(last) if isinstance(inner, dict) else inner[last]
+    inner[last] = change(before)
     return content
 
 

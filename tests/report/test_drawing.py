@@ -73,7 +73,15 @@ def test_the_settings_of_the_user_do_not_count(comment: bytes, tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    "module", ["cli.gait", "logs.cli.fit", "logs.cli.steps", "report", "hardware.cli.rig", "sweep.cli.sweep_report"]
+    "module",
+    [
+        "report.cli.gait",
+        "report.cli.report",
+        "logs.cli.fit",
+        "logs.cli.steps",
+        "hardware.cli.rig",
+        "sweep.cli.sweep_report",
+    ],
 )
 def test_matplotlib_is_imported_with_own_settings_only(module: str) -> None:
     """So no verb imports it before `own_style`."""

@@ -4,11 +4,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 from stepgap.base.plugins import load_plugin
-from stepgap.experiment.loop import Observer
-from stepgap.plants.compiled_rig import Rows
+
+if TYPE_CHECKING:  # a report is written without what builds plants
+    from stepgap.experiment.loop import Observer
+    from stepgap.plants.compiled_rig import Rows
 
 DISPLAYS: Final = "stepgap.displays"
 """Entry points of this group: `report`, which is `report.run_report.write_report`, and `live`, a `LivePage`."""
@@ -46,11 +48,11 @@ class LivePage(ABC):
     """A page that shows a run while it is running, between the entry into its context and the end of that."""
 
     @abstractmethod
-    def on_ticks(self, rows: Rows, step: int) -> None:
+    def on_ticks(self, rows: "Rows", step: int) -> None:
         """Passes ticks to the page: `plants.ticks.stream.OnTicks`."""
 
     @abstractmethod
-    def observing(self, observer: Observer) -> Observer:
+    def observing(self, observer: "Observer") -> "Observer":
         """Observer that also tells the page."""
 
     @abstractmethod

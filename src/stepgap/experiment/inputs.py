@@ -7,7 +7,9 @@ import numpy as np
 
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.files import read_bounded_text, write_whole
+from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference, read_reference, reference_text
+from stepgap.experiment.command_response import FEWEST_STEPS_PER_WEIGHT
 from stepgap.experiment.settings import LARGEST_NOMINAL_FILE, NO_PRIOR, PRIOR_OF_ROBOT, Experiment, with_files
 from stepgap.experiment.settings_text import experiment_toml
 from stepgap.learning.settings import LearningSettings
@@ -15,6 +17,9 @@ from stepgap.learning.steps import Steps, joined
 from stepgap.records.prior_file import PriorFile, read_prior
 from stepgap.records.steps_csv import RecordError, read_step_log, text_of
 from stepgap.step import StepSpace
+
+TRIAL_STEPS = 20  # Number of steps of a trial that are drawn
+LONGEST_HELD = 3  # Largest number of steps for which a trial holds a target
 
 SURROGATE = "nominal_map.json"  # File in a run's folder with the surrogate of a simulator
 
@@ -222,3 +227,16 @@ def _text_of(path: Path, name: str) -> str:
         return read_bounded_text(path, LARGEST_NOMINAL_FILE)
     except (OSError, ValueError) as error:
         raise InputError(f"{name}: {message_of(error)}") from None
+
+
+def trial_reference(settings: Experiment, held: Reference) -> Reference:
+    """The targets of a reference in random order, each for one to `LONGEST_HELD` steps.
+
+    There are at least `TRIAL_STEPS` of them, and as many as `command_response` needs.
+    """
+    targets = held.targets[held.distinct[0]]
+    rng = random_stream(settings.seed, 0, 3)
+    weights = 1 + len(settings.robot.space.state) + 2 * len(settings.robot.space.command)
+    steps = max(TRIAL_STEPS, 1 + FEWEST_STEPS_PER_WEIGHT * weights)
+    numbers = np.repeat(rng.integers(len(targets), size=steps), rng.integers(1, LONGEST_HELD + 1, size=steps))
+    return Reference(held.names, targets[numbers[:steps]])

@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
+from stepgap.experiment.inputs import TRIAL_STEPS
 from stepgap.experiment.run import Run
-from stepgap.experiment.trial import TRIAL_STEPS
 from stepgap.learning.steps import Steps
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.text import unit_suffix

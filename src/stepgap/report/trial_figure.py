@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from stepgap.experiment.inputs import TRIAL_STEPS
 from stepgap.experiment.run import Run
-from stepgap.experiment.trial import TRIAL_STEPS
 from stepgap.records.missing import Missing
 from stepgap.report.drawing import BLACK, BLUE, GREY, LIGHT, VERMILLION, axis_label, new_figure
 from stepgap.robots.scene import Kinematics, Motion, Scene

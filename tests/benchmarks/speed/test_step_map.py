@@ -11,6 +11,7 @@ import pytest
 from benchmarks import compare_maps
 from benchmarks.peers import full_system
 from benchmarks.speed import step_map as bench_map
+from benchmarks.speed.__main__ import speed_line
 from stepgap.robots.hopper import Gains, RobotParameters
 from stepgap.robots.hopper.model.apex_map import ApexMap
 from tests.cli.command_line import Command, refused
@@ -29,7 +30,7 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("tiny")
 def test_the_quick_bench_writes_json_and_a_table(stepgap: Command) -> None:
-    command_result = stepgap("bench", "map", "--quick")
+    command_result = stepgap("map", "--quick", verbs=speed_line)
     assert command_result.code == 0, command_result.err
     assert command_result.out.endswith("\nbench_map.json\n")
     for line in ("StepGap ", "StepGap in a batch ", *SECTIONS):
@@ -68,14 +69,14 @@ def test_the_comparison_measures_peers_and_errors(
 
 def test_bad_input_is_refused(stepgap: Command) -> None:
     Path("there.json").write_text("keep me")
-    refused(stepgap("bench", "map", "--out", "there.json"), "there.json: exists already; choose another --out")
-    refused(stepgap("bench", "map", "--gains.stifness", "3"), "did you mean stiffness?")
-    refused(stepgap("bench", "maps"), "maps")
+    refused(stepgap("map", "--out", "there.json", verbs=speed_line), "there.json: exists already; choose another --out")
+    refused(stepgap("map", "--gains.stifness", "3", verbs=speed_line), "did you mean stiffness?")
+    refused(stepgap("maps", verbs=speed_line), "maps")
     assert Path("there.json").read_text() == "keep me"
 
 
 def test_settings_with_which_nothing_hops_fail_in_one_line(stepgap: Command) -> None:
-    command_result = stepgap("bench", "map", "--quick", "--gains.rest_length", "0.2")
+    command_result = stepgap("map", "--quick", "--gains.rest_length", "0.2", verbs=speed_line)
     assert (command_result.code, command_result.out) == (1, "")
     assert command_result.err.splitlines()[-1].startswith("stepgap: only 0 of 12 random steps succeed; choose settings")
     assert not list(Path().iterdir())

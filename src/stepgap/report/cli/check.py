@@ -90,9 +90,8 @@ def _of_motion(
 ) -> "list[PartResult]":
     """The results on what the robot shall do, and on what it does in some steps, which are drawn."""
     from stepgap.control.limit_cycle import held_reference
-    from stepgap.experiment.inputs import load_reference
+    from stepgap.experiment.inputs import load_reference, trial_reference
     from stepgap.experiment.settings import PROCESS
-    from stepgap.experiment.trial import trial_reference
     from stepgap.report.part_results import PartResult, results_of
     from stepgap.report.robot_check import check_commands, check_targets
 

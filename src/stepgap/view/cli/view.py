@@ -66,9 +66,9 @@ def _simulate(overrides: Overrides, folder: Path) -> None:
     """Simulates some steps of a robot, without a correction, into a folder."""
     from stepgap.cli.nominal import kept_surrogate, nominal_with_progress
     from stepgap.control.limit_cycle import held_reference
-    from stepgap.experiment.inputs import load_reference
+    from stepgap.experiment.inputs import load_reference, trial_reference
     from stepgap.experiment.settings import read_experiment
-    from stepgap.experiment.trial import trial_reference, trial_run
+    from stepgap.experiment.trial import trial_run
 
     if not overrides:
         raise InputError("give the folder of a run, or a robot by --robot NAME")
