@@ -27,7 +27,7 @@ def view(
     ring: Annotated[str | None, Parameter(show=False)] = None,
     overrides: Overrides = None,
 ) -> None:
-    """Show a run in the browser, also while it is running: the robot in 3-D, the errors and the learned model.
+    """Show a run in the browser, also while it is running: the robot in 3-D, and the errors.
 
     Without a run, as in --robot NAME, some steps of the robot are simulated and shown. Ctrl-C stops the server.
 
