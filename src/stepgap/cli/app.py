@@ -31,8 +31,8 @@ from stepgap.cli.verbs import GONE_OPTIONS, command_line
 
 OVERRIDE = re.compile(r"--(robot|[a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTALL)
 
-_BAD_INPUT = 2
-_FAILED = 1  # Exit codes
+_BAD_INPUT = 2  # Exit code where the user gave wrong input
+_FAILED = 1  # Exit code of any other failure
 
 
 def main(arguments: Sequence[str] | None = None, verbs: Callable[[str], App] = command_line) -> None:

@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-MOST_SPEED = 16.0  # Highest speed, relative to real time
-
 Duration = Callable[[int], float | None]
 """Function from the number of a step to its duration [s]; None while that is not known."""
 

@@ -10,7 +10,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.files import create, new_folder
 from stepgap.base.output_files import check_new, free_name, write_new, write_together, writing
 from stepgap.base.versions import optional_package
-from stepgap.cli.options import Integer, Name
+from stepgap.cli.options import GoneOption, Integer, Name
 from stepgap.cli.terminal import announces_compilation
 
 if TYPE_CHECKING:
@@ -30,9 +30,6 @@ CONTROLLER_FILES = {
 }
 """Name of the file of each format of a learned controller; that of C has a header beside it."""
 
-_Gone = Annotated[str, Parameter(show=False)]
-"""Option of earlier versions, which is answered by what to do instead."""
-
 
 @announces_compilation
 def export(
@@ -43,8 +40,8 @@ def export(
     iteration: Annotated[
         Integer | None, Parameter(name=("--deployment", "--iteration"), validator=validators.Number(gte=0))
     ] = None,
-    fmi: _Gone = "3",
-    real: _Gone = "double",
+    fmi: GoneOption = None,
+    real: GoneOption = None,
     name: Name = "",
     out: Path | None = None,
 ) -> None:
@@ -61,9 +58,9 @@ def export(
         name: Name of this robot, such as its serial number, in the passport of what was learned.
         out: New file, or for mjcf a new folder. [default: a new one in the folder export/ of the run]
     """
-    if fmi != "3":
+    if fmi not in (None, "3"):
         raise InputError(f"--fmi {fmi}: an FMU is of FMI 3.0; leave this option out, or compile what --to c writes")
-    if real != "double":
+    if real not in (None, "double"):
         raise InputError(f"--real {real}: the numbers of C are double; leave this option out")
     if to in PACKAGE_OF_FORMAT:
         optional_package(PACKAGE_OF_FORMAT[to], f"--to {to}", to)

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, format_by_name, write_new
-from stepgap.cli.options import NO_COLUMNS, ColumnNames, Integer, Overrides
+from stepgap.cli.options import NO_COLUMNS, ColumnNames, GoneOption, Integer, Overrides
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.logs.columns import Columns
@@ -48,9 +48,6 @@ class Results:
 
 NO_RESULTS = Results()
 
-Gone = Annotated[str | None, Parameter(show=False)]
-"""Option of earlier versions, which is answered by what to do instead."""
-
 
 def fit(
     *log: Path,
@@ -60,8 +57,8 @@ def fit(
     nominal: Literal["map", "predicted", "target", "state"] | None = None,
     experiment: Path | None = None,
     folds: Integer | None = None,
-    load: Gone = None,
-    predictions: Gone = None,
+    load: GoneOption = None,
+    predictions: GoneOption = None,
     results: Results = NO_RESULTS,
     overrides: Overrides = None,
 ) -> None:

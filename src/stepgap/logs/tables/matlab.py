@@ -17,18 +17,20 @@ from stepgap.records.steps_csv import RecordError
 
 _LARGEST_MAT = 16 * MOST_NUMBERS  # Largest content of a MAT file, decompressed [bytes]
 
+# Lengths of headers in versions 5 to 7, and in version 4 [bytes].
 _HEADER_5 = 128
 _HEADER_4 = 20
+# Types of elements, and all of them.
 _COMPRESSED = 15
 _MATRIX = 14
 _INT32 = 5
 _UINT32 = 6
 _KINDS = frozenset([*range(1, 8), 9, *range(12, 15), *range(16, 19)])
+# Classes of matrices.
 _CELL = 1
 _STRUCT = 2
 _SPARSE = 5
 _NUMERIC = range(4, 16)
-"""Lengths of headers in versions 5 to 7 and in version 4 [bytes]; types of elements, and classes of matrices."""
 
 _DEEPEST_MAT = 50
 

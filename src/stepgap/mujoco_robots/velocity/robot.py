@@ -21,13 +21,14 @@ from numpy.typing import NDArray
 from stepgap.base.ranges import require
 from stepgap.mujoco_robots.quadruped.model import (
     CALF_TORQUE,
+    DEFAULTS,
     HIP_Y,
     LEGS,
     LINK,
     THIGH_OFFSET,
     THIGH_TORQUE,
     TOE_RADIUS,
-    TRUNK_MASS,
+    TRUNK,
     leg_xml,
 )
 from stepgap.mujoco_robots.velocity.walking_robot import WalkingControl, WalkingRobot, body_velocity
@@ -58,17 +59,12 @@ def walker_xml(stiffness: float, damping: float) -> str:
 <mujoco model="walker">
   <compiler angle="radian"/>
   <option timestep="0.002" integrator="implicitfast" cone="elliptic" impratio="10"/>
-  <default>
-    <geom contype="0" conaffinity="0" mass="0"/>
-    <default class="leg"><joint axis="0 1 0" damping="0.1" armature="0.01" frictionloss="0.2"/></default>
-  </default>
+  {DEFAULTS}
   <worldbody>
     <geom name="floor" type="plane" size="100 100 0.1" contype="1" conaffinity="1" friction="0.8" solref="0.01 1"/>
     <body name="trunk" pos="0 0 0.3">
       <freejoint name="trunk"/>
-      <inertial pos="0.021112 0 -0.005366" mass="{TRUNK_MASS}" diaginertia="0.02448 0.098077 0.107"/>
-      <geom name="trunk" type="box" size="0.1881 0.04675 0.057"/>
-      <geom name="head" type="sphere" size="0.047" pos="0.285 0 0.01"/>
+      {TRUNK}
       {legs}
     </body>
   </worldbody>
