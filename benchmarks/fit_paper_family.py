@@ -18,7 +18,7 @@ The derivatives are found once, by differences at the preset; after each evaluat
 A member is kept if its mean squared scaled difference from the hardware is at most that of the preset with the same
 bound. For each one, the method of the paper is then run with seeds that were not fitted.
 
-    ./go python benchmarks/fit_paper_family.py --digitised FIG4.csv --members 0,1,2,3 --out benchmarks/paper_family.json
+    ./go python benchmarks/fit_paper_family.py --digitised FIG4.csv --members 0,1,2,3 --out paper_family.json
 """
 
 import argparse

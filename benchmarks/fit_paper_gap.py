@@ -7,11 +7,10 @@ only; a digitised Fig. 4 with the columns step, v_ref, v_nogp, y_ref, y_nogp add
 stairs. `--start` gives the JSON file of an earlier fit to start from.
 
 The numbers in `RealityGap()` are rounded results of such a fit to a digitised Fig. 4; it was started by hand near its
-end and continued after the forward force had been doubled. `--check` evaluates the present numbers, as for
-paper_gap.json.
+end and continued after the forward force had been doubled. `--check` evaluates the present numbers.
 
     ./go python benchmarks/fit_paper_gap.py [--digitised FIG4.csv] [--start FIT.json] --out FIT.json
-    ./go python benchmarks/fit_paper_gap.py --check --out benchmarks/paper_gap.json    # RealityGap() as it is
+    ./go python benchmarks/fit_paper_gap.py --check --out paper_gap.json    # RealityGap() as it is
 """
 
 import argparse

@@ -187,7 +187,7 @@ def test_a_clone_that_was_moved_starts_afresh(clone: Clone) -> None:
         ("python -m stepgap", "requirements.lock"),
         ("python file.py pytest", "requirements.lock"),
         ("python -m pytest tests", "requirements-dev.lock"),
-        ("python -X dev benchmarks/kill_sweep.py", "requirements-dev.lock"),
+        ("python -X dev benchmarks/kill_and_resume.py", "requirements-dev.lock"),
         ("python3 tests/robots/hopper/model/reference_answers.py", "requirements-dev.lock"),
         ("sh -c pytest", "requirements.lock"),
     ],

@@ -104,7 +104,7 @@ def test_starting_again_is_a_new_deployment(make_plant):
 
 
 def test_without_any_gap_the_twin_hops_as_the_model():
-    """The strongest test of both; `benchmarks/twin_fidelity.py` does it on 50 steps and at other ticks."""
+    """The strongest test of both."""
     rng, nominal, errors = np.random.default_rng(11), ApexMap(), []
     with twin_plant(0, RealityGap.none(), tick=1e-4, start_height=0.6) as plant:
         state = plant.start()

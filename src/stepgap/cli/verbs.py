@@ -40,7 +40,7 @@ GONE_VERBS = {
 """Verbs of earlier versions, with what replaces them."""
 
 GONE_OPTIONS = {
-    ("map", "--tick"): "It is gone: in a clone of StepGap, python -m benchmarks.twin_fidelity compares held torques.",
+    ("map", "--tick"): "It is gone: the twin holds torques from tick to tick, and run --gap.preset none shows their effect alone.",
 }
 """Options of earlier versions, with what replaces them."""
 

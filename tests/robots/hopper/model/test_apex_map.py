@@ -1,7 +1,4 @@
-"""The apex map compared with an independent hop, and its behaviour for failures, batches and threads.
-
-`python -m benchmarks.map_accuracy` makes the same comparison on a thousand points and more.
-"""
+"""The apex map compared with an independent hop, and its behaviour for failures, batches and threads."""
 
 import os
 
