@@ -21,7 +21,7 @@ from stepgap.base.random_streams import random_stream
 from stepgap.records.summary import MEASURES
 from stepgap.robots.hopper.paper import STATE_NAMES
 from stepgap.robots.hopper.parameters import CommandBounds
-from stepgap.sweep.cli.sweep_report import report_sweep
+from stepgap.sweep.report.page import report_sweep
 from stepgap.sweep.results_table import RESULTS, columns_of, table_text
 
 RANGES = {

@@ -49,7 +49,7 @@ def leave_out_sweep_report(patch: pytest.MonkeyPatch) -> None:
         (folder / "report.html").touch()
         return WrittenReport(folder / "report.html", ())
 
-    patch.setattr("stepgap.sweep.cli.sweep_report.report_sweep", report_sweep)
+    patch.setattr("stepgap.sweep.report.page.report_sweep", report_sweep)
 
 
 def compute_in_a_thread(patch: pytest.MonkeyPatch) -> None:

@@ -80,7 +80,7 @@ def test_the_settings_of_the_user_do_not_count(comment: bytes, tmp_path: Path) -
         "logs.cli.fit",
         "logs.cli.steps",
         "hardware.cli.rig",
-        "sweep.cli.sweep_report",
+        "sweep.report.page",
     ],
 )
 def test_matplotlib_is_imported_with_own_settings_only(module: str) -> None:

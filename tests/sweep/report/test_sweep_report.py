@@ -4,17 +4,19 @@ import builtins
 import re
 import shutil
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 from matplotlib.axes import Axes
 from matplotlib.container import ErrorbarContainer
 
-from stepgap.step import Array, Quantity
+from stepgap.experiment.settings import Experiment, experiment_table
+from stepgap.robots.hopper.parameters import CommandBounds
+from stepgap.step import Array
 from stepgap.sweep.report.level_figure import level_figure
-from stepgap.sweep.report.page import SweepContext, write_sweep_report
+from stepgap.sweep.report.page import report_sweep
 from stepgap.sweep.results_table import RESULTS
 from tests.browser import Watched
 from tests.browser import chromium as chromium  # fixtures
@@ -31,7 +33,14 @@ AXES = {
     "learning.residual": ["gp_on_linear", "linear"],
     "seed": [1, 2],
 }
-CONTEXT = SweepContext(504, {}, (Quantity("speed", "m/s", -1, 1), Quantity("height", "m", -1, 1)))
+SWEEP = """
+twins = 14
+seeds = [1, 2]
+[axes]
+"gap.torque_scale" = [0.6, 0.8, 1.0]
+"gap.ground_stiffness" = [5000.0, 20000.0, 80000.0]
+"learning.residual" = ["gp_on_linear", "linear"]
+"""
 FAILED = {7: "no command leads to the target at step 3", 400: "case 400: a <b>"}
 ABORTED = {10: 2, 11: 2, 12: 1}
 HOSTILE = "<img src=http://evil/?x='1' onerror=alert(1)>&\"--></svg></pre><script>alert(2)</script>$\\frac{"
@@ -52,11 +61,12 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
     settings, rng = combinations_of(AXES), np.random.default_rng(0)
     hops = {case: 40 + case % 50 for case in range(504) if settings["learning.residual"][case] == "gp_on_linear"}
     write_results_table(folder, settings, errors_of(settings, rng), aborted=ABORTED, hops=hops, failed=FAILED)
-    (folder / "experiment.toml").write_text("seed = 3\n[gap]\nbody_mass_scale = 1.1\n")
+    (folder / "experiment.toml").write_text(tomli_w.dumps(experiment_table(Experiment()) | {"seed": 3}))
+    (folder / "sweep.toml").write_text(SWEEP)
     for case, name in ((int(worst_case(folder)), "report.html"), (10, "steps.csv")):
         (folder / f"runs/{case:08d}").mkdir(parents=True)
         (folder / f"runs/{case:08d}" / name).touch()
-    write_sweep_report(folder, replace(CONTEXT, defaults={"seed": 0, "gap": {"body_mass_scale": 1.1}}), figures=True)
+    report_sweep(folder, figures=True)
     return folder
 
 
@@ -148,13 +158,13 @@ def test_figures_are_saved(sweep: Path) -> None:
 @pytest.mark.usefixtures("every_format")
 def test_the_same_table_gives_the_same_bytes(sweep: Path, tmp_path: Path) -> None:
     again = shutil.copytree(sweep, tmp_path / sweep.name, ignore=shutil.ignore_patterns("figures"))
-    write_sweep_report(again, replace(CONTEXT, defaults={"seed": 0, "gap": {"body_mass_scale": 1.1}}), figures=True)
+    report_sweep(again, figures=True)
     check_same_files(again, sweep)
 
 
 def test_points_are_medians(sweep: Path) -> None:
     cases = cases_in(sweep)
-    panels = np.array(level_figure(cases, cases.axes, CONTEXT.state).axes).reshape(4, 2)
+    panels = np.array(level_figure(cases, cases.axes, CommandBounds().space().state).axes).reshape(4, 2)
     for points, errors in zip(medians_in(panels[1, 1]), (cases.first_errors, cases.last_errors), strict=True):
         of_levels = [errors[cases.axes[1].codes == level, 1] for level in range(3)]
         np.testing.assert_allclose(points, [median(values[np.isfinite(values)]) for values in of_levels])
@@ -167,14 +177,14 @@ def test_points_are_medians(sweep: Path) -> None:
 def test_an_unfinished_sweep_says_so(tmp_path: Path) -> None:
     settings = {name: texts[:100] for name, texts in combinations_of(AXES).items()}
     folder = write_results_table(tmp_path, settings, errors_of(settings, np.random.default_rng(0)))
-    page = Page(write_sweep_report(folder, CONTEXT).path)
+    written = report_sweep(folder)
+    assert "without a valid sweep.toml the number of planned cases is not known" in Page(written.path).text
+    assert written.missing == ("settings (the folder contains no experiment.toml)",)
+    (folder / "sweep.toml").write_text(SWEEP)
+    page = Page(report_sweep(folder).path)
     check_page(page, 1)
     assert "not finished: the table has 300 rows of 100 of its 504 cases (19.8 %)" in page.text
     assert "No deployment was aborted by a failed step." in page.text
-    written = write_sweep_report(folder)
-    text = Page(written.path).text
-    assert "the number of planned cases is not known" in text
-    assert written.missing == ("settings (the folder contains no experiment.toml)",)
 
 
 @pytest.mark.usefixtures("drawn_page", "unplaced")
@@ -182,7 +192,7 @@ def test_an_unfinished_sweep_says_so(tmp_path: Path) -> None:
 def test_few_cases_have_a_page(tmp_path: Path, count: int) -> None:
     settings = {"a": [str(row % 2) for row in range(count)], "seed": list(map(str, range(count)))}
     folder = write_results_table(tmp_path, settings, np.random.default_rng(0).uniform(1, 2, (count, 2, 2)))
-    page = Page(write_sweep_report(folder, CONTEXT).path)
+    page = Page(report_sweep(folder).path)
     check_page(page, 0 if count == 1 else 1)
     assert f"{count} case" in page.text
 
@@ -190,7 +200,7 @@ def test_few_cases_have_a_page(tmp_path: Path, count: int) -> None:
 def test_all_cases_failed(tmp_path: Path) -> None:
     settings = combinations_of({"a": range(30), "seed": [0]})
     failed = {case: f"reason {case}" for case in range(30)}
-    page = Page(write_sweep_report(write_results_table(tmp_path, settings, np.ones((30, 1, 2)), failed=failed)).path)
+    page = Page(report_sweep(write_results_table(tmp_path, settings, np.ones((30, 1, 2)), failed=failed)).path)
     check_page(page, 0)
     assert "None of the 30 cases in the table has a result: all failed." in page.text
     assert "The first 20 failed cases; 10 more failed" in page.text
@@ -202,7 +212,7 @@ def test_all_cases_failed(tmp_path: Path) -> None:
 def test_all_cases_are_aborted(tmp_path: Path) -> None:
     settings = combinations_of({"a": range(3), "seed": range(10)})
     folder = write_results_table(tmp_path, settings, np.ones((30, 2, 2)), aborted=dict.fromkeys(range(30), 1))
-    page = Page(write_sweep_report(folder).path)
+    page = Page(report_sweep(folder).path)
     check_page(page, 0)
     assert "30 cases, but no error of a last deployment is known." in page.text
     assert "In 30 cases (100.0 %) a deployment was aborted by a failed step, in 30 of them the last one." in page.text
@@ -213,7 +223,7 @@ def test_all_cases_are_aborted(tmp_path: Path) -> None:
 def test_deployment_0_alone(tmp_path: Path) -> None:
     settings = combinations_of({"a": range(3), "seed": range(10)})
     errors = np.random.default_rng(0).uniform(1, 2, (30, 1, 1))
-    page = Page(write_sweep_report(write_results_table(tmp_path, settings, errors, names=("x",))).path)
+    page = Page(report_sweep(write_results_table(tmp_path, settings, errors, names=("x",))).path)
     check_page(page, 1)
     assert f"30 cases: the median RMSE of the last deployment is {median(errors.ravel()):.2f} in x." in page.text
     assert "before learning" not in page.source
@@ -238,7 +248,7 @@ def test_only_the_first_settings_are_drawn(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     settings = {f"s{row:02d}": list(map(str, rng.integers(0, 2, 200))) for row in range(10)}
     errors = np.exp(rng.normal(0, 0.3, (200, 2, 2)))
-    page = Page(write_sweep_report(write_results_table(tmp_path, {**settings, "seed": ["0"] * 200}, errors)).path)
+    page = Page(report_sweep(write_results_table(tmp_path, {**settings, "seed": ["0"] * 200}, errors)).path)
     assert "The figure shows the first 8 settings, not: s08, s09." in page.text
 
 
@@ -257,7 +267,7 @@ def test_hostile_text_stays_text(tmp_path: Path) -> None:
     (folder / "experiment.toml").write_text(f"robot = '''{text}'''\n")
     (tmp_path / "precious").write_text("precious")
     (folder / "report.html.partial").symlink_to(tmp_path / "precious")
-    page = Page(write_sweep_report(folder, SweepContext(defaults={}), figures=True).path)
+    page = Page(report_sweep(folder, figures=True).path)
     check_page(page, 1)
     assert page.text.count(text) > 10
     assert (tmp_path / "precious").read_text() == "precious"
@@ -273,7 +283,7 @@ def test_a_state_whose_name_is_no_identifier_is_refused(tmp_path: Path, name: st
     table = (folder / "results.csv").read_text()
     (folder / "results.csv").write_text(table.replace("_speed", f"_{name}"))
     with pytest.raises(ValueError, match=r"results\.csv"):
-        write_sweep_report(folder, SweepContext(defaults={}))
+        report_sweep(folder)
 
 
 def test_no_matplotlib_is_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -287,7 +297,7 @@ def test_no_matplotlib_is_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     settings = combinations_of({"a": range(3), "seed": range(10)})
     folder = write_results_table(tmp_path, settings, np.random.default_rng(0).uniform(1, 2, (30, 2, 2)))
     monkeypatch.setattr(builtins, "__import__", without)
-    page = Page(write_sweep_report(folder).path)
+    page = Page(report_sweep(folder).path)
     check_page(page, 0)
     assert page.text.count("could be drawn (ImportError: libfreetype.so.6") == 1
     assert not (folder / "figures").exists()
@@ -298,7 +308,7 @@ def test_nothing_is_written_for_a_bad_table(sweep: Path, tmp_path: Path) -> None
     for damaged in (whole[: len(whole) // 2], "", "a,b\n1,2\n", whole.replace("\n1,", "\n-1,")):
         (tmp_path / RESULTS).write_text(damaged)
         with pytest.raises(ValueError, match=rf"^{re.escape(str(tmp_path / RESULTS))}[^\n]+$"):
-            write_sweep_report(tmp_path)
+            report_sweep(tmp_path)
         assert [path.name for path in tmp_path.iterdir()] == [RESULTS]
 
 

@@ -43,7 +43,6 @@ class Execution:
         dask: Compute on a dask cluster: the address of its scheduler, its scheduler file, or local.
         resume: Continue the cases in --out that are not finished.
         retry_failed: Compute failed cases again, too.
-        merge: Gone; the message says how results are merged.
         quiet: Print only the paths of the results.
     """
 
@@ -52,7 +51,6 @@ class Execution:
     dask: Address | None = None
     resume: Flag = False
     retry_failed: Flag = False
-    merge: Annotated[tuple[Path, ...], Parameter(consume_multiple=True, show=False)] = ()
     quiet: Flag = False
 
     def numbers(self, cases: int) -> range:
@@ -61,11 +59,6 @@ class Execution:
         Raises:
             InputError: The options contradict each other, or the shard is not I/N with 1 ≤ I ≤ N.
         """
-        if self.merge:
-            raise InputError(
-                "--merge: this option is gone; copy the folders of all parts into one, and continue that with "
-                "--out FOLDER --resume"
-            )
         if self.shard is None:
             task = next((name for name in JOB_ARRAYS if os.environ.get(name, "0") not in ("0", "undefined")), None)
             if task and not self.dask:

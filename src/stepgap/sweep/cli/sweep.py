@@ -64,7 +64,7 @@ def _sweep_file(file: Path | None, out: Path | None, execution: Execution) -> Pa
 
 def _write_all(experiments: "Sweep", folder: "CaseFolder", quiet: bool) -> None:
     """Writes the tables and the report of the finished cases, and prints their paths."""
-    from stepgap.sweep.cli.sweep_report import report_sweep
+    from stepgap.sweep.report.page import report_sweep
 
     with folder.alone():
         tables = write_tables(experiments, folder)

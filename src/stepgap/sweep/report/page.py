@@ -1,24 +1,33 @@
 """The report of a sweep: the page `report.html` and its figure."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stepgap.base.errors import InputError, message_of
 from stepgap.base.files import write_whole
-from stepgap.experiment.displays import WrittenReport
-from stepgap.experiment.settings import SettingsFile, read_settings_file
+from stepgap.experiment.displays import FolderReport, WrittenReport
+from stepgap.experiment.settings import (
+    Experiment,
+    SettingsFile,
+    experiment_table,
+    read_experiment,
+    read_settings_file,
+)
 from stepgap.records.missing import Missing
 from stepgap.records.text import capitalised, decimal, unit_suffix, with_unit
 from stepgap.report.drawing import Drawing, draw_figure, has_figures, write_figures
-from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section, table
+from stepgap.report.html import bullets, page, paragraph, picture, safe, section, table
 from stepgap.report.tables import changed_settings
-from stepgap.step import Array, Quantity
+from stepgap.robots.entry_points import load_robot
+from stepgap.step import Array, Quantity, StepSpace
 from stepgap.sweep.report.cases import SweepAxis, SweepCases, sweep_cases
 from stepgap.sweep.results_table import RESULTS, read_results
+from stepgap.sweep.sweep import SWEEP_FILE
+from stepgap.sweep.sweep_file import read_sweep
 
 MOST_AXES: Final = 8  # Number of axes whose levels are drawn
 MOST_ROWS: Final = 20  # Number of rows of a table of levels or of failed cases
@@ -36,41 +45,36 @@ LEVELS_NOTE: Final = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class SweepContext:
-    """Information on a sweep that is not in its table; by default there is none.
-
-    Attributes:
-        planned: Number of cases of the whole sweep.
-        defaults: Default value of every setting, in nested tables like those of `experiment.toml`.
-        state: Names and units of the state coordinates; empty if the units are not known.
-    """
-
-    planned: int | Missing = Missing("the number of planned cases is not known")
-    defaults: Mapping[str, Any] | Missing = Missing("the default settings were not given")
-    state: tuple[Quantity, ...] = ()
+def is_sweep(folder: Path) -> bool:
+    """Whether a folder holds a sweep, not a run."""
+    return not (folder / "steps.csv").exists() and any((folder / name).exists() for name in (RESULTS, SWEEP_FILE))
 
 
-def write_sweep_report(folder: Path, context: SweepContext | None = None, figures: bool = False) -> WrittenReport:
+def report_sweep(folder: Path, figures: bool = False) -> WrittenReport:
     """Writes `report.html` of a sweep, finished or not, and on demand `figures/levels.png` and `figures/levels.pdf`.
 
     Args:
         folder: Folder of the sweep, with `results.csv`.
-        context: Information that is not in the table.
-        figures: As of `write_report`.
+        figures: Whether to write the files of the figures, too.
 
     Raises:
-        ValueError: The table or the settings are not valid.
-        OSError: A file cannot be read or written.
+        InputError: The content of a file is wrong, or the report cannot be written.
     """
-    context = context or SweepContext()
-    table_path = folder / RESULTS
+    path = folder / RESULTS
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; this makes it: stepgap sweep --out {folder} --resume")
     try:
-        cases = sweep_cases(read_results(table_path))
-        known = {quantity.name: quantity for quantity in context.state}
-        state = [known.get(name) or Quantity(name, "", -1, 1) for name in cases.state_names]
+        return _write_report(folder, sweep_cases(read_results(path)), figures)
     except ValueError as error:
-        raise ValueError(str(error) if str(table_path) in str(error) else f"{table_path}: {error}") from None
+        raise InputError(str(error) if str(folder) in str(error) else f"{path}: {error}") from None
+    except OSError as error:
+        raise InputError(message_of(error)) from None
+
+
+def _write_report(folder: Path, cases: SweepCases, figures: bool) -> WrittenReport:
+    defaults, space = _base(folder / "experiment.toml")
+    known = {quantity.name: quantity for quantity in space.state} if space else {}
+    state = [known.get(name) or Quantity(name, "", -1, 1) for name in cases.state_names]
     settings = read_settings_file(folder / "experiment.toml")
     drawing = _level_drawing(cases, state)
     if drawing and (figures or has_figures(folder)):
@@ -78,18 +82,38 @@ def write_sweep_report(folder: Path, context: SweepContext | None = None, figure
     title = f"StepGap report of a sweep: {folder.resolve().name}"
     top = (
         f'<h1>{safe(title)}</h1>\n<p class="headline">{safe(sweep_headline(cases, state))}</p>\n'
-        f"{bullets(sweep_sentences(cases, state, context.planned))}"
+        f"{bullets(sweep_sentences(cases, state, _planned(folder)))}"
     )
     sections = [
         ("effects", "Errors by setting", _effects(cases, state, drawing)),
         ("worst", "Worst cases", _worst_cases(cases, state, folder)),
         ("failed", "Failed cases", _failed_cases(cases)),
-        ("settings", "Settings", _settings(cases, context.defaults, settings)),
+        ("settings", "Settings", _settings(cases, defaults, settings)),
     ]
     path = folder / "report.html"
     write_whole(path, page(title, [top, *(section(name, head, *parts) for name, head, parts in sections if parts)]))
     missing = (f"settings ({settings.reason})",) if isinstance(settings, Missing) else ()
     return WrittenReport(path, missing)
+
+
+def _planned(folder: Path) -> int | Missing:
+    """Number of cases of the whole sweep."""
+    try:
+        return len(read_sweep(folder / SWEEP_FILE))
+    except InputError:
+        return Missing(f"without a valid {SWEEP_FILE} the number of planned cases is not known")
+
+
+def _base(path: Path) -> tuple[Mapping[str, Any], StepSpace | None]:
+    """Default settings, in nested tables, and the robot's space, None if its settings are not valid in this version."""
+    try:
+        settings = read_experiment(path, recorded=True) if path.is_file() else Experiment()
+    except InputError:
+        return experiment_table(Experiment()), None
+    return experiment_table(Experiment(load_robot(settings.robot.name))), settings.space
+
+
+SWEEP_REPORT = FolderReport(is_sweep, report_sweep)  # Reports of sweeps, for `stepgap report`
 
 
 # Sentences
@@ -268,14 +292,11 @@ def _short(text: str) -> str:
     return text if len(text) <= LONGEST_CELL else f"{text[: LONGEST_CELL - 1]}…"
 
 
-def _settings(cases: SweepCases, defaults: Mapping[str, Any] | Missing, settings: SettingsFile | Missing) -> list[str]:
+def _settings(cases: SweepCases, defaults: Mapping[str, Any], settings: SettingsFile | Missing) -> list[str]:
     constants = bullets([f"{name}: {text} in all cases of the table" for name, text in cases.constants.items()])
     if isinstance(settings, Missing):
         return [constants, paragraph(f"{capitalised(settings.reason)}.")]
-    if isinstance(defaults, Missing):
-        changed = absence("comparison with the default settings", defaults)
-    else:
-        changed = changed_settings(settings.table, defaults, "base of the sweep")
+    changed = changed_settings(settings.table, defaults, "base of the sweep")
     note = paragraph("Settings that no axis changes are the same in all cases, as in the base experiment.")
     opened = "<details><summary>experiment.toml: all settings of the base experiment</summary>"
     return [constants, note, changed, f"{opened}<pre>{safe(settings.text)}</pre></details>"]
