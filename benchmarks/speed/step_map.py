@@ -1,12 +1,12 @@
 """`benchmarks.speed map`: computing times of the nominal map and of everything that is built on it.
 
-Other engines can be measured with it, as in `benchmarks/compare_maps.py`. Engines take turns within one run, so that a
-busy machine slows all of them equally: compare ratios, not times.
+Single calls and batches take turns within one run, so that a busy machine slows both equally: compare ratios, not
+times.
 """
 
 import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
@@ -19,7 +19,7 @@ from stepgap.control.step_controller import StepController
 from stepgap.robots.hopper.model.apex_map import ApexMap
 from stepgap.step import Array, StepStatus
 
-MAP_PACKAGES = ("stepgap", "numpy", "scipy", "numba", "mujoco", "heyoka")
+MAP_PACKAGES = ("stepgap", "numpy", "scipy", "numba")
 """Packages whose versions are part of the result."""
 
 Evaluate = Callable[[Any, Any], Any]
@@ -35,9 +35,8 @@ class MapBenchSize:
     """Size of the benchmark.
 
     Attributes:
-        points: Number of random points at which the errors of all engines are measured.
+        points: Number of random points of the timed calls.
         rounds: Number of turns of the engines.
-        jacobians: Number of points at which the Jacobian is compared with differences of the reference.
         solves: Number of random reachable pairs of state and target.
         table: Number of points along each axis of the command table.
         batch: Number of maps in a batch.
@@ -45,7 +44,6 @@ class MapBenchSize:
 
     points: int
     rounds: int
-    jacobians: int
     solves: int
     table: int
     batch: int
@@ -53,21 +51,20 @@ class MapBenchSize:
 
 BATCH_ROUNDS = 5
 
-FULL_MAP_BENCH = MapBenchSize(points=50, rounds=15, jacobians=10, solves=500, table=15, batch=4000)
-QUICK_MAP_BENCH = MapBenchSize(points=3, rounds=3, jacobians=0, solves=50, table=4, batch=500)
+FULL_MAP_BENCH = MapBenchSize(points=50, rounds=15, solves=500, table=15, batch=4000)
+QUICK_MAP_BENCH = MapBenchSize(points=3, rounds=3, solves=50, table=4, batch=500)
 
 
 @dataclass(frozen=True)
 class Engine:
-    """An implementation of the map.
+    """A way to evaluate the map.
 
     Attributes:
         name: Name in the table.
-        note: Method and tolerance.
+        note: How it is called.
         evaluate: Function that computes one step.
         calls: Number of timed calls in a round.
         maps: Number of maps that one call evaluates.
-        error: Error of the engine, if it cannot be measured by calls.
     """
 
     name: str
@@ -75,25 +72,6 @@ class Engine:
     evaluate: Evaluate
     calls: int
     maps: int = 1
-    error: float | None = None
-
-
-@dataclass(frozen=True)
-class MapPeers:
-    """Other implementations of the same map.
-
-    Attributes:
-        engines: Engines that are available.
-        skipped: Names of the others, with the reason why each is left out.
-        reference: The map with a much smaller tolerance, relative to which errors are measured.
-    """
-
-    engines: Sequence[Engine] = ()
-    skipped: Mapping[str, str] = field(default_factory=dict)
-    reference: Evaluate | None = None
-
-
-NO_PEERS = MapPeers()
 
 
 def bench_map(
@@ -101,7 +79,6 @@ def bench_map(
     seed: int,
     quick: bool,
     announce: Announce = lambda line: None,
-    peers: MapPeers = NO_PEERS,
 ) -> dict[str, Any]:
     """Runs all sections of the benchmark; the result is plain data for JSON.
 
@@ -110,28 +87,24 @@ def bench_map(
         seed: Seed of the random points.
         quick: Whether to use few points.
         announce: Called with the name of each section before it begins.
-        peers: Other engines to measure.
     """
     size, rng = QUICK_MAP_BENCH if quick else FULL_MAP_BENCH, np.random.default_rng(seed)
     states, commands = random_steps(nominal, rng, size.points)
     announce("engines, taking turns")
-    truth = None if peers.reference is None else _evaluate_all(peers.reference, states, commands)
-    engines = [*_ours(nominal, states, commands), *peers.engines]
-    rows = time_engines(engines, states, commands, truth, nominal, size.rounds)
+    rows = time_engines(_engines(nominal, states, commands), states, commands, size.rounds)
     announce("Jacobian")
-    jacobian = _jacobian(nominal, peers.reference, states[: size.jacobians], commands[: size.jacobians])
+    jacobian = _jacobian(nominal)
     announce("root solve")
     solved = _root_solve(nominal, rng, size.solves)
     announce("batch")
     batch = _batch(nominal, rng, size.batch)
     announce(f"command table of {size.table}⁴")
     return {
-        "schema": 1,
+        "schema": 2,
         "quick": quick,
         "seed": seed,
         "machine": machine(MAP_PACKAGES),
         "engines": rows,
-        "skipped": dict(peers.skipped),
         "jacobian": jacobian,
         "root_solve": solved,
         "batch": batch,
@@ -157,41 +130,31 @@ def random_steps(nominal: ApexMap, rng: np.random.Generator, count: int) -> tupl
     return states[succeed], commands[succeed]
 
 
-def _ours(nominal: ApexMap, states: Array, commands: Array) -> list[Engine]:
+def _engines(nominal: ApexMap, states: Array, commands: Array) -> list[Engine]:
     many = np.resize(states, (15, 2)), np.resize(commands, (15, 2))
     return [
         Engine("StepGap", "one call from Python", lambda state, command: nominal(state, command), calls=100),
-        Engine("StepGap in a batch", "15 maps per call", lambda *_: nominal.evaluate(*many), 20, maps=15, error=0.0),
+        Engine("StepGap in a batch", "15 maps per call", lambda *_: nominal.evaluate(*many), 20, maps=15),
     ]
 
 
-def time_engines(
-    engines: list[Engine], states: Array, commands: Array, truth: Array | None, nominal: ApexMap, rounds: int
-) -> list[dict[str, Any]]:
-    """A row for each engine: median time of one map, median ratio to the first engine, and error."""
+def time_engines(engines: list[Engine], states: Array, commands: Array, rounds: int) -> list[dict[str, Any]]:
+    """A row for each engine: median time of one map, and median ratio to the first engine."""
     for engine in engines:
         engine.evaluate(states[0], commands[0])  # compiles the engine
     times = [[_round(engine, states, commands, turn) for engine in engines] for turn in range(rounds)]
     medians = np.array([[np.median(taken) for taken in row] for row in times])
     ratios = np.median(medians / medians[:, :1], axis=0)
-    rows: list[dict[str, Any]] = []
-    for k, engine in enumerate(engines):
-        error = engine.error
-        if engine.maps > 1:
-            error = rows[0]["largest_relative_error"]  # the same engine
-        elif error is None and truth is not None:
-            error = _largest_error(nominal, engine.evaluate, states, commands, truth)
-        rows.append(
-            {
-                "name": engine.name,
-                "note": engine.note,
-                "median_us": 1e6 * float(np.median(np.concatenate([row[k] for row in times]))),
-                "ratio": float(ratios[k]),
-                "largest_relative_error": error,
-                "calls": engine.calls * rounds,
-            }
-        )
-    return rows
+    return [
+        {
+            "name": engine.name,
+            "note": engine.note,
+            "median_us": 1e6 * float(np.median(np.concatenate([row[k] for row in times]))),
+            "ratio": float(ratios[k]),
+            "calls": engine.calls * rounds,
+        }
+        for k, engine in enumerate(engines)
+    ]
 
 
 def _round(engine: Engine, states: Array, commands: Array, turn: int) -> list[float]:
@@ -205,43 +168,11 @@ def _round(engine: Engine, states: Array, commands: Array, turn: int) -> list[fl
     return taken
 
 
-def _evaluate_all(evaluate: Evaluate, states: Array, commands: Array) -> Array:
-    """Next states of many steps, one after another; shape (N, n)."""
-    return np.array([evaluate(state, command) for state, command in zip(states, commands, strict=True)])
-
-
-def _largest_error(nominal: ApexMap, evaluate: Evaluate, states: Array, commands: Array, truth: Array) -> float:
-    """Largest error relative to the larger of the true value and half the range."""
-    found = _evaluate_all(evaluate, states, commands)
-    return float((np.abs(found - truth) / np.maximum(np.abs(truth), nominal.space.state_scale)).max())
-
-
-def _jacobian(nominal: ApexMap, reference: Evaluate | None, states: Array, commands: Array) -> dict[str, Any]:
-    """Cost of the Jacobian in maps, and its largest error relative to its largest entry, by Richardson differences."""
+def _jacobian(nominal: ApexMap) -> dict[str, Any]:
+    """Cost of the Jacobian in maps."""
     many = random_steps(nominal, np.random.default_rng(0), 15)
     pairs = [(timed(lambda: nominal.jacobian(*many)), timed(lambda: nominal.evaluate(*many))) for _ in range(9)]
-    errors = []
-    for state, command in zip(states, commands, strict=True):
-        if reference is not None:
-            exact = richardson(nominal, reference, state, command)
-            errors.append(float(np.abs(nominal.jacobian(state, command) - exact).max() / np.abs(exact).max()))
-    cost = float(np.median([jacobian / single for jacobian, single in pairs]))
-    return {"maps": cost, "largest_error": max(errors, default=None), "points": len(errors)}
-
-
-def richardson(nominal: ApexMap, evaluate: Evaluate, state: Array, command: Array) -> Array:
-    """∂next/∂(state, command) by Richardson extrapolation of central differences; shape (n, n + m)."""
-    point, n = np.concatenate([state, command]), len(state)
-    scale = np.concatenate([nominal.space.state_scale, nominal.space.command_scale])
-    columns = []
-    for index, width in enumerate(1e-2 * scale):
-        wide, narrow = (
-            (evaluate(*np.split(point + offset, [n])) - evaluate(*np.split(point - offset, [n]))) / (2 * h)
-            for h in (width, width / 2)
-            for offset in [h * np.eye(len(point))[index]]
-        )
-        columns.append((4 * narrow - wide) / 3)
-    return np.stack(columns, axis=-1)
+    return {"maps": float(np.median([jacobian / single for jacobian, single in pairs]))}
 
 
 def _root_solve(nominal: ApexMap, rng: np.random.Generator, count: int) -> dict[str, Any]:
@@ -286,18 +217,13 @@ def _table(nominal: ApexMap, points: int) -> dict[str, Any]:
 
 def describe_map_bench(result: dict[str, Any]) -> str:
     """The result as a text table and a line for each further section."""
-    lines = [f"{'engine':22}{'one map':>12}{'ratio':>10}{'error':>10}   note"]
+    lines = [f"{'engine':22}{'one map':>12}{'ratio':>10}   note"]
     for row in result["engines"]:
-        error = row["largest_relative_error"]
-        text = "-" if error is None else f"{error:.1e}"
-        lines.append(f"{row['name']:22}{row['median_us']:9.1f} µs{row['ratio']:10.2f}{text:>10}   {row['note']}")
-    lines += [f"{name:22}{'skipped':>12}{'':20}   {reason}" for name, reason in result["skipped"].items()]
+        lines.append(f"{row['name']:22}{row['median_us']:9.1f} µs{row['ratio']:10.2f}   {row['note']}")
     jacobian, solve, batch, table = (result[name] for name in ("jacobian", "root_solve", "batch", "table"))
-    largest = jacobian["largest_error"]
-    error = "" if largest is None else f", largest error {largest:.1e} of its largest entry"
     lines += [
         "",
-        f"Jacobian       {jacobian['maps']:.1f} maps{error}",
+        f"Jacobian       {jacobian['maps']:.1f} maps",
         f"root solve     median {solve['median_ms']:.2f} ms, 99 % within {solve['p99_ms']:.2f} ms, "
         f"{solve['solved_share']:.1%} of {solve['pairs']} solved",
     ]
