@@ -55,6 +55,19 @@ class Treads(NamedTuple):
     stiffness: Array
     friction: Array
 
+    def ends(self, length: float) -> Array:
+        """Place at which each piece ends [m] on a ground of a length [m]; shape (k,)."""
+        return np.append(self.start[1:], length)
+
+    def at(self, place: float) -> int:
+        """Number of the piece at a place [m] from 0 to below the length of the ground."""
+        return int(np.searchsorted(self.start, place, "right")) - 1
+
+    def height_at(self, place: float) -> float:
+        """Height at such a place [m]."""
+        piece = self.at(place)
+        return float(self.height[piece]) + float(self.slope[piece]) * (place - float(self.start[piece]))
+
 
 class _Pieces(NamedTuple):
     """Heights by place of one part of a ground, straight between the starts of its pieces; arrays of shape (k,)."""

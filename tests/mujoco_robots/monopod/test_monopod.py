@@ -8,13 +8,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from stepgap.mujoco_robots.hopping import COMPRESSION, FLIGHT, THRUST
 from stepgap.mujoco_robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfSimulator, MjcfStepper
 from stepgap.mujoco_robots.monopod.robot import (
-    IN_COMPRESSION,
-    IN_FLIGHT,
     IN_PLACE,
-    IN_THRUST,
     LEG,
     LONGEST_STRIDE,
     LOWER_LEG_MASS,
@@ -84,17 +82,17 @@ def test_in_stance_the_hip_turns_the_body_upright_and_the_leg_is_a_spring(axis: 
     efforts, command = np.zeros(3), np.array([0.01, 0.01, 7.0])
     position, velocity = data.qpos.copy(), data.qvel.copy()
     position[9], velocity[2] = -0.02, -0.5
-    assert hopping(LAW, IN_FLIGHT, True, position, velocity, command, efforts) == IN_COMPRESSION
+    assert hopping(LAW, FLIGHT, True, position, velocity, command, efforts) == COMPRESSION
     assert efforts[2] == pytest.approx(LAW.stiffness * 0.02)
     velocity[8] = 0.1
-    assert hopping(LAW, IN_COMPRESSION, True, position, velocity, command, efforts) == IN_THRUST
+    assert hopping(LAW, COMPRESSION, True, position, velocity, command, efforts) == THRUST
     assert efforts[2] == pytest.approx(LAW.stiffness * 0.02 - LAW.damping * 0.1 + LAW.thrust + 7.0)
     data.ctrl[:2] = efforts[:2]
     model.opt.gravity[:] = 0
     mujoco.mj_forward(model, data)
     assert data.qacc[3 + axis] < 0, "the tilt is accelerated to zero"
     assert abs(data.qacc[4 - axis]) < 0.05 * abs(data.qacc[3 + axis])
-    assert hopping(LAW, IN_THRUST, False, position, velocity, command, efforts) == IN_FLIGHT
+    assert hopping(LAW, THRUST, False, position, velocity, command, efforts) == FLIGHT
 
 
 def test_a_step_is_symmetric_to_the_middle_plane() -> None:

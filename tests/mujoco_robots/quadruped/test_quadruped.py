@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from stepgap.mujoco_robots.hopping import COMPRESSION, FLIGHT, THRUST
 from stepgap.mujoco_robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfPlant
 from stepgap.mujoco_robots.quadruped.model import LEGS, TOE_RADIUS, TOTAL_MASS, quadruped_xml
-from stepgap.mujoco_robots.quadruped.pronk import COMPRESSION, FLIGHT, THRUST, PronkGains, foot_placement, pronk
+from stepgap.mujoco_robots.quadruped.pronk import PronkGains, foot_placement, pronk
 from stepgap.mujoco_robots.quadruped.robot import SPACE, Quadruped
 from stepgap.mujoco_robots.quadruped.spring_mass import GRAVITY, SpringMassMap, landing_velocity
 from stepgap.robots.entry_points import load_robot
@@ -70,7 +71,7 @@ def test_the_torques_push_the_trunk_with_the_wanted_force_and_moment(phase: int,
     data.qpos[4::2] -= 0.3
     mujoco.mj_forward(model, data)
     torques, command = np.zeros(8), np.array([9.0, -20.0])
-    assert pronk(GAINS.law, phase, True, data.qpos, np.zeros(11), *command, torques) == phase
+    assert pronk(GAINS.law, phase, True, data.qpos, np.zeros(11), command, torques) == phase
     force, moment, virtual = np.zeros(2), 0.0, np.zeros(2)
     for number, leg in enumerate(LEGS):
         rows = np.zeros((3, model.nv))
@@ -92,9 +93,9 @@ def test_the_torques_push_the_trunk_with_the_wanted_force_and_moment(phase: int,
 def test_a_raised_robot_is_in_flight_and_stays_in_its_posture() -> None:
     _, data = placed(np.array([0.5, 0.4]))
     torques = np.ones(8)
-    assert pronk(GAINS.law, FLIGHT, False, data.qpos, data.qvel * 0, 0.0, 0.0, torques) == FLIGHT
+    assert pronk(GAINS.law, FLIGHT, False, data.qpos, data.qvel * 0, np.zeros(2), torques) == FLIGHT
     data.qvel[0] = 0.5
-    assert pronk(GAINS.law, FLIGHT, False, data.qpos, data.qvel, 0.0, 0.0, torques) == FLIGHT
+    assert pronk(GAINS.law, FLIGHT, False, data.qpos, data.qvel, np.zeros(2), torques) == FLIGHT
     np.testing.assert_allclose(torques, 0, atol=1e-9)
 
 

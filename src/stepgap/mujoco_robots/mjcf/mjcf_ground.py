@@ -55,7 +55,7 @@ class BoxGround:
         floor = spec.geom("floor")
         foot = spec.geom(feet[0])
         body = spec.worldbody.add_body(name=_BODY, mocap=True)
-        ends = np.append(treads.start[1:], GROUND_LENGTH)
+        ends = treads.ends(GROUND_LENGTH)
         for turn in (-1, 0, 1):
             for number, (start, end) in enumerate(zip(treads.start, ends, strict=True)):
                 begin = start + turn * GROUND_LENGTH
@@ -66,9 +66,7 @@ class BoxGround:
 
     def height(self, place: float) -> float:
         """Height of the ground at a place [m]."""
-        place %= GROUND_LENGTH
-        number = int(np.searchsorted(self._treads.start, place, "right")) - 1
-        return float(self._treads.height[number] + self._treads.slope[number] * (place - self._treads.start[number]))
+        return self._treads.height_at(place % GROUND_LENGTH)
 
     def put(self, data: Any, start: float) -> None:
         """Puts the ground under the robot, so that a place of it [m] is at the zero of x and z."""

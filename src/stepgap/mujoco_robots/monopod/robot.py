@@ -24,6 +24,7 @@ import numpy as np
 from stepgap.base.compiled import compiled
 from stepgap.base.ranges import require
 from stepgap.control.reference import Reference
+from stepgap.mujoco_robots.hopping import FLIGHT, THRUST, phase_after, phased
 from stepgap.mujoco_robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.mujoco_robots.mjcf.mjcf_robot import ControlLaw, MjcfRobot, MjcfSimulator
 from stepgap.mujoco_robots.mjcf.section import Section
@@ -78,7 +79,6 @@ def monopod_xml() -> str:
 """
 
 
-IN_FLIGHT, IN_COMPRESSION, IN_THRUST = 0, 1, 2  # Phases of a step
 LONGEST_STRIDE = 0.6 * LEG  # Largest horizontal distance of the foot from the hip that is commanded [m]
 
 
@@ -166,18 +166,6 @@ def hip_angles(law, turned, velocity_x, velocity_y, foot_x, foot_y):
 
 
 @compiled
-def hopping_phase(phase, extension, extension_rate, falls, contact):
-    """Phase of this tick, from that of the tick before and how far the leg is extended [m], with its rate [m/s]."""
-    if phase == IN_FLIGHT and contact and falls:
-        phase = IN_COMPRESSION
-    if phase == IN_COMPRESSION and extension_rate > 0.0:
-        phase = IN_THRUST
-    if phase == IN_THRUST and (extension >= 0.0 or not contact):
-        phase = IN_FLIGHT
-    return phase
-
-
-@compiled
 def hopping(law, phase, contact, position, velocity, command, efforts):
     """Computes a tick of the control; returns its phase.
 
@@ -193,8 +181,8 @@ def hopping(law, phase, contact, position, velocity, command, efforts):
     turned = body_rotation(position[3:7])
     extension = position[9]
     rate = velocity[8]
-    phase = hopping_phase(phase, extension, rate, velocity[2] < 0.0, contact)
-    if phase == IN_FLIGHT:
+    phase = phase_after(phase, contact and velocity[2] < 0.0, rate > 0.0, extension >= 0.0 or not contact)
+    if phase == FLIGHT:
         roll, pitch = hip_angles(law, turned, velocity[0], velocity[1], command[0], command[1])
         efforts[0] = law.swing_stiffness * (roll - position[7]) - law.swing_damping * velocity[6]
         efforts[1] = law.swing_stiffness * (pitch - position[8]) - law.swing_damping * velocity[7]
@@ -204,7 +192,7 @@ def hopping(law, phase, contact, position, velocity, command, efforts):
         efforts[0] = law.attitude_stiffness * roll + law.attitude_damping * velocity[3]
         efforts[1] = law.attitude_stiffness * pitch + law.attitude_damping * velocity[4]
         efforts[2] = -law.stiffness * extension - law.damping * rate
-        if phase == IN_THRUST:
+        if phase == THRUST:
             efforts[2] += law.thrust + command[2]
     return phase
 
@@ -293,14 +281,7 @@ class Monopod(MjcfRobot):
 
     def controller(self) -> ControlLaw:
         """The control law, which starts in flight."""
-        law = self.gains.law
-        phase = IN_FLIGHT
-
-        def control(_model: Any, data: Any, command: Array) -> None:
-            nonlocal phase
-            phase = hopping(law, phase, data.ncon > 0, data.qpos, data.qvel, command, data.ctrl)
-
-        return control
+        return phased(hopping, self.gains.law)
 
     def section(self) -> Section:
         """The highest point of the hip."""

@@ -17,9 +17,8 @@ import numpy as np
 
 from stepgap.base.compiled import compiled
 from stepgap.base.ranges import require
+from stepgap.mujoco_robots.hopping import FLIGHT, THRUST, phase_after
 from stepgap.mujoco_robots.quadruped.model import HIP_X, LINK
-
-FLIGHT, COMPRESSION, THRUST = 0, 1, 2  # Phases of a step
 
 
 @dataclass(frozen=True)
@@ -135,19 +134,7 @@ def leg_pose(pitch, pitch_rate, thigh, calf, thigh_rate, calf_rate):
 
 
 @compiled
-def pronk_phase(law, phase, length, length_rate, rises, contact):
-    """Phase of this tick, from that of the tick before and the virtual leg's length [m] and its rate [m/s]."""
-    if phase == FLIGHT and contact and not rises:
-        phase = COMPRESSION
-    if phase == COMPRESSION and length_rate > 0.0:
-        phase = THRUST
-    if phase == THRUST and (length >= law.rest_length or not contact):
-        phase = FLIGHT
-    return phase
-
-
-@compiled
-def pronk(law, phase, contact, position, velocity, force_x, force_z, torques):
+def pronk(law, phase, contact, position, velocity, command, torques):
     """Computes a tick of the control; returns its phase.
 
     Args:
@@ -156,8 +143,7 @@ def pronk(law, phase, contact, position, velocity, force_x, force_z, torques):
         contact: Whether a foot touches the ground.
         position: Generalised positions of the model: x, z, pitch, angles of the legs; shape (11,).
         velocity: Generalised velocities; shape (11,).
-        force_x: Forward force of the command [N].
-        force_z: Upward force of the command [N].
+        command: Forward and upward force [N]; shape (2,).
         torques: Is filled with the torques of the motors, thigh and calf of each leg; shape (8,) [N·m].
     """
     pitch = position[2]
@@ -174,10 +160,11 @@ def pronk(law, phase, contact, position, velocity, force_x, force_z, torques):
         z_rate = z_rate + pose.z_rate / 4
     length = np.sqrt(x * x + z * z)
     length_rate = (x * x_rate + z * z_rate) / length
-    phase = pronk_phase(law, phase, length, length_rate, velocity[1] >= 0.0, contact)
+    leaves = length >= law.rest_length or not contact
+    phase = phase_after(phase, contact and not velocity[1] >= 0.0, length_rate > 0.0, leaves)
     landing_x, landing_z = foot_placement(law, velocity[0])
     landing_z += law.retraction if velocity[1] > 0.0 else 0.0  # so that no foot touches the ground on its way
-    body_x, body_z = virtual_force(law, x, z, length_rate, phase == THRUST, force_x, force_z)
+    body_x, body_z = virtual_force(law, x, z, length_rate, phase == THRUST, command[0], command[1])
     moment = -law.pitch_stiffness * pitch - law.pitch_damping * rate - (z * body_x - x * body_z)
     for leg in range(4):
         pose, end = _leg_pose(position, velocity, leg), 1.0 if leg < 2 else -1.0  # front or rear

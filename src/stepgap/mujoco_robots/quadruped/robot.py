@@ -12,12 +12,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from stepgap.mujoco_robots.hopping import phased
 from stepgap.mujoco_robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.mujoco_robots.mjcf.mjcf_ground import above_ground
 from stepgap.mujoco_robots.mjcf.mjcf_robot import ControlLaw, MjcfRobot
 from stepgap.mujoco_robots.mjcf.section import Section, apex
 from stepgap.mujoco_robots.quadruped.model import LEGS, LINK, TOE_RADIUS, quadruped_xml
-from stepgap.mujoco_robots.quadruped.pronk import FLIGHT, PronkGains, foot_placement, pronk
+from stepgap.mujoco_robots.quadruped.pronk import PronkGains, foot_placement, pronk
 from stepgap.mujoco_robots.quadruped.spring_mass import SpringMassMap, landing_velocity
 from stepgap.robots.ground import UnevenGround
 from stepgap.robots.nominal_maps.affine_map import AffineMap
@@ -98,15 +99,7 @@ class Quadruped(MjcfRobot):
 
     def controller(self) -> ControlLaw:
         """The pronk, which starts in flight."""
-        law = self.gains.law
-        phase = FLIGHT
-
-        def control(_model: Any, data: Any, command: Array) -> None:
-            nonlocal phase
-            forces = float(command[0]), float(command[1])
-            phase = pronk(law, phase, data.ncon > 0, data.qpos, data.qvel, *forces, data.ctrl)
-
-        return control
+        return phased(pronk, self.gains.law)
 
     def section(self) -> Section:
         """The highest point of the trunk."""

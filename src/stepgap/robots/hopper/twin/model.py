@@ -80,7 +80,7 @@ class GroundProfile:
         """Whether the height jumps from a tread to the next."""
         if self.treads is None:
             return False
-        ends = np.append(self.treads.start[1:], 2 * pi * self._boom_length)
+        ends = self.treads.ends(2 * pi * self._boom_length)
         ending = self.treads.height + self.treads.slope * (ends - self.treads.start)
         return bool((np.abs(np.roll(self.treads.height, -1) - ending) > LOWEST_RISER).any())
 
@@ -89,7 +89,7 @@ class GroundProfile:
         if self.treads is None:
             return None
         begin, height, slope, stiffness, friction = self.treads
-        end = np.append(begin[1:], 2 * pi * self._boom_length)
+        end = self.treads.ends(2 * pi * self._boom_length)
         start = self._boom_length * floor_yaw
         return GroundPieces(
             start=begin - start,
@@ -101,17 +101,11 @@ class GroundProfile:
 
     def tread_at(self, yaw: float) -> int:
         """Number of the tread at a boom angle ψ [rad] of the foot; 0 without treads."""
-        if self.treads is None:
-            return 0
-        return int(np.searchsorted(self.treads.start, self._boom_length * (yaw % (2 * pi)), "right")) - 1
+        return self.treads.at(self._boom_length * (yaw % (2 * pi))) if self.treads else 0
 
     def tread_height(self, yaw: float) -> float:
         """Height of the tread at a boom angle ψ [rad] of the foot, [m]."""
-        if self.treads is None:
-            return 0.0
-        tread = self.tread_at(yaw)
-        along = self._boom_length * (yaw % (2 * pi)) - float(self.treads.start[tread])
-        return float(self.treads.height[tread]) + float(self.treads.slope[tread]) * along
+        return self.treads.height_at(self._boom_length * (yaw % (2 * pi))) if self.treads else 0.0
 
     def height(self, yaw: float) -> float:
         """Height of the ground at a boom angle ψ [rad] of the foot, [m]."""
