@@ -15,8 +15,7 @@ from stepgap.robots.ground import UnevenGround
 from stepgap.robots.hopper.footholds import random_strides, stones_reference
 from stepgap.robots.hopper.paper import paper_reference, paper_result
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
-from stepgap.robots.hopper.twin.paper_family import PAPER_FAMILY
-from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.reality_gap import PAPER_FAMILY, RealityGap
 from stepgap.robots.published_result import PublishedResult
 from stepgap.robots.robot import Robot
 from stepgap.step import StepMap, StepSpace

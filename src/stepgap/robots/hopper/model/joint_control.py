@@ -87,9 +87,3 @@ def stance_torque(law, bar, toe, sin_1, cos_1, force_x, force_y):
     torque_1 = -(toe.x_1 * body_x + toe.y_1 * body_y)
     torque_2 = -(toe.x_2 * body_x + toe.y_2 * body_y)
     return 0.5 * (torque_1 + torque_2), 0.5 * (torque_1 - torque_2)
-
-
-@compiled
-def saturate(torque, limit):
-    """Torque limited to ±limit."""
-    return min(limit, max(-limit, torque))

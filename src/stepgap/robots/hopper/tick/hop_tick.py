@@ -278,7 +278,7 @@ def _flags(limits, hop, phase, checked):
         flags |= _FAILED
     if checked.limited & STOPS:
         flags |= _STOPPED
-        if brakes(limits, checked.watch):
+        if brakes(limits, checked.watch.stopped, checked.watch.braked):
             flags |= _BRAKES
     if _takes_command(phase, hop.left_ground):
         flags |= _TAKES_COMMAND

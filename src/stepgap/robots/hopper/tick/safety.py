@@ -174,7 +174,7 @@ def check_torque(limits, stage, watch, motion, health, doubts, torque_1, torque_
         if speed > slowest + BRAKE_GROWTH:
             stopped |= _SPEED_GREW
         torque_1 = torque_2 = 0.0
-        if _brakes(limits, stopped, braked):
+        if brakes(limits, stopped, braked):
             torque_1 = _brake(limits, watch.torque_1, motion.rate_1 + motion.rate_2)
             torque_2 = _brake(limits, watch.torque_2, motion.rate_1 - motion.rate_2)
         after = Watch(
@@ -190,13 +190,8 @@ def check_torque(limits, stage, watch, motion, health, doubts, torque_1, torque_
 
 
 @as_written
-def brakes(limits, watch):
-    """Whether the motors of a stopped robot still brake."""
-    return _brakes(limits, watch.stopped, watch.braked)
-
-
-@as_written
-def _brakes(limits, stopped, braked):
+def brakes(limits, stopped, braked):
+    """Whether the motors of a robot still brake that was stopped for these reasons so many ticks ago."""
     return stopped != 0 and stopped & ~_BRAKED == 0 and braked <= limits.brake_ticks
 
 

@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.resources import files
 from math import inf, isfinite, isinf, pi
 from typing import Self
 
 import numpy as np
 
 from stepgap.base.ranges import require
+from stepgap.base.settings_file import parse_toml
 from stepgap.robots.gap import NOT_NEGATIVE, POSITIVE, Drawn, Gap, Rule, difference, differences, within
 
 LONGEST_DELAY = 1.0  # Longest delay of the drives [s]; the simulation keeps the torques of this time
@@ -191,3 +193,8 @@ class RealityGap(Gap):
             whole = known.whole
             values[name] = whole / max(share, 1e-3) if isinf(none) else none + share * (whole - none)
         return cls(**values)
+
+
+_FAMILY = files("stepgap.robots.hopper.twin").joinpath("paper_family.toml").read_text("utf-8")
+PAPER_FAMILY: Mapping[str, RealityGap] = {name: RealityGap(**table) for name, table in parse_toml(_FAMILY).items()}
+"""Twins that agree with Fig. 4 of the paper by the names of their presets; the file tells how they were found."""
