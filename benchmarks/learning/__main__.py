@@ -88,15 +88,14 @@ def _new_plan(
 
 
 def _check_methods(chosen: "Sequence[str]", source: str) -> None:
-    """Raises InputError if a method is unknown or cannot be used here."""
+    """Raises InputError if a method is unknown."""
     from benchmarks.learning.methods.ablation import ABLATIONS
-    from benchmarks.learning.methods.registry import SKIPPED, is_method
+    from benchmarks.learning.methods.registry import is_method
     from benchmarks.learning.methods.registry import methods as known_methods
 
     if unknown := [name for name in chosen if not is_method(name)]:
         names = f"it must be one of {', '.join(known_methods())}; also METHOD-RULE with one of {', '.join(ABLATIONS)}"
-        missing = SKIPPED.get(unknown[0], names)
-        raise InputError(f"{source} {unknown[0]}: {missing}")
+        raise InputError(f"{source} {unknown[0]}: {names}")
 
 
 def _summarise(plan: "LearningPlan", folder: "CaseFolder", quiet: bool) -> None:
@@ -126,10 +125,8 @@ def _summarise(plan: "LearningPlan", folder: "CaseFolder", quiet: bool) -> None:
 
 
 def _left_out(plan: "LearningPlan", results: "LearningResults") -> "list[str]":
-    """Lines about methods and cases that are not in the summary."""
-    from benchmarks.learning.methods.registry import SKIPPED
-
-    lines = [f"{name} skipped: {reason}" for name, reason in SKIPPED.items()]
+    """Lines about cases that are not in the summary."""
+    lines = list[str]()
     if results.failed:
         lines.append(f"{len(results.failed)} of {len(plan)} cases failed and are left out:")
     for number, reason in results.failed.items():

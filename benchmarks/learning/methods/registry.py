@@ -3,19 +3,13 @@
 from functools import partial
 
 from benchmarks.learning.learning_summary import UNCORRECTED, WITHOUT
-from benchmarks.learning.methods import affine, ensemble, inverse, physics
+from benchmarks.learning.methods import affine, physics
 from benchmarks.learning.methods.ablation import ABLATIONS, ablated
 from benchmarks.learning.methods.redeployment import EXPLORATION, corrected, from_the_first_hop, paper, residual
 from benchmarks.learning.trial import UNCORRECTED_LEARNING, Method
 from stepgap.experiment.settings import METHODS as RUN_METHODS
 from stepgap.learning.entry_points import residual_models, residual_names
 from stepgap.learning.settings import AUTO, LearningSettings
-
-REASONS = {"sysid": physics.SYSID_MISSING, "sysid_plain": physics.SYSID_MISSING, "ensemble": ensemble.SKLEARN_MISSING}
-"""Why methods that need further packages cannot be used; empty if they can."""
-
-SKIPPED = {name: reason for name, reason in REASONS.items() if reason}
-"""Methods that cannot be used, with the reason."""
 
 QUICK = ("linear", "posterior")
 """Names of the methods of a quick comparison."""
@@ -28,18 +22,9 @@ CLASSICAL: dict[str, Method] = {
     "identified": partial(physics.identified, settings=physics.LEARNING_ON),
     "identified_plain": partial(physics.identified, settings=UNCORRECTED_LEARNING),
     "identified_posterior": partial(physics.identified, settings=LearningSettings()),
-    "sysid": partial(physics.sysid, settings=physics.LEARNING_ON),
-    "sysid_plain": partial(physics.sysid, settings=UNCORRECTED_LEARNING),
     "rls": affine.rls,
 }
 """Methods of control and identification; the identified models also without learning during the deployment."""
-
-OTHER_LEARNING: dict[str, Method] = {
-    "paper": paper,
-    "delta_command": inverse.delta_command,
-    "ensemble": ensemble.ensemble,
-}
-"""Other ways to learn from deployment 0 than the installed residuals."""
 
 FROM_THE_FIRST_HOP: dict[str, Method] = {
     "online": partial(from_the_first_hop, settings=LearningSettings(online=True)),
@@ -63,8 +48,7 @@ def methods() -> dict[str, Method]:
     """
     kinds = (*(name for name in residual_names() if name != UNCORRECTED), AUTO)
     residuals: dict[str, Method] = {kind: partial(residual, kind=kind) for kind in kinds}
-    known = CLASSICAL | residuals | OTHER_LEARNING | FROM_THE_FIRST_HOP | TEMPLATE
-    return {name: method for name, method in known.items() if name not in SKIPPED}
+    return CLASSICAL | residuals | {"paper": paper} | FROM_THE_FIRST_HOP | TEMPLATE
 
 
 def method_of(name: str) -> Method:
@@ -86,5 +70,4 @@ def is_method(name: str) -> bool:
 def default_methods() -> list[str]:
     """Names of the methods that are compared by default; their residuals are the candidates of `auto`."""
     kinds = [model.name for model in residual_models() if model.candidate and model.name != UNCORRECTED]
-    names = [*CLASSICAL, *kinds, AUTO, *OTHER_LEARNING, *FROM_THE_FIRST_HOP, *TEMPLATE]
-    return [name for name in names if name not in SKIPPED]
+    return [*CLASSICAL, *kinds, AUTO, "paper", *FROM_THE_FIRST_HOP, *TEMPLATE]

@@ -19,7 +19,6 @@ PURPOSES = {
     "onnx": "stepgap export --to onnx",
     "parquet": "stepgap export --to parquet, and the table of a sweep",
     "policy": "trained policies in ONNX files, stepgap new --policy",
-    "sysid": "method sysid of the learning benchmark",
 }
 """Purposes of the extras."""
 

@@ -14,7 +14,7 @@ from benchmarks.learning import learning_plan, tasks
 from benchmarks.learning.__main__ import learning_line
 from benchmarks.learning.learning_plan import LearningPlan, learning_results, read_learning_plan
 from benchmarks.learning.learning_summary import summarise_learning
-from benchmarks.learning.methods.registry import SKIPPED, methods
+from benchmarks.learning.methods.registry import methods
 from benchmarks.learning.tasks import Change, Task, square_reference
 from benchmarks.learning.trial import Trial, hopping_gap
 from benchmarks.learning.twin_trials import measure_twin
@@ -214,8 +214,6 @@ def test_failed_cases_are_named_and_left_out_until_they_are_measured_again(
 
 def test_bad_input_is_refused(compare: Command) -> None:
     refused(compare("--methods", "linear,magic"), "--methods magic: it must be one of integral")
-    if "sysid" in SKIPPED:
-        refused(compare("--methods", "sysid"), "sysid", "stepgap[sysid]")
     refused(compare("--task", "stairs"), "--task stairs: it must be one of reference, payload")
     refused(compare("--twins", "0"), "twins")
     refused(compare("--shard", "3/2"), "--shard 3/2: must be I/N")
