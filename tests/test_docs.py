@@ -23,9 +23,7 @@ PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 RUN_ELSEWHERE = {
     "own_rig.md": "rigs/test_own_rig.py",
-    "own_residual.md": "learning/test_own_residual.py",
-    "own_verb.md": "cli/test_own_verb.py",
-    "own_plant.md": "experiment/test_own_plant.py",
+    "extensions.md": "robots/plug_in.py",
     "data.md": "test_docs_data.py",
     "model_file.md": "export/controller/test_model_file.py",
     "tutorial.md": "test_docs_tutorial.py",

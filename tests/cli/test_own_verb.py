@@ -1,4 +1,4 @@
-"""The verb of docs/own_verb.md: it is found by its name, and a verb that cannot be loaded disturbs no other one."""
+"""The verb of docs/extensions.md: it is found by its name, and a verb that cannot be loaded disturbs no other one."""
 
 import subprocess
 import sys
@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from tests.cli.command_line import Command, refused
-from tests.robots.plug_in import install_package, install_page, module_of
+from tests.robots.plug_in import install_extension, install_package, module_in, section_of
 
-PAGE, PYPROJECT_LINES, MOST_LINES = "own_verb.md", 14, 60
+PYPROJECT_LINES, MOST_LINES = 14, 60
 Install = Callable[[str], None]
 
 
@@ -19,7 +19,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder with the page's package, which Python finds."""
     folder = tmp_path / "packages"
     folder.mkdir()
-    install_page(folder, PAGE)
+    install_extension(folder, "A verb")
     monkeypatch.syspath_prepend(folder)
     for name in ("authority_verb", "broken"):
         monkeypatch.delitem(sys.modules, name, raising=False)
@@ -38,7 +38,7 @@ def break_verb(installed: Path) -> Install:
 
 
 def test_it_is_short() -> None:
-    assert len(module_of(PAGE).splitlines()) + PYPROJECT_LINES < MOST_LINES
+    assert len(module_in(section_of("extensions.md", "A verb")).splitlines()) + PYPROJECT_LINES < MOST_LINES
 
 
 @pytest.mark.usefixtures("installed")

@@ -1,4 +1,4 @@
-"""The plants of docs/own_plant.md, found by their names."""
+"""The plants of docs/extensions.md, found by their names; the fixture `package` installs them."""
 
 import json
 from pathlib import Path
@@ -6,9 +6,6 @@ from pathlib import Path
 import pytest
 
 from tests.cli.command_line import Command, refused
-
-PAGE = "own_plant.md"
-"""Its package is installed by the fixture `package`, its commands are read by tests/test_docs.py."""
 
 pytestmark = pytest.mark.usefixtures("package", "no_report")
 

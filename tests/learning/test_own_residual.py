@@ -1,4 +1,4 @@
-"""The residual of docs/own_residual.md: its code runs, keeps the contract, and is found by its name."""
+"""The residual of docs/extensions.md: its code runs, keeps the contract, and is found by its name."""
 
 import json
 import re
@@ -25,8 +25,9 @@ from tests.learning.residual_contract import ResidualContract, training_data
 from tests.learning.test_residual import steps
 from tests.report.pages import Page, check_alone
 from tests.report.runs import REAL, TARGETS, report_of
+from tests.robots.plug_in import section_of
 
-PAGE = (Path(__file__).parents[2] / "docs" / "own_residual.md").read_text("utf-8")
+PAGE = section_of("extensions.md", "A residual")
 MODULE, *USES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 PYPROJECT, SETTINGS, SWEEP = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
 NAME = "bayesian_linear"
@@ -86,7 +87,7 @@ def test_it_is_short() -> None:
 
 @pytest.mark.usefixtures("installed")
 def test_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    exec(compile("\n".join(USES), "docs/own_residual.md", "exec"), {"__name__": "page"})  # noqa: S102  (our own document)
+    exec(compile("\n".join(USES), "docs/extensions.md", "exec"), {"__name__": "page"})  # noqa: S102  (our own document)
     printed = re.fullmatch(rf"{NAME}: (.*) m/s without it, (.*) m/s with it\n", capsys.readouterr().out)
     assert printed
     assert float(printed[2]) < 0.2 * float(printed[1])

@@ -53,20 +53,31 @@ def install(folder: Path) -> None:
     robots["entry-points"]["stepgap.robots"]["pitching"] = "pitching_robot:PitchingRobot"
     modules = {"ball_robot": module_of("own_robot.md"), "spring_hopper": module_of("mujoco_robot.md")}
     install_package(folder, robots, **modules, pitching_robot=PITCHING)
-    for page in ("own_verb.md", "own_plant.md"):
-        install_page(folder, page)
+    for heading in ("A verb", "A plant"):
+        install_extension(folder, heading)
 
 
-def install_page(folder: Path, page: str) -> None:
-    """Makes the files of the package of a page with one module and one `pyproject.toml`."""
-    (text,) = re.findall(r"```toml\n(.*?)```", (_DOCS / page).read_text("utf-8"), re.DOTALL)
+def install_extension(folder: Path, heading: str) -> None:
+    """Makes the files of the package of a section of "extensions.md" with one module and one `pyproject.toml`."""
+    section = section_of("extensions.md", heading)
+    (text,) = re.findall(r"```toml\n(.*?)```", section, re.DOTALL)
     project = tomllib.loads(text)["project"]
-    install_package(folder, project, **{project["name"].replace("-", "_"): module_of(page)})
+    install_package(folder, project, **{project["name"].replace("-", "_"): module_in(section)})
+
+
+def section_of(page: str, heading: str) -> str:
+    """What stands in a page under a heading of the second level."""
+    return (_DOCS / page).read_text("utf-8").partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
 
 
 def module_of(page: str) -> str:
     """The module of a page, whose later parts are explained further down."""
-    return "\n".join(re.findall(r"```python\n(.*?)```", (_DOCS / page).read_text("utf-8"), re.DOTALL))
+    return module_in((_DOCS / page).read_text("utf-8"))
+
+
+def module_in(text: str) -> str:
+    """The module of a text, in one part or several."""
+    return "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
 
 
 def install_package(folder: Path, project: Mapping[str, Any], **modules: str) -> None:

@@ -1,7 +1,7 @@
 """The interface of residual models: a regression for the residual of one state coordinate, and how it is fitted.
 
 A `ResidualModel` is a plug-in: it has a name, and fits a `Regression` to the `TrainingData` of each state coordinate.
-`BatchRegression` does most of the work for a model that is computed from all data at once; docs/own_residual.md has an
+`BatchRegression` does most of the work for a model that is computed from all data at once; docs/extensions.md has an
 example.
 """
 
