@@ -21,6 +21,7 @@ from stepgap.mujoco_robots.velocity.policy.policy_settings import PolicySettings
 from stepgap.mujoco_robots.velocity.walking_robot import Walk
 from stepgap.step import Array, StepStatus
 from tests.mujoco_robots.velocity.policy.networks import TERMS, WHEELS, cart_xml, driving, write_network
+from tests.robots.plug_in import section_of
 
 GROUND = '<geom name="ground" type="plane" size="0 0 1"/>'
 SETTINGS: dict[str, Any] = {
@@ -193,8 +194,8 @@ def test_other_joints_keep_their_control_signals(tmp_path: Path) -> None:
 
 
 def test_the_policy_of_the_documentation_is_valid(tmp_path: Path) -> None:
-    page = Path(__file__).parents[4] / "docs" / "policy.md"
-    block = re.findall(r"```toml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)[0]
+    section = section_of("velocity.md", "A trained policy in MuJoCo")
+    block = re.findall(r"```toml\n(.*?)```", section, re.DOTALL)[0]
     (tmp_path / "policy.toml").write_text(block, "utf-8")
     assert read_policy_settings(tmp_path / "policy.toml").sizes["joint_pos"] == 3
-    assert all(f"`{term}`" in page.read_text("utf-8") for term in TERMS)
+    assert all(f"`{term}`" in section for term in TERMS)
