@@ -31,7 +31,7 @@ RUN_ELSEWHERE = {
 }
 """Pages whose blocks need more around them."""
 
-WITH_OUTPUT = ("idea.md",)
+WITH_OUTPUT = ("index.md",)
 """Pages that show below their blocks what these print, with rounded numbers."""
 
 EXAMPLES_ELSEWHERE = {"own_robot.py": "test_own_robot.py"}
