@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from stepgap.base.compiled import generic
 from stepgap.cli.app import main
 from stepgap.cli.help_format import NARROWEST
+from stepgap.cli.verbs import GONE
 from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.records.steps_csv import StepWriter
@@ -536,8 +537,11 @@ def test_the_defaults_in_the_help_are_those_of_the_settings(stepgap: Command) ->
         assert result.partition(option)[2].partition("[default: ")[2].partition("]")[0] == str(value), option
 
 
-def test_a_verb_that_left_the_package_names_its_new_place(stepgap: Command) -> None:
-    refused(stepgap("bench", "gp", "--quick"), "in a clone of StepGap type ./go python -m benchmarks.speed")
+@pytest.mark.parametrize("words", GONE)
+def test_what_is_gone_is_answered_by_what_replaces_it(stepgap: Command, words: str) -> None:
+    verb, *asked = words.split()
+    for arguments in ([*asked, "x"], [f"{each}=x" for each in asked]):
+        refused(stepgap(verb, *arguments), f"stepgap: {words}: gone: {GONE[words]}")
 
 
 @pytest.mark.parametrize("verb", ["run", "map", "fit", "view", "export"])

@@ -121,7 +121,6 @@ def test_a_table(stepgap: Command) -> None:
         ),
         ("map --csv good.csv --out none/n.csv", ["none/n.csv: cannot be written", "choose another --out"]),
         ("map --nominal.kind log --nominal.file none.csv", ["stepgap: nominal.file: none.csv: No such file"]),
-        ("map --tick 0.001", ["Unknown option: --tick", "It is gone: ", "--gap.preset none"]),
         ("map --csv none.csv", ["none.csv: No such file or directory; it must be a CSV file with the columns"]),
         ("map --csv folder", ["folder: Is a directory; it must be a CSV file"]),
         ("map --csv empty.csv", ["empty.csv, line 1: the header is ''; it must be 'speed,height,fx,fy'"]),

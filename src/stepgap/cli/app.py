@@ -27,7 +27,7 @@ from stepgap.cli.terminal import (
     replace_unwritable_characters,
     warn,
 )
-from stepgap.cli.verbs import GONE_OPTIONS, command_line
+from stepgap.cli.verbs import check_not_gone, command_line
 
 OVERRIDE = re.compile(r"--(robot|[a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTALL)
 
@@ -75,10 +75,11 @@ def _run_verb(arguments: Sequence[str], program: list[str], verbs: Callable[[str
     """Parses a command line and calls its verb.
 
     Raises:
-        InputError: The verb takes no settings or runs no other command, but some were given.
+        InputError: The verb takes no settings or runs no other command, but some were given; or something is gone.
     """
     tokens, overrides = split_overrides(arguments)
     check_not_empty(tokens)
+    check_not_gone(tokens)
     app = verbs(tokens[0] if tokens else "")
     verb, bound, ignored = app.parse_args(tokens, exit_on_error=False, print_error=False)
     if "overrides" in ignored:
@@ -156,16 +157,10 @@ def _hint_of_numba() -> str:
 
 
 def _hint(error: Exception) -> str:
-    """Hint that an unknown option is gone, or that it may be a setting, if the verb takes settings."""
-    if not isinstance(error, cyclopts.UnknownOptionError):
+    """Hint that an unknown option may be a setting, if the verb takes settings."""
+    if not isinstance(error, cyclopts.UnknownOptionError) or "Did you mean" in str(error):
         return ""
-    verb = " ".join(error.command_chain or ())
-    option = (verb, error.token.keyword or error.token.value)
-    if option in GONE_OPTIONS:
-        return f" {GONE_OPTIONS[option]}"
-    if "Did you mean" in str(error) or not error.target:
-        return ""
-    if "overrides" not in signature(error.target).parameters:
+    if not error.target or "overrides" not in signature(error.target).parameters:
         return ""
     return " If it is a setting, name its table as well, as in --parameters.body_mass 1.6."
 

@@ -73,9 +73,6 @@ Seconds = Annotated[float, Parameter(metavar="SECONDS")]
 Port = Annotated[Integer, Parameter(validator=Number(gte=1, lt=2**16))]
 """Number of a TCP port."""
 
-GoneOption = Annotated[str | None, Parameter(show=False)]
-"""Option of earlier versions, which is answered by what to do instead."""
-
 Flag = Annotated[bool, Parameter(show_default=False)]
 """Option without a value."""
 

@@ -1,5 +1,7 @@
 """The verbs of the command line, found by their entry points: those of this package first, then those of others."""
 
+from collections.abc import Sequence
+
 from cyclopts import App, Parameter
 
 from stepgap.base.errors import InputError
@@ -12,37 +14,40 @@ VERBS = "stepgap.verbs"
 """Entry points of this group are functions with annotated parameters, or a Cyclopts `App` with verbs of its own."""
 
 ORDER = (
-    *(
-        "run",
-        "settings",
-        "new",
-        "check",
-        "sweep",
-        "report",
-        "compare",
-        "view",
-        "export",
-        "recover",
-        "steps",
-        "fit",
-        "gait",
-        "map",
-    ),
-    *("doctor", "completion", "rig"),
+    *("run", "settings", "new", "check", "sweep", "report", "compare", "view", "export", "recover", "steps", "fit"),
+    *("gait", "map", "doctor", "completion", "rig"),
 )
 """Order of the verbs in the help; those of other packages follow by name."""
 
 
-GONE_VERBS = {
+_NO_MODEL = "no model is applied to a log now; type stepgap fit OLD_LOG --test LOG"
+
+GONE = {
     "bench": "it measures the project itself; in a clone of StepGap type ./go python -m benchmarks.speed, or "
     "./go python -m benchmarks.learning for the learning benchmark",
+    "export --fmi": "an FMU is of FMI 3.0; leave this option out, or compile what --to c writes",
+    "export --real": "the numbers of C are double; leave this option out",
+    "fit --load": _NO_MODEL,
+    "fit --predictions": _NO_MODEL,
+    "gait knobs": "docs/evidence.md has which step command is the least coupled; type stepgap gait for the gait of the "
+    "command",
+    "map --tick": "the twin holds torques from tick to tick, and run --gap.preset none shows their effect alone",
+    "sweep --merge": "copy the folders of all parts into one, and continue that with --out FOLDER --resume",
 }
-"""Verbs of earlier versions, with what replaces them."""
+"""Verbs, second words and options of earlier versions, with what replaces them."""
 
-GONE_OPTIONS = {
-    ("map", "--tick"): "It is gone: the twin holds torques from tick to tick, and run --gap.preset none shows their effect alone.",
-}
-"""Options of earlier versions, with what replaces them."""
+
+def check_not_gone(tokens: Sequence[str]) -> None:
+    """Refuses what earlier versions had.
+
+    Raises:
+        InputError: A command line has a verb or an option that is gone; the message says what replaces it.
+    """
+    verb, *others = tokens or [""]
+    words = [other.partition("=")[0] for place, other in enumerate(others) if not place or other.startswith("--")]
+    for asked in (verb, *(f"{verb} {word}" for word in words)):
+        if asked in GONE and asked not in plugin_names(VERBS):
+            raise InputError(f"{asked}: gone: {GONE[asked]}")
 
 
 def command_line(only: str = "") -> App:
@@ -63,8 +68,6 @@ def command_line(only: str = "") -> App:
         default_parameter=Parameter(negative=()),
     )
     names = verb_names()
-    if only in GONE_VERBS and only not in names:
-        raise InputError(f"{only}: this verb is no longer in the package: {GONE_VERBS[only]}")
     for name in [only] if only in names else names:
         try:
             add_verb(app, name, load_plugin(VERBS, "verb", name, callable, "a function or a Cyclopts App"))

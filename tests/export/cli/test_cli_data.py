@@ -453,15 +453,3 @@ def test_an_incident_in_something_else_is_refused(stepgap: Command, arguments: s
     before = contents()
     refused(stepgap("rig", "incident", *arguments.split()), *parts)
     assert contents() == before
-
-
-@pytest.mark.parametrize(("option", "value", "answer"), [
-    ("--fmi", "2", "--fmi 2: an FMU is of FMI 3.0; leave this option out, or compile what --to c writes"),
-    ("--real", "float", "--real float: the numbers of C are double; leave this option out"),
-])  # fmt: skip
-def test_an_option_of_former_versions_is_answered_by_what_to_do(
-    option: str, value: str, answer: str, stepgap: Command
-) -> None:
-    result = stepgap("export", "runs/none", "--to", "fmu", option, value)
-    assert result.code
-    assert answer in result.err

@@ -100,13 +100,6 @@ def test_a_wrong_row_is_named_and_left_out(stepgap: Command) -> None:
     assert (report["steps"], list(report["suspicious"])) == (39, ["wrong.csv, line 9"])
 
 
-@pytest.mark.parametrize("option", ["load", "predictions"])
-def test_an_option_of_earlier_versions_says_what_to_do(stepgap: Command, option: str) -> None:
-    refused(
-        stepgap("fit", "log.csv", f"--{option}", "x"), f"--{option}: no model is applied to a log now; type stepgap"
-    )
-
-
 def test_residuals_are_fitted_to_some_logs_and_scored_on_others(stepgap: Command) -> None:
     write_log(Path("log.csv"), 0.5)
     write_log(Path("other.csv"), 0.5, seed=1)

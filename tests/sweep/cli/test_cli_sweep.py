@@ -103,8 +103,8 @@ def test_all_ways_give_the_same_table(
         result = stepgap("sweep", "s.toml", "--out", "two", "--processes", 2)
     assert (result.code, result.out.splitlines()[0]) == (0, "two/results.csv"), result.err
     assert Path("two/results.csv").read_bytes() == table
-    for shard in (1, 2, 3):
-        result = stepgap("sweep", "s.toml", "--out", f"shard{shard}", "--shard", f"{shard}/3", "--processes", 1)
+    for shard in (1, 2):
+        result = stepgap("sweep", "s.toml", "--out", f"shard{shard}", "--shard", f"{shard}/2", "--processes", 1)
         assert (result.code, result.out) == (0, "")
         shutil.copytree(f"shard{shard}", "three", dirs_exist_ok=True)
     merged = stepgap("sweep", "--out", "three", "--resume")
@@ -203,19 +203,7 @@ def test_a_full_disk_is_one_line_and_nothing_is_lost(here: Path, stepgap: Comman
 
 def test_the_plan_is_shown_without_running_it(here: Path, stepgap: Command) -> None:
     result = stepgap("sweep", "s.toml", "--plan")
-    assert result.out.split() == [
-        "2",
-        "×",
-        "gap.body_mass_scale",
-        "2",
-        "×",
-        "learning.residual",
-        "1",
-        "×",
-        "seed",
-        "4",
-        "cases",
-    ]
+    assert " ".join(result.out.split()) == "2 × gap.body_mass_scale 2 × learning.residual 1 × seed 4 cases"
     assert sorted(path.name for path in here.iterdir()) == ["s.toml", "short.csv", "short.toml"]
 
 

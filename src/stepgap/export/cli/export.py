@@ -10,7 +10,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.files import create, new_folder
 from stepgap.base.output_files import check_new, free_name, write_new, write_together, writing
 from stepgap.base.versions import optional_package
-from stepgap.cli.options import GoneOption, Integer, Name
+from stepgap.cli.options import Integer, Name
 from stepgap.cli.terminal import announces_compilation
 
 if TYPE_CHECKING:
@@ -40,8 +40,6 @@ def export(
     iteration: Annotated[
         Integer | None, Parameter(name=("--deployment", "--iteration"), validator=validators.Number(gte=0))
     ] = None,
-    fmi: GoneOption = None,
-    real: GoneOption = None,
     name: Name = "",
     out: Path | None = None,
 ) -> None:
@@ -58,10 +56,6 @@ def export(
         name: Name of this robot, such as its serial number, in the passport of what was learned.
         out: New file, or for mjcf a new folder. [default: a new one in the folder export/ of the run]
     """
-    if fmi not in (None, "3"):
-        raise InputError(f"--fmi {fmi}: an FMU is of FMI 3.0; leave this option out, or compile what --to c writes")
-    if real not in (None, "double"):
-        raise InputError(f"--real {real}: the numbers of C are double; leave this option out")
     if to in PACKAGE_OF_FORMAT:
         optional_package(PACKAGE_OF_FORMAT[to], f"--to {to}", to)
     if to == "mjcf":

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, format_by_name, write_new
-from stepgap.cli.options import NO_COLUMNS, ColumnNames, GoneOption, Integer, Overrides
+from stepgap.cli.options import NO_COLUMNS, ColumnNames, Integer, Overrides
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.logs.columns import Columns
@@ -57,8 +57,6 @@ def fit(
     nominal: Literal["map", "predicted", "target", "state"] | None = None,
     experiment: Path | None = None,
     folds: Integer | None = None,
-    load: GoneOption = None,
-    predictions: GoneOption = None,
     results: Results = NO_RESULTS,
     overrides: Overrides = None,
 ) -> None:
@@ -73,11 +71,9 @@ def fit(
         experiment: TOML file of settings of the robot's map. [default: the settings of the runs]
         folds: Number of contiguous blocks that are held out in turn. [default: whole deployments, or 10 blocks of a
             single one]
-        load: An option of earlier versions.
-        predictions: An option of earlier versions.
     """
     from stepgap.logs.columns import read_columns
-    from stepgap.logs.tables.ros_bags import is_ros2_folder
+    from stepgap.logs.tables.bags import is_ros2_folder
 
     if not log:
         raise InputError("LOG: none given; give folders of runs, or logs and the names of their columns")
@@ -89,9 +85,6 @@ def fit(
                 raise InputError(f"{folder}: a folder that is not a run, which has a steps.csv; give the log's file")
     if test and folds is not None:
         raise InputError("--folds: nothing is held out of LOG if --test is given; leave one of them out")
-    for option, value in (("load", load), ("predictions", predictions)):
-        if value is not None:
-            raise InputError(f"--{option}: no model is applied to a log now; type stepgap fit OLD_LOG --test {log[0]}")
     results.check()
     source = (read_columns(columns, names.given()), nominal, experiment, overrides or [])
     _compare(log, test, source, folds, results)

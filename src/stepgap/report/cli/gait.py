@@ -27,11 +27,6 @@ def gait(
             ranges of use]
         out: New file for the figure. [default: gait.png or the next free name]
     """
-    if experiment == Path("knobs"):
-        raise InputError(
-            "gait knobs: gone, since it answered which step command is the least coupled: docs/evidence.md has what it "
-            "found; type stepgap gait for the gait of the command"
-        )
     from stepgap.control.limit_cycle import fixed_point, reachable_set
     from stepgap.experiment.nominal import load_nominal
     from stepgap.experiment.settings import read_experiment
