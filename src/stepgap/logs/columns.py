@@ -1,19 +1,18 @@
 """The meaning of a log's columns: which of them hold the state, the command and the other parts of a step."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from math import tau
 from pathlib import Path
 
 from stepgap.base.names import UNIT_RULE, as_name, is_unit
 from stepgap.base.settings_file import merge, read_toml
 from stepgap.cli.options import ColumnNames
-from stepgap.logs.tables.text_format import AS_FOUND, TextFormat
+from stepgap.logs.tables.log_table import LARGEST_VALUE, unknown_column
+from stepgap.logs.tables.text import AS_FOUND, TextFormat
 from stepgap.records.steps_csv import MOST_COORDINATES
 from stepgap.step import Array, ContextQuantity, Quantity, StepSpace
 
-LARGEST_VALUE = 1e12  # Largest magnitude of a number that is accepted as a measurement
 _ROUNDING = 1e-14  # Differences of numbers that are smaller than this part of them are rounding
 
 ROLES = ("state", "next", "command", "target", "predicted")
@@ -129,12 +128,6 @@ def _quantity(name: str, unit: str, values: Array) -> Quantity:
     largest = max(abs(lower), abs(upper))
     margin = 0.0 if upper - lower > max(_ROUNDING * largest, 1 / LARGEST_VALUE) else max(largest, 1.0)
     return Quantity(name, unit, lower - margin, upper + margin)
-
-
-def unknown_column(name: str, known: Sequence[str]) -> str:
-    """Message about an unknown column, with the name that was probably meant."""
-    close = get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"no column {name!r}; " + (f"did you mean {close[0]!r}?" if close else f"there is {', '.join(known):.300}")
 
 
 def column_of(entry: str) -> str:

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -49,9 +48,10 @@ def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> FoundSteps:
     left_out = Counter[str]()
     found = 0
     for path in paths:
-        rows = _read(path, columns)
+        roles = columns.numbers | ({columns.deployment: "deployment"} if columns.deployment else {})
+        rows = chosen_table(path, read_log_tables(path, columns.format, LARGEST_LOG), list(roles), roles)
         part, deployment, missing = _steps_of(rows, columns)
-        origins += map(rows.table.row, part.pop("row")[:, 0].tolist())
+        origins += map(rows.row, part.pop("row")[:, 0].tolist())
         parts.append(part)
         deployments.append(deployment + found)
         found += int(deployment.max(initial=-1)) + 1
@@ -127,25 +127,26 @@ def step_log_of(found: FoundSteps) -> Steps:
     )
 
 
-def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Labels, dict[str, int]]:
+def _steps_of(rows: LogTable, columns: Columns) -> tuple[dict[str, Array], Labels, dict[str, int]]:
     """Arrays of the complete steps by role, their deployments, and the numbers of rows that are left out.
 
     A yaw, the step's number, and the index of the row belong to the start of a step; a yaw may be missing.
     """
+    numbers = {name: rows.numbers(name, columns.factors.get(name, 1.0)) for name in columns.numbers}
     table = {
-        role: np.stack([rows.numbers[column_of(entry)] for entry in getattr(columns, role)], axis=-1)
+        role: np.stack([numbers[column_of(entry)] for entry in getattr(columns, role)], axis=-1)
         for role in ROLES
         if getattr(columns, role)
     }
-    deployment = rows.deployment
+    deployment = _deployments(rows, columns.deployment)
     ends = 0
     begin: dict[str, Any] = {"row": np.arange(len(deployment))[:, None]}
     named = {"yaw": columns.yaw, "step": columns.step}
-    begin |= {role: rows.numbers[column][:, None] for role, column in named.items() if column}
+    begin |= {role: numbers[column][:, None] for role, column in named.items() if column}
     if not (columns.state and columns.next):
         follows = deployment[1:] == deployment[:-1]
         if columns.step:
-            follows &= np.diff(rows.numbers[columns.step]) == 1
+            follows &= np.diff(numbers[columns.step]) == 1
         ends = len(deployment) - int(follows.sum())
         earlier = {role: values[:-1][follows] for role, values in table.items()}
         later = {role: values[1:][follows] for role, values in table.items()}
@@ -155,30 +156,6 @@ def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Labels
     complete = np.all([np.isfinite(values).all(axis=1) for values in table.values()], axis=0)
     left_out = {"with a number missing": int((~complete).sum()), "at the end of a chain": ends}
     return {role: values[complete] for role, values in (table | begin).items()}, deployment[complete], left_out
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """The needed columns of a file's R rows.
-
-    Attributes:
-        table: All columns.
-        numbers: Columns of numbers by name, NaN where one is missing; each of shape (R,).
-        deployment: Number of the deployment of each row; shape (R,).
-    """
-
-    table: LogTable
-    numbers: Mapping[str, Array]
-    deployment: Labels
-
-
-def _read(path: Path, columns: Columns) -> _Rows:
-    """Reads the needed columns of a file."""
-    roles = columns.numbers | ({columns.deployment: "deployment"} if columns.deployment else {})
-    tables = read_log_tables(path, columns.format, LARGEST_LOG)
-    table = chosen_table(path, tables, list(roles), roles)
-    numbers = {name: table.numbers(name, columns.factors.get(name, 1.0)) for name in columns.numbers}
-    return _Rows(table, numbers, _deployments(table, columns.deployment))
 
 
 def _deployments(table: LogTable, column: str) -> Labels:

@@ -30,6 +30,7 @@ def rows_of(file: str) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
+@pytest.mark.usefixtures("drawn_page")
 def test_it_writes_steps_their_meaning_and_a_figure(log: HoppingLog, stepgap: Command) -> None:
     Path("units.toml").write_text('[units]\nforward = "m"\nheight = "m"\n')
     result = stepgap("steps", "log.csv", "--plan", "plan.csv", *APEXES, "--columns", "units.toml", "--out", "steps.csv")
@@ -71,9 +72,6 @@ def test_the_next_command_can_be_typed(name: str, typed: str, log: HoppingLog, s
 
 def test_fit_reads_the_steps(log: HoppingLog, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stepgap.learning.entry_points.names_by_complexity", lambda: ("none", "constant"))
-    monkeypatch.setattr(
-        "stepgap.logs.sections.section_figures.sections_picture", lambda *_: b""
-    )  # other tests look at it
     assert stepgap("steps", "log.csv", "--plan", "plan.csv", *APEXES, "--out", "steps.csv").code == 0
     result = stepgap("fit", "steps.csv", "--columns", "steps.toml", "--nominal", "state")
     assert result.code == 0, result
@@ -81,6 +79,7 @@ def test_fit_reads_the_steps(log: HoppingLog, stepgap: Command, monkeypatch: pyt
     assert len(log.apexes) == 30
 
 
+@pytest.mark.usefixtures("drawn_page")
 def test_several_logs_are_told_apart(log: HoppingLog, stepgap: Command) -> None:
     Path("second").mkdir()
     write(log, Path("second"), np.random.default_rng(1))

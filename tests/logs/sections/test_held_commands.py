@@ -74,7 +74,7 @@ def test_a_repeated_command_is_no_change_and_one_that_ceases_is_not_known() -> N
 def test_states_are_the_true_means_and_commands_those_that_held(
     settings: SectionSettings, noise: float, tmp_path: Path
 ) -> None:
-    log = walking(120.0, np.random.default_rng(3))
+    log = walking(120.0, 3)
     write_walk(log, tmp_path, noise)
     found = extracted(tmp_path, settings)
     assert not found.refusal
@@ -93,7 +93,7 @@ def test_states_are_the_true_means_and_commands_those_that_held(
 
 def test_the_same_motion_in_another_frame_gives_the_same_states(tmp_path: Path) -> None:
     """The world's frame is arbitrary, and a quaternion says the same as a yaw, also with its sign changed."""
-    log = walking(40.0, np.random.default_rng(4))
+    log = walking(40.0, 4)
     write_walk(log, tmp_path)
     one = extracted(tmp_path, POSE)
     angle = 2.0
@@ -110,7 +110,7 @@ def test_the_same_motion_in_another_frame_gives_the_same_states(tmp_path: Path) 
 
 
 def test_jumps_lost_odometry_and_glitches_leave_their_steps_out(tmp_path: Path) -> None:
-    log = walking(60.0, np.random.default_rng(5))
+    log = walking(60.0, 5)
     pose, velocity = log.pose.copy(), log.velocity.copy()
     pose[log.time > 20.1] += [3.0, 0.0, 0.0]
     velocity[np.abs(log.time - 30.1) < 0.003] = 50.0
@@ -130,14 +130,14 @@ def test_jumps_lost_odometry_and_glitches_leave_their_steps_out(tmp_path: Path) 
 
 
 def test_a_log_without_commands_is_divided_evenly(tmp_path: Path) -> None:
-    write_walk(walking(10.0, np.random.default_rng(0)), tmp_path)
+    write_walk(walking(10.0, 0), tmp_path)
     found = extract_steps(str(tmp_path / "odom.csv"), None, replace(TWIST, command=()))
     np.testing.assert_allclose(np.diff(found.sections.time[:-1]), 0.5)
     assert len(found.kept) == 19
 
 
 def test_a_command_that_never_holds_is_refused(tmp_path: Path) -> None:
-    log = walking(10.0, np.random.default_rng(0))
+    log = walking(10.0, 0)
     write_walk(replace(log, command=log.command + log.sent[:, None]), tmp_path)
     with pytest.raises(RecordError, match=r"cmd\.csv: no command holds for 0\.5 s from 0\.000 to 9\.980 s"):
         extracted(tmp_path, replace(TWIST, hold=0.3))
@@ -160,7 +160,7 @@ def test_means_over_a_gait_cycle(tmp_path: Path) -> None:
 def test_a_log_whose_clocks_differ_is_refused_unless_they_are_corrected(
     settings: SectionSettings, tmp_path: Path
 ) -> None:
-    log = walking(90.0, np.random.default_rng(6))
+    log = walking(90.0, 6)
     write_walk(log, tmp_path, 0.003)
     right = extracted(tmp_path, settings)
     assert right.lag == pytest.approx(DELAY + LAG * np.log(2), abs=0.06)  # a lag is most like this delay
@@ -173,13 +173,13 @@ def test_a_log_whose_clocks_differ_is_refused_unless_they_are_corrected(
 
 
 def test_a_robot_that_does_not_follow_its_commands_has_no_lag(tmp_path: Path) -> None:
-    log = walking(60.0, np.random.default_rng(7))
+    log = walking(60.0, 7)
     write_walk(replace(log, command=log.command[np.random.default_rng(0).permutation(len(log.command))]), tmp_path)
     assert np.isnan(extracted(tmp_path, replace(TWIST, every=0.1)).lag)
 
 
 def test_commands_may_be_in_a_file_of_plans(tmp_path: Path) -> None:
-    write_walk(walking(20.0, np.random.default_rng(8)), tmp_path)
+    write_walk(walking(20.0, 8), tmp_path)
     joined = extracted(tmp_path, TWIST)
     planned = extract_steps(str(tmp_path / "odom.csv"), tmp_path / "cmd.csv", TWIST)
     assert planned.faults == joined.faults

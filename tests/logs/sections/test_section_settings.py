@@ -50,6 +50,10 @@ def test_options_override_the_file(tmp_path: Path) -> None:
         ({}, "--height = '', but it must be the column of the height, or a boom's pitch, for an apex"),
         ({"height": "y"}, "--state = '', but it must name the state, such as speed=rate(x),height=y"),
         ({"phase": "p", "force": ("f",)}, "--force = 'f', but it must not be given beside phase"),
+        (
+            {"contact": ("left",), "at": "next_foot", "state": ("x",)},
+            "--at = 'next_foot', but it must be given with the contact or the force of at least two feet",
+        ),
         ({"boom": 1.2}, "--boom = 1.2, but it must be given together with pitch and yaw"),
         ({"rise": -1.0}, "--rise = -1.0, but it must be a positive number, or 0"),
         ({"every": -0.5}, "--every = -0.5, but it must be a positive number, or 0"),

@@ -49,18 +49,24 @@ def extracted(folder: Path, settings: SectionSettings, plan: bool = True) -> Ext
     return extract_steps(str(folder / "log.csv"), folder / "plan.csv" if plan else None, settings)
 
 
-@pytest.mark.parametrize("rule", ["height", "phase", "force"])
+NOISE, ROUNDING = (noisy(0.003),), (rounded(0.005),)
+ALL = (noisy(0.0005), rounded(0.001), lost_rows(4, 0.15), repeated(5, 0.08), glitches(20, 0.02))
+
+
 @pytest.mark.parametrize(
-    "changes",
+    ("rule", "changes"),
     [
-        (noisy(0.003),),
-        (rounded(0.005),),
-        (slower(5), noisy(0.0005)),
-        (slower_forward(10), lost_values(0.01)),
-        (glitches(40, 0.02), noisy(0.0005)),
-        (noisy(0.0005), rounded(0.001), lost_rows(4, 0.15), repeated(5, 0.08), glitches(20, 0.02)),
+        pytest.param("height", NOISE, id="noise"),
+        pytest.param("force", NOISE, id="noise, force"),
+        pytest.param("height", ROUNDING, id="rounding"),
+        pytest.param("phase", ROUNDING, id="rounding, phase"),
+        pytest.param("height", (slower(5), noisy(0.0005)), id="half slower"),
+        pytest.param("phase", (slower_forward(10), lost_values(0.01)), id="slow position, zeros"),
+        pytest.param("phase", (glitches(40, 0.02), noisy(0.0005)), id="glitches"),
+        pytest.param("height", ALL, id="all"),
+        pytest.param("phase", ALL, id="all, phase"),
+        pytest.param("force", ALL, id="all, force"),
     ],
-    ids=["noise", "rounding", "half slower", "slow position, zeros", "glitches", "all"],
 )
 def test_no_row_is_wrong(rule: str, changes: tuple[Change, ...], tmp_path: Path) -> None:
     found = trial(changes, rule, 30, 11, tmp_path)

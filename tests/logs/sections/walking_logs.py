@@ -1,9 +1,11 @@
 """A log of commands and odometry of a robot whose motion is known."""
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
+from scipy.signal import lfilter
 
 from stepgap.step import Array
 
@@ -34,22 +36,25 @@ class WalkingLog:
         return self.velocity[inside].mean(axis=0)
 
 
-def walking(duration: float, rng: np.random.Generator, tick: float = 0.005) -> WalkingLog:
+@cache
+def walking(duration: float, seed: int, tick: float = 0.005) -> WalkingLog:
     """A robot that is driven by hand: commands hold for 0.3 to 4 s, and are sent ten times a second."""
+    rng = np.random.default_rng(seed)
     changes = np.cumsum(rng.uniform(0.3, 4.0, int(duration)))
     levels = np.round(rng.uniform([-0.2, -0.3, -0.8], [0.8, 0.3, 0.8], (len(changes) + 1, 3)), 2)
     sent = np.unique(np.concatenate([np.arange(0, duration, 0.1), changes[changes < duration]]))
     command = levels[np.searchsorted(changes, sent, "right")]
     time = np.arange(0, duration, tick)
     felt = levels[np.searchsorted(changes, time - DELAY, "right")]
-    velocity, pose = np.zeros((len(time), 3)), np.zeros((len(time), 3))
-    for row in range(1, len(time)):
-        velocity[row] = velocity[row - 1] + tick / LAG * (0.8 * felt[row] + 0.03 - velocity[row - 1])
-        forward, left, turn = velocity[row]
-        yaw = pose[row - 1, 2] + turn * tick / 2
-        moved = [forward * np.cos(yaw) - left * np.sin(yaw), forward * np.sin(yaw) + left * np.cos(yaw), turn]
-        pose[row] = pose[row - 1] + tick * np.array(moved)
-    pose[:, 2] = (pose[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    # It follows with a lag of first order, and moves along its middle direction in each tick.
+    followed = tick / LAG * (0.8 * felt + 0.03)
+    followed[0] = 0.0
+    velocity = lfilter([1.0], [1.0, tick / LAG - 1.0], followed, axis=0)
+    forward, left, turn = velocity.T
+    yaw = np.cumsum(tick * turn)
+    middle = yaw - tick * turn / 2
+    moved = [forward * np.cos(middle) - left * np.sin(middle), forward * np.sin(middle) + left * np.cos(middle)]
+    pose = np.stack([*np.cumsum(tick * np.array(moved), axis=1), (yaw + np.pi) % (2 * np.pi) - np.pi], axis=-1)
     return WalkingLog(time, velocity, pose, sent, command)
 
 

@@ -20,7 +20,6 @@ from scipy.io import savemat
 
 from stepgap.logs.tables.reading import chosen_table, read_log_tables
 from stepgap.records.steps_csv import RecordError
-from tests.cli.command_line import Command, refused
 from tests.logs.tables.test_formats import write_bag, write_mat_73, write_mcap_json
 
 WANTED = ("t", "v")
@@ -223,6 +222,18 @@ BROKEN: dict[str, tuple[bytes | Callable[[Path], None], str]] = {
     "external values": (hdf5(external_values), "its values lie in another file"),
     "virtual values": (hdf5(virtual_values), "its values lie in another file"),
     "cycle in HDF5": (hdf5(cycle), "no table of numbers in this file"),
+    "long texts in HDF5": (
+        hdf5(lambda file: file.create_dataset("t", (10,), "S1000000", chunks=(1,))),
+        "1.25e+06 values, rows times columns",
+    ),
+    "wide parts in HDF5": (
+        hdf5(lambda file: file.create_dataset("t", (9,), float, maxshape=(None,), chunks=(2**20,))),
+        "nothing in it can be read: t (parts larger than 4194304 bytes)",
+    ),
+    "many objects in HDF5": (
+        hdf5(lambda file: [file.create_group(str(number)) for number in range(101)]),
+        "more than 100 objects",
+    ),
     "deep HDF5": (hdf5(lambda file: file.create_group("a/" * 300)), "nested groups"),
     "truncated Parquet": (half(table_file()), "not a readable Parquet file"),
     "damaged Parquet": (table_file()[:-8] + b"\xff\xff\xff\x7fPAR1", "not a readable Parquet file"),
@@ -251,9 +262,10 @@ BROKEN: dict[str, tuple[bytes | Callable[[Path], None], str]] = {
 @pytest.fixture(autouse=True)
 def _small_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """So that bombs need not be large."""
-    for limit in ("matlab._LARGEST_MAT", "numpy_files._LARGEST_ARRAY_FILE", "files.LARGEST_PART"):
+    for limit in ("matlab._LARGEST_MAT", "arrays._LARGEST_ARRAY_FILE", "files.LARGEST_PART", "hdf5.LARGEST_PART"):
         monkeypatch.setattr(f"stepgap.logs.tables.{limit}", 2**22)
     monkeypatch.setattr("stepgap.logs.tables.log_table.MOST_NUMBERS", 10**6)
+    monkeypatch.setattr("stepgap.logs.tables.hdf5._MOST_OBJECTS", 100)
 
 
 def read_numbers(path: Path) -> None:
@@ -277,18 +289,3 @@ def test_broken_files_are_answered_by_one_line(name: str, tmp_path: Path) -> Non
     assert line.startswith(str(path))
     assert "\n" not in line
     assert len(line) < 500 + len(str(path))
-
-
-@pytest.mark.parametrize(
-    "name", ["ragged", "mixed decimals", "pickle in npz", "truncated MCAP", "external link", "pipe"]
-)
-def test_the_command_line_shows_this_line(name: str, stepgap: Command) -> None:
-    content, message = BROKEN[name]
-    path = Path("log")
-    if isinstance(content, bytes):
-        path.write_bytes(content)
-    else:
-        content(path)
-    Path("columns.toml").write_text('state = ["t"]\ncommand = ["v"]\n')
-    result = stepgap("fit", path, "--columns", "columns.toml", "--nominal", "state")
-    refused(result, message)

@@ -16,7 +16,7 @@ from stepgap.base.errors import InputError, StepGapWarning
 from stepgap.logs.columns import read_columns
 from stepgap.logs.tables.log_table import LogTable
 from stepgap.logs.tables.reading import read_log_table, read_log_tables
-from stepgap.logs.tables.text_format import AS_FOUND, TextFormat
+from stepgap.logs.tables.text import AS_FOUND, TextFormat
 from stepgap.records.steps_csv import RecordError
 
 NUMBERS = st.floats(-1e12, 1e12)
@@ -243,11 +243,6 @@ def test_what_git_lfs_has_in_the_place_of_a_file(tmp_path: Path) -> None:
     (tmp_path / "log.mcap").write_text("version https://git-lfs.example/spec/v1\noid sha256:0\nsize 7\n")
     with pytest.raises(RecordError, match=r"log.mcap: not the file, but what Git LFS has in its place; .*git lfs pull"):
         read_log_tables(tmp_path / "log.mcap")
-
-
-def test_a_file_that_must_not_be_read(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match="No such file"):
-        read_log_tables(tmp_path / "none")
 
 
 def test_a_package_that_is_not_installed_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -170,9 +170,7 @@ def test_a_killed_sweep_continues_without_loss(table: bytes, stepgap: Command) -
     assert before.items() <= {path: path.stat().st_ino for path in Path("killed").glob("cases/*/*.json")}.items()
 
 
-def test_a_case_that_cannot_run_is_recorded_with_its_reason(
-    here: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_case_that_cannot_run_is_recorded_with_its_reason(here: Path, stepgap: Command, in_a_thread: None) -> None:
     Path("s.toml").write_text('base = "short.toml"\nkeep = "nothing"\n[axes]\n"gains.rest_length" = [0.9, 0.285]')
     result = stepgap("sweep", "s.toml", "--out", "out", "--processes", 1)
     assert result.code == 0
@@ -183,7 +181,6 @@ def test_a_case_that_cannot_run_is_recorded_with_its_reason(
     assert not Path("out/runs").exists()
     (failed,) = Path("out").glob("cases/*/00000000.json")
     before = failed.stat().st_mtime_ns
-    compute_in_a_thread(monkeypatch)
     assert stepgap("sweep", "--out", "out", "--resume").code == 0
     assert failed.stat().st_mtime_ns == before
     assert stepgap("sweep", "--out", "out", "--resume", "--retry-failed").code == 0

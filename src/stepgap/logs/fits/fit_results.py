@@ -115,7 +115,6 @@ def _table(framed: bool, title: str, *scores: str) -> Table:
 
 
 def _compared(validation: Validation, kind: str, coordinates: Sequence[int]) -> str:
-    """Improvement of a residual over none."""
     by = validation.reduction(kind, "none", coordinates)
     return "–" if kind == "none" else _percent(by.value, by.half_width)
 
@@ -165,13 +164,11 @@ def fit_report(
 
 
 def _reduction_as_data(by: Reduction) -> dict[str, Any]:
-    """A reduction as JSON-ready data."""
     interval = [_finite(end) for end in by.interval]
     return {"value": _finite(by.value), "standard_error": _finite(by.standard_error), "interval": interval}
 
 
 def _named(state: Sequence[Quantity], values: Array) -> dict[str, float | None]:
-    """Numbers by state coordinate."""
     return {quantity.name: _finite(value) for quantity, value in zip(state, values, strict=True)}
 
 

@@ -7,8 +7,7 @@ Residuals are compared alone, as functions of state and command: nothing is lear
 """
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from math import sqrt
@@ -63,18 +62,14 @@ class Folds:
 
 def contiguous_folds(steps: int, number: int = FOLDS) -> Folds:
     """Divides the steps, in their order, into equal parts; 2 ≤ number ≤ steps."""
-    if not 2 <= number <= steps:
-        raise ValueError(f"{number} folds of {steps} steps; there must be at least 2, and a step for each")
     parts = max(1, min(-(-FOLDS // number), steps // number))
     block = np.arange(steps) * (number * parts) // steps
     return Folds(False, block // parts, block)
 
 
 def deployment_folds(deployment: Labels) -> Folds:
-    """Makes one fold of each deployment; if there are more than `FOLDS`, one of each of `FOLDS` groups of them."""
+    """Makes one fold of each of several deployments; of more than `FOLDS`, one of each of `FOLDS` groups of them."""
     names, position = np.unique(deployment, return_inverse=True)
-    if len(names) < 2:
-        raise ValueError("only one deployment; there must be at least 2")
     number = min(len(names), FOLDS)
     fold = position * number // len(names)
     block = np.zeros(len(position), np.intp)
@@ -233,12 +228,10 @@ def validate(
         folds: Which steps are held out together.
         on_fit: Called with the number of fits done and the number of all fits.
     """
-    held_out = {}
-    done = count(1)
-    for kind in kinds:
-        with _leaving_out_unusable():
-            held_out[kind] = _hold_out(kind, steps, folds, lambda: on_fit(next(done), len(kinds) * folds.count))
-    return Validation(folds, held_out)
+    held = [folds.fold == number for number in range(folds.count)]
+    parts = [(steps.selected(~rows), steps.selected(rows)) for rows in held]
+    order = np.argsort(folds.fold, kind="stable")
+    return Validation(folds, _hold_out(kinds, parts, np.argsort(order), on_fit))
 
 
 def validate_on(
@@ -249,52 +242,42 @@ def validate_on(
 ) -> Validation:
     """Fits every residual to some steps and predicts others, such as those of another day or robot.
 
-    A `StepGapWarning` names each residual that is left out because it fails.
-
     Args:
-        kinds: Names of the residuals, from simple to complex.
+        kinds: As of `validate`.
         steps: Errors of the nominal map at the steps to fit.
-        test: Those of the same map at the steps to predict.
+        test: Those of the same map at the steps to predict, which count in blocks for the standard errors.
         on_fit: As of `validate`.
     """
-    held_out = {}
-    for done, kind in enumerate(kinds, 1):
-        with _leaving_out_unusable():
-            begin = perf_counter()
-            residual = fit_residual(kind, steps)
-            seconds = perf_counter() - begin
-            held_out[kind] = HeldOut(kind, test.error, *_predict(residual, test), seconds)
-        on_fit(done, len(kinds))
-    return Validation(_one_fold(len(test)), held_out)
+    together = replace(contiguous_folds(len(test), FOLDS), fold=np.zeros(len(test), np.intp))
+    return Validation(together, _hold_out(kinds, [(steps, test)], np.arange(len(test)), on_fit))
 
 
-@contextmanager
-def _leaving_out_unusable() -> Iterator[None]:
-    """Leaves out what a residual model that fails was to be computed for, with a warning: others are compared."""
-    try:
-        yield
-    except ResidualError as error:
-        warnings.warn(f"left out: {error}", StepGapWarning, stacklevel=1)
-
-
-def _one_fold(steps: int) -> Folds:
-    """Steps that are predicted together, in blocks for the standard errors."""
-    return replace(contiguous_folds(steps, min(FOLDS, steps)), fold=np.zeros(steps, np.intp))
-
-
-def _hold_out(kind: str, steps: Observations, folds: Folds, on_fit: Callable[[], None]) -> HeldOut:
-    """Fits a residual to the steps outside each fold and predicts those inside."""
-    mean = np.empty_like(steps.error)
-    std = np.empty_like(steps.error)
-    seconds = 0.0
-    for number in range(folds.count):
-        held = folds.fold == number
-        begin = perf_counter()
-        residual = fit_residual(kind, steps.selected(~held))
-        seconds += perf_counter() - begin
-        mean[held], std[held] = _predict(residual, steps.selected(held))
-        on_fit()
-    return HeldOut(kind, steps.error, mean, std, seconds / folds.count)
+def _hold_out(
+    kinds: Sequence[str],
+    parts: Sequence[tuple[Observations, Observations]],
+    order: Labels,
+    on_fit: Callable[[int, int], None],
+) -> dict[str, HeldOut]:
+    """Fits each residual to the first steps of each part, predicts the second ones, and puts these in order."""
+    error = np.concatenate([held.error for _, held in parts])[order]
+    held_out: dict[str, HeldOut] = {}
+    done = count(1)
+    for kind in kinds:
+        seconds = 0.0
+        predictions: list[tuple[Array, Array]] = []
+        try:
+            for fitted, held in parts:
+                begin = perf_counter()
+                residual = fit_residual(kind, fitted)
+                seconds += perf_counter() - begin
+                predictions.append(_predict(residual, held))
+                on_fit(next(done), len(kinds) * len(parts))
+        except ResidualError as failure:  # the others are compared
+            warnings.warn(f"left out: {failure}", StepGapWarning, stacklevel=3)
+            continue
+        mean, std = (np.concatenate(values)[order] for values in zip(*predictions, strict=True))
+        held_out[kind] = HeldOut(kind, error, mean, std, seconds / len(parts))
+    return held_out
 
 
 def _predict(residual: Residual, steps: Observations) -> tuple[Array, Array]:

@@ -1,11 +1,12 @@
-"""How far a robot has moved forward, to its left, and turned, from positions and orientations in the world."""
+"""Columns that are computed: of a robot on a boom, and its motion as it sees it, from poses in the world."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stepgap.logs.sections.section_settings import POSE_COLUMNS, SectionSettings
+from stepgap.logs.sections.section_settings import BOOM_COLUMNS, POSE_COLUMNS, SectionSettings
 from stepgap.logs.sections.signals import SignalLog, TimedTable
 from stepgap.logs.tables.log_table import LogTable
 from stepgap.records.steps_csv import RecordError
@@ -15,6 +16,20 @@ _POSITION = ("position.x", "position.y")
 _ORIENTATION = tuple(f"orientation.{axis}" for axis in "xyzw")
 
 _NORM = (0.9, 1.1)  # Norms of a quaternion that is one; a sensor that has none often gives zeros
+
+
+def with_boom(log: SignalLog, settings: SectionSettings) -> SignalLog:
+    """The log with the columns `height` and `forward`, if the robot hops around a boom.
+
+    Raises:
+        RecordError: There is no such angle.
+    """
+    if not settings.boom:
+        return log
+    pitch = log.signal(settings.pitch)
+    yaw = log.signal(settings.yaw)
+    columns = (settings.boom * np.sin(np.asarray(pitch.values, float)), settings.boom * np.asarray(yaw.values, float))
+    return _with_columns(log, "boom", dict(zip(BOOM_COLUMNS, columns, strict=True)), (pitch.time, yaw.time))
 
 
 def with_pose(log: SignalLog, settings: SectionSettings) -> SignalLog:
@@ -38,9 +53,17 @@ def with_pose(log: SignalLog, settings: SectionSettings) -> SignalLog:
     if known.sum() < 2:
         raise RecordError(f"{log.source}, column {columns[2]!r}: no quaternion x, y, z, w with a norm of 1")
     moved = body_motion(*(np.asarray(each, float)[known] for each in (x.values, y.values, yaw)))
-    table = LogTable(f"{log.source}, pose", dict(zip(POSE_COLUMNS, moved, strict=True)))
-    factors = {column: factor for column, factor in log.factors.items() if column not in POSE_COLUMNS}
-    return replace(log, files=[[TimedTable(table, time[known])], *log.files], factors=factors)
+    return _with_columns(log, "pose", dict(zip(POSE_COLUMNS, moved, strict=True)), [time[known]] * len(moved))
+
+
+def _with_columns(log: SignalLog, name: str, columns: Mapping[str, Array], times: Sequence[Array]) -> SignalLog:
+    """The log with computed columns before its own ones, which have no factors, and the times of each."""
+    tables = [
+        TimedTable(LogTable(f"{log.source}, {name}", {column: values}), time)
+        for (column, values), time in zip(columns.items(), times, strict=True)
+    ]
+    factors = {column: factor for column, factor in log.factors.items() if column not in columns}
+    return replace(log, files=[tables, *log.files], factors=factors)
 
 
 def body_motion(x: Array, y: Array, yaw: Array) -> tuple[Array, Array, Array]:

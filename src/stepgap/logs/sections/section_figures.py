@@ -48,7 +48,6 @@ def sections_picture(logs: Sequence[ExtractedSteps], form: str) -> bytes:
 
 
 def _draw_overview(part: Any, log: ExtractedSteps, begin: int) -> Any:
-    """Several sections; returns the panel."""
     end = min(begin + SECTIONS_IN_ROW, len(log.sections.time) - 1)
     margin = 0.6 * _typical_step(log)
     name, signal = next(iter(log.signals.items()))
@@ -60,7 +59,6 @@ def _draw_overview(part: Any, log: ExtractedSteps, begin: int) -> Any:
 
 
 def _draw_about(part: Any, log: ExtractedSteps, number: int) -> Any:
-    """The signals about a section; returns the first panel."""
     time = float(log.sections.time[number])
     around = 0.6 * _typical_step(log)
     panels = part.subplots(1, PANELS, squeeze=False)[0]

@@ -8,8 +8,9 @@ from typing import Any, Literal, final
 
 from stepgap.base.names import as_name
 from stepgap.base.settings_file import merge, read_toml
-from stepgap.logs.columns import LARGEST_VALUE, check_units
-from stepgap.logs.tables.text_format import AS_FOUND, TextFormat
+from stepgap.logs.columns import check_units
+from stepgap.logs.tables.log_table import LARGEST_VALUE
+from stepgap.logs.tables.text import AS_FOUND, TextFormat
 from stepgap.records.steps_csv import MOST_COORDINATES
 
 RULES = ("phase", "contact", "force", "crossing", "every")

@@ -9,11 +9,10 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from stepgap.logs.columns import unknown_column
 from stepgap.logs.tables.files import LARGEST_LOG
-from stepgap.logs.tables.log_table import LogColumn, LogTable
+from stepgap.logs.tables.log_table import LogColumn, LogTable, unknown_column
 from stepgap.logs.tables.reading import read_log_tables, with_topic
-from stepgap.logs.tables.text_format import AS_FOUND, TextFormat
+from stepgap.logs.tables.text import AS_FOUND, TextFormat
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
 
@@ -250,3 +249,8 @@ def _checked_times(table: LogTable, column: str, factor: float) -> Array:
         change = f"goes back from {time[before]:.6f} to {time[after]:.6f} s"
         raise RecordError(f"{table.row(int(after))}, column {column!r}: the time {change}; split the log there")
     return time
+
+
+def rounding_of(values: Array) -> float:
+    """What the largest of some values may be rounded by, in double precision; differences up to it mean nothing."""
+    return float(np.finfo(float).eps * np.abs(values).max(initial=0.0))

@@ -11,8 +11,7 @@ from typing import Final, final
 import numpy as np
 
 from stepgap.base.errors import StepGapWarning
-from stepgap.logs.columns import unknown_column
-from stepgap.logs.sections.body_motion import with_pose
+from stepgap.logs.sections.body_motion import with_boom, with_pose
 from stepgap.logs.sections.held_commands import (
     CELLS,
     MOST_CELLS,
@@ -23,12 +22,13 @@ from stepgap.logs.sections.held_commands import (
     regular_sections,
 )
 from stepgap.logs.sections.plans import Plans, StepValues, joined_doubts, read_plans, step_values
-from stepgap.logs.sections.section_finding import FoundSection, SectionFunction, find_sections, with_boom
+from stepgap.logs.sections.section_finding import FoundSection, SectionFunction, find_sections
 from stepgap.logs.sections.section_settings import COORDINATES, SectionSettings, SignalCoordinate
 from stepgap.logs.sections.section_states import SectionStates, section_states
 from stepgap.logs.sections.signals import Signal, SignalLog, read_deployments, read_signal_log
 from stepgap.logs.sections.step_means import LONGEST_GAP_IN_MEAN, step_means
 from stepgap.logs.sections.tops import hop_faults
+from stepgap.logs.tables.log_table import unknown_column
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
 
@@ -142,7 +142,6 @@ def extract_deployments(text: str, plan: Path | None, settings: SectionSettings)
 def _extract(
     log: SignalLog, plan: Path | None, settings: SectionSettings, find: SectionFunction | None = None
 ) -> ExtractedSteps:
-    """Extracts the steps of one deployment."""
     log = with_pose(with_boom(log, settings), settings)
     plans = read_plans(plan, log, settings) if plan else None
     _check_factors(settings, log, plans)
@@ -281,7 +280,6 @@ def _faults(
 
 
 def _largest_gap(signal: Signal, begin: float, end: float) -> float:
-    """Longest time without a sample [s]."""
     part = signal.between(begin, end)
     return float(np.diff([begin, *part.time.tolist(), end]).max())
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.base.settings_file import toml_string
+from stepgap.logs.columns import ROLES
 from stepgap.logs.sections.section_settings import SectionSettings
 from stepgap.logs.sections.step_extraction import ExtractedSteps
 
@@ -41,9 +42,7 @@ def columns_toml(log: ExtractedSteps, settings: SectionSettings) -> str:
     if not (columns.get("command") or columns.get("target")):
         return ""
     lines = [
-        f"{role} = [{', '.join(map(toml_string, names))}]"
-        for role, names in columns.items()
-        if names and role in _ROLES
+        f"{role} = [{', '.join(map(toml_string, names))}]" for role, names in columns.items() if names and role in ROLES
     ]
     lines += ['deployment = "log"', *(['yaw = "yaw"'] if log.yaw is not None else [])]
     units = {name: unit for name, unit in _units(columns, settings) if unit}
@@ -51,9 +50,6 @@ def columns_toml(log: ExtractedSteps, settings: SectionSettings) -> str:
         lines += ["", "[units]"]
         lines += [f"{toml_string(name)} = {toml_string(unit)}" for name, unit in units.items()]
     return "\n".join([*lines, ""])
-
-
-_ROLES = ("state", "next", "command", "target", "predicted")
 
 
 def _columns(log: ExtractedSteps) -> list[tuple[str, list[str]]]:
@@ -94,7 +90,6 @@ def label_of(log: ExtractedSteps) -> str:
 
 
 def _labels(logs: Sequence[ExtractedSteps]) -> list[str]:
-    """The name of each log, with a number if several have the same."""
     names = [label_of(log) for log in logs]
     counts = Counter(names)
     seen = Counter[str]()
@@ -106,7 +101,6 @@ def _labels(logs: Sequence[ExtractedSteps]) -> list[str]:
 
 
 def _units(columns: dict[str, list[str]], settings: SectionSettings) -> Iterator[tuple[str, str]]:
-    """Units of the columns of states and commands."""
     computed = {"height": "m", "forward": "m"} if settings.boom else {}
     computed |= {"forward": "m", "left": "m", "turn": "rad"} if settings.pose else {}
     known = computed | dict(settings.units)

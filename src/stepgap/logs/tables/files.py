@@ -22,13 +22,9 @@ def begin_of(path: Path) -> bytes:
     Raises:
         RecordError: It cannot be read, or is not a file.
     """
-    try:
-        if not path.is_file() and path.exists() and not path.is_dir():
-            raise RecordError(f"{path}: not a file; give an existing log")
-        with path.open("rb") as file:
-            return file.read(1024)
-    except OSError as error:
-        raise RecordError(f"{path}: {error.strerror}; give an existing log, or the folder of a run") from None
+    if not path.is_file() and path.exists() and not path.is_dir():
+        raise RecordError(f"{path}: not a file; give an existing log")
+    return _read(path, 1024)
 
 
 def content_of(path: Path, largest: int) -> bytes:
@@ -37,16 +33,20 @@ def content_of(path: Path, largest: int) -> bytes:
     Raises:
         RecordError: It cannot be read, is larger than `largest` [bytes], or is damaged.
     """
-    try:
-        with path.open("rb") as file:
-            content = file.read(largest + 1)
-    except OSError as error:
-        raise RecordError(f"{path}: {error.strerror}; give an existing log, or the folder of a run") from None
+    content = _read(path, largest + 1)
     if content.startswith(b"\x1f\x8b"):
         content = _gunzipped(content, largest, path)
     if len(content) > largest:
         raise RecordError(f"{path}: larger than {largest} bytes, so it is not read")
     return content
+
+
+def _read(path: Path, most: int) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(most)
+    except OSError as error:
+        raise RecordError(f"{path}: {error.strerror}; give an existing log, or the folder of a run") from None
 
 
 def check_file_size(path: Path) -> None:

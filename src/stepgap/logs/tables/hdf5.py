@@ -63,11 +63,13 @@ def _datasets(h5py: Any, file: Any, path: Path, unread: dict[str, str]) -> dict[
             if isinstance(link, h5py.SoftLink):
                 raise ValueError(f"a link to {link.path!s:.60}, which is not followed")
             entry = file[place]
-            if isinstance(entry, h5py.Dataset) and (entry.external or entry.is_virtual):
+            if not isinstance(entry, h5py.Dataset):
+                return None
+            if entry.external or entry.is_virtual:
                 raise ValueError("its values lie in another file, which is not read")
-            if isinstance(entry, h5py.Dataset) and prod(entry.chunks or ()) * entry.dtype.itemsize > LARGEST_PART:
+            if prod(entry.chunks or ()) * entry.dtype.itemsize > LARGEST_PART:
                 raise ValueError(f"parts larger than {LARGEST_PART} bytes")
-            if isinstance(entry, h5py.Dataset) and entry.shape is not None:
+            if entry.shape is not None:
                 datasets[names] = entry
         return None
 

@@ -1,17 +1,18 @@
 """A table of the columns of a log, whatever the format of its file."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, time, timedelta
+from difflib import get_close_matches
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stepgap.logs.columns import LARGEST_VALUE, unknown_column
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
 
+LARGEST_VALUE = 1e12  # Largest magnitude of a number that is accepted as a measurement
 MOST_NUMBERS = 2**25  # Largest number of values, rows times columns, that is read from one log
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -154,3 +155,9 @@ def check_size(source: str, values: float) -> None:
 
 def _shown(value: Any) -> str:
     return str(value) if isinstance(value, str) else f"{value:.6g}".replace("e+", "e")
+
+
+def unknown_column(name: str, known: Sequence[str]) -> str:
+    """Message about an unknown column, with the name that was probably meant."""
+    close = get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"no column {name!r}; " + (f"did you mean {close[0]!r}?" if close else f"there is {', '.join(known):.300}")

@@ -83,7 +83,6 @@ def _decompressed(content: bytes, path: Path) -> bytes:
 
 
 def _arrays_of(content: bytes, path: Path, unread: dict[str, str]) -> Iterator[tuple[str, str, Any]]:
-    """Yields the arrays of a file's variables."""
     from scipy.io import loadmat, whosmat
 
     content = _decompressed(content, path)

@@ -24,7 +24,9 @@ def read_parquet(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
     library("pyarrow.compute", path, "parquet")
     check_file_size(path)
     found: dict[str, LogColumn] = {}
-    with reading(path, "Parquet"), _open(parquet, path) as file:
+    # Times in the 96 bits of Spark may be later than 2262, where nanoseconds end.
+    options = {"page_checksum_verification": True, "coerce_int96_timestamp_unit": "us"}
+    with reading(path, "Parquet"), parquet.ParquetFile(path, **options) as file:
         groups = [file.metadata.row_group(number) for number in range(file.metadata.num_row_groups)]
         chunks = [group.column(number) for group in groups for number in range(group.num_columns)]
         check_size(str(path), float(sum(chunk.num_values for chunk in chunks)))
@@ -39,11 +41,6 @@ def read_parquet(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
         return {"": LogTable(str(path), found, repeated=repeated)} if found or not unread else {}
 
 
-def _open(parquet: Any, path: Path) -> Any:
-    """Opens a file; checksums are compared, and times in the 96 bits of Spark may be later than 2262."""
-    return parquet.ParquetFile(path, page_checksum_verification=True, coerce_int96_timestamp_unit="us")
-
-
 def _check_bytes(name: str, chunks: Sequence[Any]) -> None:
     """Raises ValueError if a column, which may be one of several with the same begin of their names, is too large."""
     of_name = [chunk for chunk in chunks if f"{chunk.path_in_schema}.".startswith(f"{name}.")]
@@ -54,7 +51,6 @@ def _check_bytes(name: str, chunks: Sequence[Any]) -> None:
 def _add_columns(
     name: str, column: Any, arrow: Any, found: dict[str, LogColumn], unread: dict[str, str], source: str
 ) -> None:
-    """Adds a column, the fields of a struct, or the elements of a list."""
     for part, values in _parts(name, column, arrow):
         if isinstance(values, str):
             unread[part] = values

@@ -7,24 +7,24 @@ from pathlib import Path
 from types import MappingProxyType
 
 from stepgap.base.errors import StepGapWarning
-from stepgap.logs.tables.files import LARGEST_LOG, begin_of, content_of
-from stepgap.logs.tables.hdf5 import HDF5_MAGIC, read_hdf5
-from stepgap.logs.tables.log_table import LogTable
-from stepgap.logs.tables.matlab import is_mat4, read_mat
-from stepgap.logs.tables.mcap_logs import MCAP_MAGIC, read_mcap
-from stepgap.logs.tables.messages import read_json_lines
-from stepgap.logs.tables.numpy_files import NPY_MAGIC, read_npy, read_npz
-from stepgap.logs.tables.parquet_logs import PARQUET_MAGIC, read_parquet
-from stepgap.logs.tables.ros_bags import (
+from stepgap.logs.tables.arrays import NPY_MAGIC, read_npy, read_npz
+from stepgap.logs.tables.bags import (
+    MCAP_MAGIC,
     ROS1_MAGIC,
     SQLITE_MAGIC,
     is_ros2_folder,
+    read_mcap,
     read_ros1_bag,
     read_ros2_database,
     read_ros2_folder,
 )
-from stepgap.logs.tables.text import read_delimited_text
-from stepgap.logs.tables.text_format import AS_FOUND, TextFormat, decoded
+from stepgap.logs.tables.files import LARGEST_LOG, begin_of, content_of
+from stepgap.logs.tables.hdf5 import HDF5_MAGIC, read_hdf5
+from stepgap.logs.tables.log_table import LogTable
+from stepgap.logs.tables.matlab import is_mat4, read_mat
+from stepgap.logs.tables.messages import read_json_lines
+from stepgap.logs.tables.parquet_logs import PARQUET_MAGIC, read_parquet
+from stepgap.logs.tables.text import AS_FOUND, TextFormat, decoded, read_delimited_text
 from stepgap.records.steps_csv import RecordError
 
 _GIT_LFS = b"version https://git-lfs"

@@ -26,6 +26,9 @@ _NUMBERS = {
 }
 """Codes of `struct` for the basic types."""
 
+_LANGUAGES = (("cdr", "ros2msg"), ("cdr", "ros2idl"), ("ros1", "ros1msg"))
+"""Encodings of messages, each with a language of their definitions."""
+
 _RULE = re.compile(r"^=+[ \t]*$", re.MULTILINE)
 """Line between the definitions of a message and of the types in it."""
 
@@ -34,16 +37,20 @@ _IDL_HEADER = re.compile(r"^(=+|IDL: .*)$", re.MULTILINE)
 _DEEPEST = 50
 
 
-def defined_decoders(path: Path, name: str, definition: str, form: str, release: str = "") -> list[Decoder]:
-    """The functions that may decode messages of a type by its definition.
+def ros_decoders(path: Path, encoding: str, name: str, definition: str, form: str, release: str = "") -> list[Decoder]:
+    """The functions that may decode messages of a type.
 
     Args:
         path: The file, for messages.
+        encoding: That of the messages, cdr or ros1.
         name: Name of the type.
         definition: Its definition; an empty one is that of a type without fields, or missing.
-        form: Language of the definition: ros1msg, ros2msg or ros2idl.
-        release: As of `standard_decoders`, which follow if the definition may be missing.
+        form: Language of the definition; one that is not of `_LANGUAGES` is none.
+        release: Release of ROS 2 that recorded the log. If the definition is or may be missing, those of the release
+            follow; of all releases, the newest first, if it is not known.
     """
+    if (encoding, form) not in _LANGUAGES:
+        return _standard_decoders(path, name, release)
     typesys = library("rosbags.typesys", path)
     text = definition.replace("\r\n", "\n")
     try:
@@ -53,20 +60,14 @@ def defined_decoders(path: Path, name: str, definition: str, form: str, release:
             types = typesys.get_types_from_msg(_RULE.sub("=" * 80, text), name)
     except Exception:
         return [unreadable(f"the definition of {name:.80} cannot be read")]
-    decoders = [_decoder(path, name, types, cdr=form != "ros1msg")]
-    if form != "ros1msg" and not text.strip():
-        decoders += standard_decoders(path, name, release)
+    decoders = [_decoder(path, name, types, cdr=encoding == "cdr")]
+    if encoding == "cdr" and not text.strip():
+        decoders += _standard_decoders(path, name, release)
     return decoders
 
 
-def standard_decoders(path: Path, name: str, release: str) -> list[Decoder]:
-    """Functions that decode a type which the log does not define, by its definitions in ROS 2, the newest first.
-
-    Args:
-        path: The file, for messages.
-        name: Name of the type.
-        release: Release of ROS 2 that recorded the log; if it is not known, every definition is possible.
-    """
+def _standard_decoders(path: Path, name: str, release: str) -> list[Decoder]:
+    """By the definitions in ROS 2 of a type which the log does not define."""
     typesys = library("rosbags.typesys", path)
     releases = {one.value.removeprefix("ros2_"): one for one in reversed(typesys.Stores) if one.name.startswith("ROS2")}
     chosen = [releases[release]] if release in releases else list(releases.values())
@@ -108,7 +109,6 @@ class _Message:
         return value
 
     def _read(self, kind: Any, depth: int) -> Any:
-        """The value of a type at the current offset, which it increases."""
         if depth > _DEEPEST:
             raise ValueError("a definition that is nested too deeply")
         tag, inner = kind

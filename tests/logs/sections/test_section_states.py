@@ -2,30 +2,17 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from stepgap.logs.sections.local_fit import fit_parabola, noise_std_of, resolution_of
+from stepgap.logs.sections.section_states import fit_parabola, noise_std_of, resolution_of
 from stepgap.logs.sections.signals import Signal
 from stepgap.step import Array
 
 TIME = np.arange(-0.2, 0.2, 0.004)
-NUMBERS = st.floats(-10, 10)
 
 
 def flight(time: Array, top: float, height: float) -> Array:
     """Heights of a ballistic flight about its apex."""
     return height - 9.81 / 2 * (time - top) ** 2
-
-
-@given(coefficients=st.tuples(NUMBERS, NUMBERS, NUMBERS), at=st.floats(-0.05, 0.05))
-def test_a_parabola_is_found_exactly(coefficients: tuple[float, float, float], at: float) -> None:
-    polynomial = np.polynomial.Polynomial(coefficients)
-    fit = fit_parabola(Signal(TIME, polynomial(TIME)), 0.02, -0.08, 0.12)
-    assert fit is not None
-    found = (fit.value(at), fit.rate(at), fit.acceleration)
-    expected = (polynomial(at), polynomial.deriv()(at), polynomial.deriv(2)(at))
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_it_is_the_fit_of_numpy_with_its_covariance() -> None:
@@ -67,17 +54,3 @@ def test_rounding_errors_are_not_overlooked() -> None:
         errors.append(fit.value(0) - height)
     std = np.median([fit.value_std(0, noise) for fit, noise in zip(fits, noise_std_of(fits, step), strict=True)])
     assert 0.5 < std / np.std(errors) < 3
-
-
-def test_samples_of_a_dropout_are_left_out() -> None:
-    values = flight(TIME, 0.0, 0.6)
-    values[45:49] = 0.0
-    fit = fit_parabola(Signal(TIME, values), 0.0, -0.15, 0.15)
-    assert fit is not None
-    assert fit.value(0) == pytest.approx(0.6)
-    assert fit.outliers == pytest.approx(4 / len(TIME[np.abs(TIME) <= 0.15]))
-
-
-@pytest.mark.parametrize("time", [TIME[:5], TIME[:40], np.zeros(20)], ids=["few", "half of the window", "one time"])
-def test_too_few_samples_give_no_fit(time: Array) -> None:
-    assert fit_parabola(Signal(time, flight(time, 0.0, 0.6)), 0.0, -0.2, 0.2) is None

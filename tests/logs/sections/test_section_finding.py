@@ -1,16 +1,53 @@
-"""Steps of a log of walking end where another foot touches down."""
+"""Flights by phase and force without their glitches, and steps that end where another foot touches down."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from stepgap.base.errors import InputError
-from stepgap.logs.sections.section_finding import find_sections
-from stepgap.logs.sections.section_settings import NEXT_FOOT, SectionSettings, read_section_settings
-from stepgap.logs.sections.signals import SignalLog, read_signal_log
+from stepgap.logs.sections.section_finding import aerial_phases, airborne, find_sections
+from stepgap.logs.sections.section_settings import NEXT_FOOT, SectionSettings
+from stepgap.logs.sections.signals import Signal, SignalLog, read_signal_log
 from stepgap.logs.sections.step_extraction import extract_steps
 from stepgap.records.steps_csv import RecordError
+
+TIME = np.arange(0, 10.2, 0.002)
+FLYING = TIME % 0.5 < 0.3  # flights from 0, 0.5, … for 0.3 s
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 9999), count=st.integers(0, 30))
+def test_glitches_do_not_change_the_flights(seed: int, count: int) -> None:
+    rng, flying = np.random.default_rng(seed), FLYING.copy()
+    for begin in rng.choice(
+        np.arange(0.05, 10, 0.1), count, replace=False
+    ):  # apart from each other and from true edges
+        flying ^= (begin - 0.01 < TIME) & (begin + 0.01 > TIME)
+    found = aerial_phases(TIME, flying)
+    assert len(found) in (19, 20)  # the first one is complete if a glitch precedes it
+    last = found[-19:]
+    np.testing.assert_allclose([each.begin for each in last], np.arange(1, 20) * 0.5, atol=0.022)
+    np.testing.assert_allclose([each.end for each in last], np.arange(1, 20) * 0.5 + 0.3, atol=0.022)
+
+
+def test_a_short_flight_is_doubtful() -> None:
+    flying = FLYING & ~((TIME > 4.1) & (TIME < 4.5))
+    doubts = [each.doubts for each in aerial_phases(TIME, flying)]
+    assert doubts[7] == ("unusually short phase",)
+    assert not any(doubts[:7] + doubts[8:])
+
+
+def test_the_force_has_hysteresis() -> None:
+    """A force that bounces about one threshold at touch-down gives one touch-down."""
+    force = np.where(FLYING, 1.0, 100.0)
+    force[(TIME % 0.5 > 0.3) & (TIME % 0.5 < 0.32)] = 25.0  # between LOW and HIGH
+    assert len(aerial_phases(TIME, airborne(Signal(TIME, force), None))) == 19
+    given = airborne(Signal(TIME, force), 60.0)  # contact begins above 60, flight below 20
+    assert len(aerial_phases(TIME, given)) == 19
+    assert not given[force == 100].any()
+
 
 PERIOD, SWING, RATE = 0.8, 0.3, 500.0
 STATE = ("speed=rate(x)",)
@@ -52,8 +89,3 @@ def test_a_foot_that_lands_twice_makes_no_step(tmp_path: Path) -> None:
     assert len(pairs) >= len(find_sections(walk(tmp_path), alone))
     with pytest.raises(RecordError, match=r"finds 0 section\(s\); .* a robot that walks has no flight.*--at next_foot"):
         find_sections(walk(tmp_path), SectionSettings(contact=("left", "right"), at="end", state=STATE))
-
-
-def test_two_feet_are_needed() -> None:
-    with pytest.raises(InputError, match="at = 'next_foot', but it must be given with the contact or the force"):
-        read_section_settings(None, {"contact": ("left",), "at": NEXT_FOOT, "state": ("x",)})
