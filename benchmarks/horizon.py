@@ -20,9 +20,9 @@ from time import process_time
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
 
 from benchmarks.disturbed_plant import own_priors
+from benchmarks.ratios import ratio
 from stepgap.base.random_streams import random_stream
 from stepgap.base.start_method import process_context, usable_cores
 from stepgap.control.reference import Reference
@@ -95,22 +95,11 @@ def print_ratios(
     found: dict[Case, Found], kind: str, twins: Sequence[int], seeds: Sequence[int], horizon: int, to: int
 ) -> None:
     """Prints the ratio of errors with one horizon to those with another."""
-    logs = np.array(
-        [
-            np.mean(
-                [
-                    np.log(found[Case(kind, twin, seed, horizon)].error / found[Case(kind, twin, seed, to)].error)
-                    for seed in seeds
-                ]
-            )
-            for twin in twins
-        ]
+    errors = np.array(
+        [[[found[Case(kind, twin, seed, steps)].error for steps in (horizon, to)] for seed in seeds] for twin in twins]
     )
-    mean, text = logs.mean(), ""
-    if len(logs) > 1:
-        half = student.ppf(0.975, len(logs) - 1) * logs.std(ddof=1) / np.sqrt(len(logs))
-        text = f" ({np.exp(mean - half):.3f} to {np.exp(mean + half):.3f})"
-    print(f"horizon {horizon} / {to}: {np.exp(mean):.3f}{text}")
+    logs = np.log(errors[..., 0] / errors[..., 1]).mean(axis=1)
+    print(f"horizon {horizon} / {to}: {ratio(logs)}")
 
 
 def main() -> None:

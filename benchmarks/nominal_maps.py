@@ -4,7 +4,7 @@ Three nominal maps: the equations; a template with a limit cycle that is none of
 0.7 of the true one with one digit; and a map fitted to the steps of another twin, the preset `paper`, which learned
 online after 60 exploratory hops. Each is used in a sweep over twins and seeds with two deployments that learn online.
 
-    ./go python benchmarks/nominal_maps.py FOLDER
+    ./go python -m benchmarks.nominal_maps FOLDER
 """
 
 import argparse
@@ -12,8 +12,8 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import t as student
 
+from benchmarks.ratios import ratio
 from stepgap.step import Array
 from stepgap.sweep.results_table import ResultsTable, as_numbers, read_results
 
@@ -59,14 +59,6 @@ def by_twin(results: ResultsTable, name: str, iteration: int) -> Array:
     return np.array([np.mean(np.log(errors[twins == twin])) for twin in np.unique(twins)])
 
 
-def ratio(results: ResultsTable, exact: ResultsTable, name: str, iteration: int) -> str:
-    """Geometric mean of an error relative to that with the equations, with its 95 % interval over the twins."""
-    change = by_twin(results, name, iteration) - by_twin(exact, name, iteration)
-    half = student.ppf(0.975, len(change) - 1) * np.std(change, ddof=1) / np.sqrt(len(change))
-    mean, low, high = np.exp(np.mean(change) + half * np.array([0, -1, 1]))
-    return f"{mean:.2f} ({low:.2f} to {high:.2f})"
-
-
 def main() -> None:
     """Runs what is missing and prints the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -96,7 +88,11 @@ def main() -> None:
     print("error relative to that with the equations, with its 95 % interval: speed, height")
     for kind, results in found.items():
         for iteration in (0, 1) if kind != "equations" else ():
-            ratios = [ratio(results, found["equations"], f"rmse_{name}", iteration) for name in ("speed", "height")]
+            logs = [
+                by_twin(results, f"rmse_{name}", iteration) - by_twin(found["equations"], f"rmse_{name}", iteration)
+                for name in ("speed", "height")
+            ]
+            ratios = map(ratio, logs)
             print(f"{kind}, deployment {iteration}: {', '.join(ratios)}")
 
 

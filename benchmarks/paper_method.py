@@ -5,7 +5,7 @@ the hardware's, and those with single differences; then the effect of every diff
 the first redeployment: with minus without it, paired over the seeds and over the levels of the other differences, with
 95 % intervals by Student's t over the seeds.
 
-    ./go python benchmarks/paper_method.py FOLDER
+    ./go python -m benchmarks.paper_method FOLDER
 """
 
 import argparse
@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import t as student
 
+from benchmarks.ratios import half_width
 from stepgap.robots.hopper import paper
 from stepgap.step import Array
 from stepgap.sweep.results_table import ResultsTable, as_numbers, read_results
@@ -37,7 +37,7 @@ def errors(results: ResultsTable, differences: Sequence[str], iteration: int, na
 
 def interval(samples: Array) -> str:
     """Mean of samples along the first axis, and half the width of its 95 % interval."""
-    half = student.ppf(0.975, len(samples) - 1) * np.std(samples, axis=0, ddof=1) / np.sqrt(len(samples))
+    half = half_width(samples)
     return ", ".join(f"{mean:.1f} ± {width:.1f}" for mean, width in zip(np.mean(samples, axis=0), half, strict=True))
 
 
