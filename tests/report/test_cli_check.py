@@ -9,9 +9,15 @@ import pytest
 
 from stepgap.control.reference import Reference
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.report.part_results import PartResult, results_of
-from stepgap.report.robot_check import check_commands, check_map, check_placing, check_targets
-from stepgap.report.trial_check import check_section
+from stepgap.report.robot_check import (
+    PartResult,
+    check_commands,
+    check_map,
+    check_placing,
+    check_section,
+    check_targets,
+    results_of,
+)
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.robot import Robot, stairs
 from stepgap.step import Array, Quantity, StepSpace

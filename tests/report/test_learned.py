@@ -13,7 +13,7 @@ from stepgap.learning.residual import HistoryInputs
 from stepgap.records.missing import Missing
 from stepgap.records.text import decimal
 from stepgap.report.analysis import Analysis, input_quantities
-from stepgap.report.gait_table import gait_table
+from stepgap.report.gait_text import gait_table
 from stepgap.report.learned_residual import LearnedResidual
 from stepgap.report.learned_table import coverage_table, learned_tables
 from stepgap.report.reference_gait import reference_gait

@@ -13,7 +13,7 @@ from stepgap.experiment.loop import Plants, Setup, run_experiment
 from stepgap.experiment.run import Run
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.model_plant import ModelPlant
-from stepgap.report.reach_sentences import effect_sentences
+from stepgap.report.gait_text import effect_sentences
 from stepgap.step import Array
 from tests.control.maps import LossyHopper
 from tests.control.test_reach import Linear

@@ -19,8 +19,8 @@ from stepgap.records.missing import Missing
 from stepgap.records.summary import Summary
 from stepgap.report.analysis import Analysis, centre_of
 from stepgap.report.drawing import LOOK
+from stepgap.report.figures.learned import influential, surface_figure
 from stepgap.report.figures.state_errors import shown_coordinates, state_error_figure
-from stepgap.report.figures.surface import influential, surface_figure
 from stepgap.report.learned_residual import LearnedResidual
 from stepgap.report.own_style import own_style
 from stepgap.report.reference_gait import central_target, reference_gait

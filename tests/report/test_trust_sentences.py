@@ -11,7 +11,7 @@ from stepgap.experiment.settings import Experiment
 from stepgap.learning.alarm import Alarm
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.plant import Plant
-from stepgap.report.trust_sentences import trust_sentences
+from stepgap.report.diagnosis_sentences import trust_sentences
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.step import Array, StepRecord, StepSpace, StepStatus
 from tests.control.maps import LossyHopper

@@ -1,4 +1,4 @@
-"""The diagnosis of a run in sentences: units, offsets, response to commands, commands at their bounds."""
+"""The diagnosis of a run in sentences: units, offsets, response to commands, commands at their bounds, alarms."""
 
 from typing import Final
 
@@ -66,3 +66,19 @@ def _bounds(steps: Steps) -> list[str]:
         for quantity, part in zip(command, parts, strict=True)
         if part > OFTEN
     ]
+
+
+MOST_ALARMS: Final = 6  # A deployment with more alarms gets a sentence on their number
+
+
+def trust_sentences(run: Run) -> list[str]:
+    """Sentences on the alarms of the finished deployments."""
+    found = []
+    for deployment in run.summary.deployments:
+        name = f"Deployment {deployment.iteration}"
+        alarms = deployment.alarms
+        if len(alarms) > MOST_ALARMS:
+            found.append(f"{name}: {len(alarms)} times the robot was found to be another one.")
+        else:
+            found += [f"{name}: {alarm.sentence}." for alarm in alarms]
+    return found

@@ -7,7 +7,7 @@ from stepgap.control.limit_cycle import FixedPoint, ReachableSet
 from stepgap.control.reach import SMALL_PART, command_effect
 from stepgap.records.text import decimal, in_scale, in_words, unit_suffix
 from stepgap.report.drawing import axis_label
-from stepgap.report.reach_sentences import effect_sentences
+from stepgap.report.gait_text import effect_sentences
 from stepgap.step import StepMap, StepSpace, StepStatus
 
 

@@ -12,18 +12,18 @@ from stepgap.experiment.run import Run
 from stepgap.records.missing import Missing
 from stepgap.records.text import capitalised
 from stepgap.report.analysis import Analysis
-from stepgap.report.diagnosis_sentences import diagnosis_sentences
+from stepgap.report.diagnosis_sentences import diagnosis_sentences, trust_sentences
 from stepgap.report.figures import DrawnFigure
-from stepgap.report.gait_table import (
+from stepgap.report.gait_text import (
     gait_sentences,
     gait_table,
     growth_sentences,
     measured_sentences,
     measured_table,
+    reach_sentences,
 )
 from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section, table
 from stepgap.report.learned_table import coverage_table, learned_sentences, learned_tables
-from stepgap.report.reach_sentences import reach_sentences
 from stepgap.report.replay_view import REPLAY_SCRIPT, replay_view
 from stepgap.report.sentences import floor_sentences, headline, published_sentence, recorded, sentences
 from stepgap.report.tables import (
@@ -34,7 +34,6 @@ from stepgap.report.tables import (
     times_in_words,
     times_table,
 )
-from stepgap.report.trust_sentences import trust_sentences
 
 CONTENTS: Final = {
     "figures": "Figures",

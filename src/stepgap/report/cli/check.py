@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.nominal import Nominal
     from stepgap.experiment.run import Run
     from stepgap.experiment.settings import Experiment
-    from stepgap.report.part_results import PartResult
+    from stepgap.report.robot_check import PartResult
 
 _WRONG = 1  # Exit code if a part of the robot is wrong
 
@@ -49,8 +49,7 @@ def check_robot(
             simulation]
         out: New file for the picture of the steps. [default: check.png or the next free name]
     """
-    from stepgap.report.part_results import PartResult, results_of
-    from stepgap.report.robot_check import check_map, check_placing
+    from stepgap.report.robot_check import PartResult, check_map, check_placing, results_of
 
     if out:
         check_new(out, "--out")
@@ -92,8 +91,7 @@ def _of_motion(
     from stepgap.control.limit_cycle import held_reference
     from stepgap.experiment.inputs import load_reference, trial_reference
     from stepgap.experiment.settings import PROCESS
-    from stepgap.report.part_results import PartResult, results_of
-    from stepgap.report.robot_check import check_commands, check_targets
+    from stepgap.report.robot_check import PartResult, check_commands, check_targets, results_of
 
     reference = load_reference(settings, nominal.map.space)
     held = held_reference(nominal.map, reference)
@@ -113,8 +111,7 @@ def _of_trial(
 ) -> "list[PartResult]":
     from stepgap.cli.progress import progress_bar
     from stepgap.experiment.trial import trial_run
-    from stepgap.report.part_results import results_of
-    from stepgap.report.trial_check import check_motion, check_noise, check_section
+    from stepgap.report.robot_check import check_motion, check_noise, check_section, results_of
 
     with TemporaryDirectory() as folder, progress_bar("steps") as progress:
         run = trial_run(settings, nominal, targets, Path(folder), program, progress)
