@@ -2,9 +2,8 @@
 
 The twin hops after random targets that change every 4 to 8 hops, each run 60 hops on another ground and place. `blind`
 and `touchdown` know 227 hops on flat ground; blind is the same controller without a new plan at touchdown, which knows
-the ground of the hop before alone. `again` has hopped 227 hops on that ground before. `explored`, which is not in the
-table, knows the hops on flat ground and 20 exploratory ones there. All but `nominal` learn from hop to hop. Errors are
-those of the true state above the ground that was measured.
+the ground of the hop before alone. `again` has hopped 227 hops on that ground before. All but `nominal` learn from hop to
+hop. Errors are those of the true state above the ground that was measured.
 
     ./go python -m benchmarks.uneven_ground [--grounds stairs_56,ramps_10] [--ways touchdown] [--seeds 1,2,3,4,5]
         [--hops 60]
@@ -13,7 +12,6 @@ those of the true state above the ground that was measured.
 import argparse
 from collections.abc import Iterator, Mapping
 from contextlib import closing
-from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -45,10 +43,6 @@ GROUNDS: Mapping[str, UnevenGround] = {
 """Grounds by name."""
 
 WAYS = ("nominal", "blind", "touchdown", "again")
-
-EXPLORED = "explored"
-EXPLORATION = 20
-"""Number of exploratory hops."""
 
 
 class Case(NamedTuple):
@@ -123,17 +117,6 @@ def hops_of(learner: Learner, plant: Plant, reference: Reference, iteration: int
     return log, latest[-1]
 
 
-def exploratory_hops(known: Steps, seed: int) -> Steps:
-    """Exploratory hops on flat ground, each chosen with what was known before it."""
-    flat = Hopper(ground=GROUNDS["flat"])
-    learner = Learner.start(flat.apex_map(), known, LearningSettings(), 1, own_priors(flat))
-    plant = flat.simulations()["twin"](random_stream(seed, 9)).plant(random_stream(seed, 2))
-    log = Steps(known.space)
-    with closing(deploy(learner, plant, paper_reference().of(plant.space), 1, EXPLORATION)) as steps:
-        log += takewhile(lambda logged: logged.step < 1, steps)
-    return log
-
-
 def measured(case: Case) -> Found:
     """One run."""
     uneven, flat = Hopper(ground=GROUNDS[case.ground]), Hopper(ground=GROUNDS["flat"])
@@ -144,14 +127,11 @@ def measured(case: Case) -> Found:
             before = uneven if case.way == "again" else flat
             plant = before.simulations()["twin"](random_stream(case.seed, 9)).plant(random_stream(case.seed, 0))
             known, _ = hops_of(Learner.start(nominal, known, none, 0), plant, paper_reference(), 0)
-        if case.way == EXPLORED:
-            known += exploratory_hops(known, case.seed)
         settings = none if case.way == "nominal" else LearningSettings()
         plant = uneven.simulations()["twin"](random_stream(case.seed, 9)).plant(random_stream(case.seed, 1, 8))
         plant = Blind(plant) if case.way == "blind" else plant
-        deployment = 2 if case.way == EXPLORED else 1
-        learner = Learner.start(nominal, known, settings, deployment, own_priors(uneven))
-        log, latest = hops_of(learner, plant, random_reference(case.seed, case.hops), deployment)
+        learner = Learner.start(nominal, known, settings, 1, own_priors(uneven))
+        log, latest = hops_of(learner, plant, random_reference(case.seed, case.hops), 1)
     hops = log.planned().completed()
     true = np.array([each.record.true_next_state - each.target for each in hops]).reshape(-1, 2)
     ground = np.array([each.record.context["ground"] for each in hops])
