@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stepgap.hardware.bus_rig import MOST_WRONG
-from stepgap.hardware.ethercat.drive_limits import DriveLimits, largest_number
+from stepgap.hardware.ethercat.drive_limits import DriveLimits
 from stepgap.hardware.ethercat.drive_watch import (
     BEYOND,
     LARGEST_JUMP,
@@ -249,11 +249,6 @@ def test_a_limit_that_the_entry_cannot_reach_is_refused(changes: dict, entry: En
     with pytest.raises(ValueError, match="but it must") as caught:
         DriveLimits(**changes).require_values("motor_1", "left", {entry.name: entry})
     assert str(caught.value).startswith(expected)
-
-
-def test_the_largest_number_of_an_entry() -> None:
-    assert largest_number(ENTRIES["temperature"]) == 32767
-    assert largest_number(ENTRIES["bus_voltage"]) == 2**32 - 1
 
 
 IGNORES = f"it ignores its commands (bit 12 of its status word); {ONLY_STO}"

@@ -60,19 +60,12 @@ def test_the_commented_keys_of_the_example_are_right(tmp_path: Path) -> None:
 
 WRONG = [
     ('interface = "eth0"', "", "interface: missing; it must be given"),
-    ('interface = "eth0"', "interface = 3", "interface = 3, but it must be a string"),
-    ('interface = "eth0"', 'interface = " "', "interface = ' ', but it must name a network interface"),
-    ('interface = "eth0"', f'interface = "{"x" * 16}"', "but it must name a network interface, such as 'eth0'"),
+    ('interface = "eth0"', 'interface = "xxxxxxxxxxxxxxxx"', "but it must name a network interface, such as 'eth0'"),
     ('interface = "eth0"', 'interface = "e\\u0000"', "but it must name a network interface, such as 'eth0'"),
     ("rated_torque = 12.0", "rated_torque = 1e300", "[motor_1] rated_torque = 1e+300, but it must lie in the range"),
     ("counts_per_turn = 5000", "counts_per_turn = 1e-300", "[boom_horizontal] counts_per_turn = 1e-300, but it must"),
     ("[[pdo_sets]]", '[[pdo_sets]]\nname = "foot-force"\n[[pdo_sets]]', "pdo_sets = ['foot-force', 'foot-force'], but"),
-    ("tick = 0.001", "tik = 0.001", "tik: unknown key; did you mean tick?"),
     ("tick = 0.001", "tick = nan", "tick = nan, but it must lie between 0.0001 and 0.01"),
-    ("watchdog = 0.05", "watchdog = 5", "watchdog = 5.0, but it must be at least two ticks, at most 0.5"),
-    ("product = 0x044C2C52", "", "[slaves 3] product: missing; it must be given"),
-    ("product = 0x044C2C52", "product = -1", "[slaves 3] product = -1, but it must lie between 0 and 2³²"),
-    ("product = 0x044C2C52", "produkt = 1", "[slaves 3] produkt: unknown key; did you mean product?"),
     (
         "product = 0x044C2C52",
         "product = 1\nassign_activate = 0x0100",
@@ -80,15 +73,9 @@ WRONG = [
     ),
     (
         "product = 0x044C2C52",
-        "product = 1\nsync0_shift = 1.0",
-        "[slaves 3] sync0_shift = 1.0, but it must lie between 0 and 1",
-    ),
-    (
-        "product = 0x044C2C52",
         "product = 1\nassign_activate = 0x300\nsync0_shift = 0.2",
         "[slaves 3] sync0_shift = 0.2, but it must lie between dc.window = 0.25 and 0.75",
     ),
-    ("window = 0.25", "window = 0.5", "[dc] window = 0.5, but it must lie between 0.01 and 0.5"),
     ('name = "right drive"', 'name = "left drive"', "slaves = ['left drive', 'left drive', "),
     ('pdos = "beckhoff-el5101"', 'pdos = "el5101"', "[slaves 4] pdos = 'el5101', but it must be one of none, elmo-cst"),
     ('pdos = "beckhoff-el5101"', "", "[boom_horizontal] slave = 'yaw encoder', but it must be a slave whose PDOs have"),
@@ -96,13 +83,7 @@ WRONG = [
     ("0x6000:11:16 force", "0x6000:11:12 force", "[pdo_sets 1.inputs 1] entries = '0x6000:11:12 force', but it must"),
     ("0x6000:11:16 force", "6000 force", "'6000 force' is not an entry; write it as '0x6041:00:16 statusword'"),
     ('"0x0000:00:16"', '"0x0000:00:3"', "[pdo_sets 1] name = 'foot-force', but it must be a set of PDOs: 0x6000:11:16"),
-    ('"0x0000:00:16", ', "7, ", "[pdo_sets 1.inputs 1] entries 1 = 7, but it must be a string"),
     ("sign = -1", "sign = 0", "[motor_2] sign = 0, but it must be 1 or -1"),
-    (
-        "torque_limit = 38.0",
-        "torque_limit = inf",
-        "[motor_1] torque_limit = inf, but it must be positive and at most 32",
-    ),
     (
         "torque_limit = 38.0",
         "torque_limit = 38.0\ntemperature_warning = 60\ntemperature_limit = 70",
@@ -115,28 +96,8 @@ WRONG = [
     ),
     (
         "torque_limit = 38.0",
-        "torque_limit = 38.0\nbus_voltage = [20, 60]",
-        "[motor_1] bus_voltage = [20.0, 60.0], but it must be left out, or the PDOs of 'left drive' must have an entry",
-    ),
-    (
-        "torque_limit = 38.0",
         "torque_limit = 38.0\nbus_voltage = [60, 20]",
         "[motor_1] bus_voltage = [60.0, 20.0], but it must be two voltages, [lowest, highest]",
-    ),
-    (
-        "torque_limit = 38.0",
-        "torque_limit = 38.0\nsto_bits = [16]",
-        "[motor_1] sto_bits = [16], but it must be left out, or the PDOs of 'left drive' must have an entry",
-    ),
-    (
-        "torque_limit = 38.0",
-        "torque_limit = 38.0\nsto_bits = [16]\nenable_bits = [16]",
-        "[motor_1] enable_bits = [16], but it must differ from sto_bits = [16]",
-    ),
-    (
-        "torque_limit = 38.0",
-        "torque_limit = 38.0\nsto_bit = 16",
-        "[motor_1] sto_bit: unknown key; did you mean sto_bits?",
     ),
     (
         'slave = "right drive"',
@@ -159,10 +120,6 @@ WRONG = [
         "newton_per_count = 0",
         "[contact] newton_per_count = 0.0, but it must be finite and not",
     ),
-    ("torque = 38.0", "torque = inf", "[limits] torque = inf, but it must be finite"),
-    ("lost_frames = 2", "lost_frames = 9", "[limits] lost_frames = 9, but it must lie between 0 and 5"),
-    ("longest_leg = 0.31", "longest_leg = 0.05", "[limits] longest_leg = 0.05, but it must exceed shortest_leg = 0.1"),
-    ("[limits]", "[limit]", "limit: unknown key; did you mean limits?"),
     ("[limits]", "[", "not TOML"),
 ]
 

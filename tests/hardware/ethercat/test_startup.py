@@ -15,7 +15,7 @@ from stepgap.hardware.ethercat.emulator.frame import Command, decode
 from stepgap.hardware.ethercat.emulator.registers import SYNC_MANAGER
 from stepgap.hardware.ethercat.ethercat_rig import EthercatRig
 from stepgap.hardware.ethercat.rig_settings import Slave
-from stepgap.hardware.ethercat.startup import LAYOUTS, StartupObject, write_startup
+from stepgap.hardware.ethercat.startup import LAYOUTS, StartupObject
 from stepgap.rigs.rig import MissingObject, RigFault
 from tests.hardware.ethercat.ring_process import Recorder, live_ring
 
@@ -110,22 +110,6 @@ def test_missing_reactions_are_remarked_and_others_still_set():
 def test_a_drive_that_does_not_keep_a_reaction_is_refused():
     with pytest.raises(RigFault, match="slave 1: object 0x605A:00 is 2 after 0 was written"):
         secure_reactions(DriveObjects(stubborn=(0x605A,)), 0)
-
-
-def test_a_value_of_another_precision_is_compared_in_its_type():
-    class Real:
-        stored = b""
-
-        def label(self, _: int) -> str:
-            return "slave"
-
-        def read_object(self, _: int, __: int, layout: Struct, ___: int = 0) -> int:
-            return layout.unpack(self.stored)[0]
-
-        def write_object(self, _: int, __: int, layout: Struct, value: float, ___: int = 0) -> None:
-            self.stored = layout.pack(value)
-
-    write_startup(Real(), 0, StartupObject.parse("0x3000:01 REAL32 = 0.1"))
 
 
 # On the ring

@@ -74,10 +74,6 @@ for the reply to the 16th frame after it.
 _NO_OBJECT = 0x06020000  # Abort code of an SDO transfer: there is no such object
 _NO_ANSWER = 0  # State of a slave whose answer was lost
 
-_U8 = Struct("<B")
-_U16 = Struct("<H")
-_U32 = Struct("<I")
-
 
 class Bus:
     """The slaves of a `BusSettings` behind pysoem.
@@ -145,8 +141,13 @@ class Bus:
         self._check_identities(self._search(master))
         for device in master.slaves:
             device.add_emergency_callback(self._emergencies.append)  # without it an emergency makes a transfer fail
-        for number in range(len(self._settings.slaves)):
-            self._configure(number)
+        for number, slave in enumerate(self._settings.slaves):
+            pdos = self._settings.pdo_set(slave)
+            for assignment, wanted in ((_ASSIGN_OUTPUTS, pdos.outputs), (_ASSIGN_INPUTS, pdos.inputs)):
+                if wanted:
+                    configure_pdos(self, number, assignment, wanted)
+            if pdos.outputs:
+                self._set_watchdog(number)
         prepare()
         start_clocks(master, self._settings, self.label)
         self._start(master)
@@ -303,15 +304,6 @@ class Bus:
                 f"{len(found)} slaves answer instead of {len(wanted)}"
             )
 
-    def _configure(self, number: int) -> None:
-        """Configures PDOs and watchdog of one slave, in PREOP."""
-        pdos = self._settings.pdo_set(self._settings.slaves[number])
-        for assignment, wanted in ((_ASSIGN_OUTPUTS, pdos.outputs), (_ASSIGN_INPUTS, pdos.inputs)):
-            if wanted:
-                configure_pdos(self, number, assignment, wanted)
-        if pdos.outputs:
-            self._set_watchdog(number)
-
     def _set_watchdog(self, number: int) -> None:
         for _ in range(WATCHDOG_ATTEMPTS):
             try:
@@ -392,7 +384,7 @@ class Bus:
         timeouts.ret, timeouts.tx_mailbox = reply, request
 
     def _block(self, blocking: bool) -> None:
-        """Sets whether reading the sockets waits in the kernel."""
+        """Whether reading the sockets waits in the kernel."""
         for descriptor in self._sockets:
             os.set_blocking(descriptor, blocking)
 

@@ -27,9 +27,7 @@ class State(Enum):
 class Wanted(Enum):
     """Goals of a drive's state machine."""
 
-    OFF = auto()
     ENABLED = auto()
-    QUICK_STOP = auto()
     RESET = auto()
 
 
@@ -49,15 +47,13 @@ MASKED_STATES = {
 }
 """State by statusword under a mask."""
 
-DISABLE_VOLTAGE, QUICK_STOP, SHUTDOWN, _SWITCH_ON, ENABLE, RESET = 0x00, 0x02, 0x06, 0x07, 0x0F, 0x80  # Controlwords
+DISABLE_VOLTAGE, SHUTDOWN, _SWITCH_ON, ENABLE, RESET = 0x00, 0x06, 0x07, 0x0F, 0x80  # Controlwords
 
 CONTROLWORDS = {
     (State.SWITCH_ON_DISABLED, Wanted.ENABLED): SHUTDOWN,
     (State.READY, Wanted.ENABLED): _SWITCH_ON,
     (State.SWITCHED_ON, Wanted.ENABLED): ENABLE,
     (State.ENABLED, Wanted.ENABLED): ENABLE,
-    (State.ENABLED, Wanted.QUICK_STOP): QUICK_STOP,
-    (State.QUICK_STOP, Wanted.QUICK_STOP): QUICK_STOP,
     (State.FAULT, Wanted.RESET): RESET,
 }
 """The next controlword on the way to the wanted goal; for other pairs the voltage is disabled."""

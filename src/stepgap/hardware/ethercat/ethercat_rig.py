@@ -1,6 +1,7 @@
 """A robot on an EtherCAT bus as a `Rig`: drives in cyclic synchronous torque, encoders, force sensors."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from itertools import cycle
 from math import nan
 from pathlib import Path
@@ -20,7 +21,7 @@ from stepgap.hardware.ethercat.cia402 import (
 )
 from stepgap.hardware.ethercat.drive_setup import check_modes, prepare_slaves
 from stepgap.hardware.ethercat.drive_watch import WatchedDrives
-from stepgap.hardware.ethercat.esi.comparison import compare_with_esi, labelled
+from stepgap.hardware.ethercat.esi.comparison import compare_with_esi
 from stepgap.hardware.ethercat.esi.reader import read_esi
 from stepgap.hardware.ethercat.rig_settings import BusSettings, Encoder
 from stepgap.hardware.ethercat.sensor_channels import EncoderChannel, ForceChannel
@@ -152,21 +153,14 @@ class EthercatRig(BusRig):
         """
         slaves = self._settings.slaves
         files = {name: read_esi(self._folder / name) for name in sorted({slave.esi for slave in slaves} - {""})}
-        return tuple(
-            finding
-            for number, slave in enumerate(slaves)
-            if slave.esi
-            for finding in labelled(
-                compare_with_esi(
-                    slave,
-                    self._settings.pdo_set(slave),
-                    files[slave.esi],
-                    STATE_TIMEOUT,
-                    self._bus.revision(number),
-                ),
-                f"{self._bus.label(number)}, {slave.esi}",
-            )
-        )
+        findings = []
+        for number, slave in enumerate(slaves):
+            if slave.esi:
+                pdos, revision = self._settings.pdo_set(slave), self._bus.revision(number)
+                label = f"{self._bus.label(number)}, {slave.esi}"
+                for finding in compare_with_esi(slave, pdos, files[slave.esi], STATE_TIMEOUT, revision):
+                    findings.append(replace(finding, text=f"{label}: {finding.text}"))
+        return tuple(findings)
 
     def connect(self) -> None:
         """Brings the bus up, checks it, and enables the drives with no torque.

@@ -64,6 +64,11 @@ class Entry:
         if self.bits not in ENTRY_FORMATS and (self.name or not 0 < self.bits <= 64):
             raise ValueError(f"{self} has {self.bits} bits, but it must have 8, 16 or 32, or 1 to 64 without a name")
 
+    @property
+    def word(self) -> int:
+        """Number that stands for it in the object of a PDO: index, subindex and size."""
+        return self.index << 16 | self.subindex << 8 | self.bits
+
     def __str__(self) -> str:
         return f"0x{self.index:04X}:{self.subindex:02X}:{self.bits}" + (f" {self.name}" if self.name else "")
 
@@ -230,7 +235,6 @@ def _map(bus: Objects, number: int, assignment: int, pdos: tuple[Pdo, ...]) -> N
     for pdo in pdos:
         bus.write_object(number, pdo.index, _U8, 0)
         for subindex, entry in enumerate(pdo.entries, start=1):
-            word = entry.index << 16 | entry.subindex << 8 | entry.bits
-            bus.write_object(number, pdo.index, _U32, word, subindex)
+            bus.write_object(number, pdo.index, _U32, entry.word, subindex)
         bus.write_object(number, pdo.index, _U8, len(pdo.entries))
     assign_pdos(bus, number, assignment, pdos)

@@ -7,7 +7,7 @@ from stepgap.hardware.ethercat.emulator.device import EmulatedDevice
 from stepgap.hardware.ethercat.emulator.drive import Drive, DriveSettings
 from stepgap.hardware.ethercat.emulator.ring import Machine
 from stepgap.hardware.ethercat.emulator.ring_settings import RingSettings
-from stepgap.hardware.ethercat.emulator.terminals import AnalogInput, Coupler, EncoderTerminal
+from stepgap.hardware.ethercat.emulator.terminals import COUPLER_IDENTITY, AnalogInput, EncoderTerminal
 from stepgap.rigs.rig import Torques
 from stepgap.robots.hopper.tick.sensors import HopperReading
 
@@ -31,7 +31,7 @@ def hopper_devices(settings: RingSettings, period: float, motor_counts: float = 
     )
     return [
         *(Drive(f"drive_{motor}", drive, attrgetter(f"motor_{motor}")) for motor in (1, 2)),
-        Coupler("coupler"),
+        EmulatedDevice("coupler", COUPLER_IDENTITY),
         *(EncoderTerminal(name, attrgetter(name)) for name in ("boom_horizontal", "boom_vertical")),
         AnalogInput("contact_force", attrgetter("contact_force"), settings.force_resolution),
     ]

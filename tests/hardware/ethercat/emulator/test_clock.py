@@ -1,6 +1,5 @@
 """Clocks of slave controllers: drift, compensation, receive times; SYNC0 as a condition of OP, and its supervision."""
 
-from dataclasses import replace
 from math import sin, tau
 from struct import pack, unpack
 
@@ -124,9 +123,3 @@ def test_intervals_without_a_frame_in_their_window_are_counted(times: list[int],
         found.append(watch.errors)
     assert found == errors
     assert passed == [count <= 10 for count in errors]
-
-
-def test_no_event_comes_before_the_start_or_without_activation() -> None:
-    late = Sync0(True, 5000, 1000)
-    assert [late.events(time) for time in (0, 4999, 5000, 5999, 6000)] == [0, 0, 1, 1, 2]
-    assert replace(late, active=False).events(9000) == 0

@@ -28,17 +28,3 @@ def test_a_fault_is_left_by_a_rising_edge_of_bit_7_only(controlword, before):
     rises = controlword & 0x80 and not before & 0x80
     expected = DriveState.SWITCH_ON_DISABLED if rises else DriveState.FAULT
     assert next_drive_state(DriveState.FAULT, controlword, before) is expected
-
-
-@given(STATES, WORDS, WORDS)
-def test_without_voltage_or_quick_stop_bit_nothing_is_enabled(state, controlword, before):
-    for bit in (0x02, 0x04):
-        assert next_drive_state(state, controlword & ~bit, before) is not DriveState.OPERATION_ENABLED
-
-
-def test_enabling_and_a_quick_stop():
-    state, seen = DriveState.SWITCH_ON_DISABLED, []
-    for controlword in (0x06, 0x07, 0x0F, 0x0B, 0x0F):
-        state = next_drive_state(state, controlword, 0)
-        seen.append(state)
-    assert seen == [0x21, 0x23, 0x27, 0x07, 0x40]

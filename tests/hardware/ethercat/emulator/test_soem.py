@@ -5,9 +5,8 @@ from typing import Any
 
 import pytest
 
-from stepgap.hardware.ethercat.emulator.faults import Fault
-from tests.hardware.ethercat.emulator.bench import DRIVES, LENGTHS
-from tests.hardware.ethercat.emulator.soem_master import cycle, enabled, pysoem, soem_master
+from tests.hardware.ethercat.emulator.bench import LENGTHS
+from tests.hardware.ethercat.emulator.soem_master import pysoem, soem_master
 from tests.hardware.ethercat.ring_process import INTERFACE, live_ring
 
 STRINGS, GENERAL, FMMUS, SYNC_MANAGERS = 10, 30, 40, 41
@@ -18,50 +17,6 @@ def refusal(call: Any, *arguments: Any) -> int:
     with pytest.raises(pysoem.SdoError) as refused:
         call(*arguments)
     return refused.value.abort_code
-
-
-def test_soem_reads_and_writes_objects():
-    with live_ring(), soem_master(INTERFACE) as bus:
-        drive = bus.slaves[0]
-        assert [drive.sdo_read(*entry) for entry in ((0x1C00, 4), (0x1C12, 2), (0x1018, 2), (0x1008, 0))] == [
-            b"\4",
-            b"\x0b\x16",
-            pack("<I", 0x30924),
-            b"Gold drive",  # more than four bytes: not expedited
-        ]
-        for index, value in ((0x6060, b"\x0a"), (0x6072, pack("<H", 1234)), (0x6071, pack("<h", -5))):
-            drive.sdo_write(index, 0, value)
-            assert drive.sdo_read(index, 0) == value
-
-
-def test_what_soem_may_not_do_is_refused():
-    with live_ring(), soem_master(INTERFACE) as bus:
-        drive = bus.slaves[0]
-        read, write = drive.sdo_read, drive.sdo_write
-        assert refusal(read, 0x2000, 0) == 0x06020000
-        assert refusal(read, 0x1018, 9) == 0x06090011
-        assert [refusal(write, index, 0, bytes(size)) for index, size in ((0x6041, 2), (0x1018, 1))] == [0x06010002] * 2
-        assert [refusal(write, 0x6072, 0, bytes(size)) for size in (1, 4, 8, 200)] == [0x06070010] * 4  # 200: segmented
-        assert refusal(write, 0x6060, 0, b"\x08") == 0x06090030
-        # complete access is not offered in the EEPROM
-        assert [refusal(read, 0x1018, subindex, 64, True) for subindex in (0, 1)] == [0x06010000] * 2
-        assert refusal(write, 0x1C12, 0, b"\1\0\x0b\x16", True) == 0x06010000
-        assert read(0x1C12, 0) + read(0x1C12, 1) == b"\2\x02\x16"  # as before
-        with pytest.raises(pysoem.SdoInfoError):
-            _ = drive.od
-
-
-def test_emergencies_reach_soem_once_each():
-    with (
-        live_ring(Fault("trip", 6, "drive_1", code=0x2310), Fault("trip", 6, "drive_2", code=0x7121)),
-        soem_master(INTERFACE) as bus,
-    ):
-        enabled(bus)
-        for _ in range(4):
-            assert cycle(bus) == bus.expected_wkc
-        for drive in DRIVES * 2:
-            bus.slaves[drive].mbx_receive()
-        assert bus.emergencies == [0x2310, 0x7121]
 
 
 def categories(slave: Any) -> dict[int, bytes]:
@@ -76,32 +31,54 @@ def categories(slave: Any) -> dict[int, bytes]:
         word += 2 + length
 
 
-def test_soem_reads_the_eeproms():
+def test_soem_reads_the_eeproms_and_objects_and_is_refused_what_it_may_not_do():
     with live_ring(), soem_master(INTERFACE) as bus:
-        for slave, (outputs, inputs) in zip(bus.slaves, LENGTHS, strict=True):
-            identity = b"".join(slave.eeprom_read(word) for word in (0x08, 0x0A, 0x0C))
-            assert identity == pack("<III", slave.man, slave.id, slave.rev)
-            found = categories(slave)
-            text = found[STRINGS]
-            assert (text[0], text[2 : 2 + text[1]]) == (1, slave.name.encode())
-            assert len(found[GENERAL]) == 32
-            if not outputs + inputs:  # the coupler
-                assert found.keys() == {STRINGS, GENERAL}
-                continue
-            assert found[GENERAL][5] == 0x05  # SDO, and PDOs may be assigned; neither complete access nor information
-            assert found[FMMUS] == b"\1\2"
-            areas = iter_unpack("<HHBBBB", found[SYNC_MANAGERS])
-            assert [(start, use) for start, _, _, _, _, use in areas] == [
-                (0x1000, 1),
-                (0x1080, 2),
-                (0x1100, 3),
-                (0x1180, 4),
-            ]
-
-
-def test_soem_cannot_write_an_eeprom():
-    with live_ring(), soem_master(INTERFACE) as bus:
-        before = bus.slaves[0].eeprom_read(0x10)
+        for slave, lengths in zip(bus.slaves, LENGTHS, strict=True):
+            check_eeprom(slave, any(lengths))
+        drive = bus.slaves[0]
+        before = drive.eeprom_read(0x10)
         with pytest.raises(pysoem.EepromError):
-            bus.slaves[0].eeprom_write(0x10, b"\1\2")
-        assert bus.slaves[0].eeprom_read(0x10) == before
+            drive.eeprom_write(0x10, b"\1\2")
+        assert drive.eeprom_read(0x10) == before
+        check_objects(drive)
+        check_refusals(drive)
+
+
+def check_eeprom(slave: Any, has_mailbox: bool) -> None:
+    identity = b"".join(slave.eeprom_read(word) for word in (0x08, 0x0A, 0x0C))
+    assert identity == pack("<III", slave.man, slave.id, slave.rev)
+    found = categories(slave)
+    text = found[STRINGS]
+    assert (text[0], text[2 : 2 + text[1]]) == (1, slave.name.encode())
+    assert len(found[GENERAL]) == 32
+    if not has_mailbox:  # the coupler
+        assert found.keys() == {STRINGS, GENERAL}
+        return
+    assert found[GENERAL][5] == 0x05  # SDO, and PDOs may be assigned; neither complete access nor information
+    assert found[FMMUS] == b"\1\2"
+    areas = iter_unpack("<HHBBBB", found[SYNC_MANAGERS])
+    assert [(start, use) for start, _, _, _, _, use in areas] == [(0x1000, 1), (0x1080, 2), (0x1100, 3), (0x1180, 4)]
+
+
+def check_objects(drive: Any) -> None:
+    assert [drive.sdo_read(*entry) for entry in ((0x1C00, 4), (0x1C12, 2), (0x1018, 2), (0x1008, 0))] == [
+        b"\4",
+        b"\x0b\x16",
+        pack("<I", 0x30924),
+        b"Gold drive",  # more than four bytes: not expedited
+    ]
+    for index, value in ((0x6060, b"\x0a"), (0x6072, pack("<H", 1234)), (0x6071, pack("<h", -5))):
+        drive.sdo_write(index, 0, value)
+        assert drive.sdo_read(index, 0) == value
+
+
+def check_refusals(drive: Any) -> None:
+    read, write = drive.sdo_read, drive.sdo_write
+    assert refusal(read, 0x1018, 9) == 0x06090011
+    assert [refusal(write, 0x6072, 0, bytes(size)) for size in (1, 4, 8, 200)] == [0x06070010] * 4  # 200: segmented
+    # complete access is not offered in the EEPROM
+    assert [refusal(read, 0x1018, subindex, 64, True) for subindex in (0, 1)] == [0x06010000] * 2
+    assert refusal(write, 0x1C12, 0, b"\1\0\x0b\x16", True) == 0x06010000
+    assert read(0x1C12, 0) + read(0x1C12, 1) == b"\2\x02\x16"  # as before
+    with pytest.raises(pysoem.SdoInfoError):
+        _ = drive.od

@@ -195,13 +195,6 @@ def test_the_revision_on_the_bus_is_compared(drive: EsiFile) -> None:
     assert any("there is no PDO 0x1601" in text for text in first), "the first revision has other PDOs"
 
 
-def test_a_limit_to_which_the_rig_would_send_zero(drive: EsiFile) -> None:
-    limited = PdoSet((pdo(0x1601, CONTROL, TORQUE, "0x6072:00:16"),), PDOS.inputs)
-    assert found(SLAVE, limited, drive)[1] == [
-        "pdos: the rig sends zero to 0x6072 among the outputs, with which a drive does not move"
-    ]
-
-
 def test_objects_that_the_rig_needs(drive: EsiFile) -> None:
     _, remarks = found(SLAVE, PDOS, changed(drive, objects=drive.devices[-1].objects - {0x6076}))
     assert remarks == ["the file lists no object 0x6076, the rated torque, which the rig needs"]

@@ -25,7 +25,7 @@ from stepgap.hardware.ethercat.esi.reader import (
 from stepgap.hardware.ethercat.pdo import Packing, PdoSet
 from stepgap.hardware.ethercat.pdo_sets import PDO_SETS
 from stepgap.hardware.ethercat.rig_settings import Slave, WrittenPdoSet
-from tests.hardware.ethercat.esi.esi_files import DRIVE, MODULAR, TERMINAL, written
+from tests.hardware.ethercat.esi.esi_files import DRIVE, TERMINAL, written
 
 
 def pasted(text: str) -> tuple[list[Slave], dict[str, PdoSet]]:
@@ -88,10 +88,6 @@ def test_numbers_with_a_fraction_have_no_names(tmp_path: Path) -> None:
     assert "(REAL, not used by the rig)" in text
 
 
-def test_modules_are_named(tmp_path: Path) -> None:
-    assert "whose modules have PDOs of their own: Torque" in propose(read_esi(written(tmp_path, MODULAR)))
-
-
 @pytest.mark.parametrize(
     "name", [name for name, found in PDO_SETS.items() if "target_torque" in Packing(found.outputs).names]
 )
@@ -130,13 +126,6 @@ def test_one_of_many_devices_is_asked_for(tmp_path: Path) -> None:
             propose(file, wrong)
     with pytest.raises(InputError, match=r"m.xml: describes no device, only modules"):
         propose(EsiFile("m.xml", 1, "", ()))
-
-
-def test_a_limit_among_the_outputs_is_warned_of() -> None:
-    entries = (EsiEntry(0x6040, 0, 16), EsiEntry(0x6071, 0, 16), EsiEntry(0x6072, 0, 16))
-    inputs = (EsiPdo(0x1A00, entries=(EsiEntry(0x6041, 0, 16), EsiEntry(0x6064, 0, 32)), sync_manager=3),)
-    device = EsiDevice("D", "", 1, 1, (EsiPdo(0x1600, entries=entries, sync_manager=2),), inputs, has_coe=True)
-    assert "# Take 0x6072 out of the outputs" in propose(EsiFile("d.xml", 1, "", (device,)))
 
 
 TEXTS = st.text(st.characters(codec="utf-8", exclude_categories=["C"]), max_size=12).map(shorten)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from stepgap.base.errors import StepGapError
 from stepgap.hardware.ethercat.emulator.sii import Identity
+from stepgap.hardware.ethercat.pdo import Pdo
 
 DEVICE_TYPE = 0x1000
 DEVICE_NAME = 0x1008
@@ -64,19 +65,6 @@ class ObjectEntry:
         return (self.value & (1 << 8 * size) - 1).to_bytes(size, "little")
 
 
-@dataclass(frozen=True)
-class Mapped:
-    """A part of a PDO: an entry, or padding if `index` is 0."""
-
-    index: int
-    subindex: int
-    bits: int
-
-
-Pdos = Mapping[int, tuple[Mapped, ...]]
-"""PDOs by the index of their mapping object: 0x1600… from the master, 0x1A00… to it."""
-
-
 class Image:
     """Process data as bytes: the consecutive entries of the assigned PDOs, lowest bit first.
 
@@ -127,8 +115,8 @@ class Dictionary:
         self,
         identity: Identity,
         objects: Mapping[tuple[int, int], ObjectEntry],
-        outputs: Pdos,
-        inputs: Pdos,
+        outputs: tuple[Pdo, ...],
+        inputs: tuple[Pdo, ...],
         assigned_outputs: tuple[int, ...],
         assigned_inputs: tuple[int, ...],
         check: Callable[[int, int], None] = lambda index, value: None,
@@ -143,12 +131,11 @@ class Dictionary:
             **_array(ASSIGN_INPUTS, assigned_inputs, 16, MOST_PDOS),
             **objects,
         }
-        self._pdos = {ASSIGN_OUTPUTS: outputs, ASSIGN_INPUTS: inputs}
+        self._pdos = {ASSIGN_OUTPUTS: {pdo.index for pdo in outputs}, ASSIGN_INPUTS: {pdo.index for pdo in inputs}}
         self._check = check
         self._mappable = mappable
-        for index, parts in [*outputs.items(), *inputs.items()]:
-            words = tuple(part.index << 16 | part.subindex << 8 | part.bits for part in parts)
-            self._entries |= _array(index, words, 32, MOST_PARTS)
+        for pdo in (*outputs, *inputs):
+            self._entries |= _array(pdo.index, tuple(entry.word for entry in pdo.entries), 32, MOST_PARTS)
 
     def read(self, index: int, subindex: int) -> bytes:
         """Reads the bytes of an entry.

@@ -8,10 +8,12 @@ from math import exp, sqrt, tau
 from typing import NamedTuple
 
 from stepgap.hardware.ethercat.emulator.device import EmulatedDevice
-from stepgap.hardware.ethercat.emulator.dictionary import Abort, Dictionary, Mapped, ObjectEntry, Pdos
+from stepgap.hardware.ethercat.emulator.dictionary import Abort, Dictionary, ObjectEntry
 from stepgap.hardware.ethercat.emulator.faults import Fault
 from stepgap.hardware.ethercat.emulator.mailbox import emergency
 from stepgap.hardware.ethercat.emulator.sii import Identity
+from stepgap.hardware.ethercat.pdo import Pdo
+from stepgap.hardware.ethercat.pdo_sets import PDO_SETS
 from stepgap.rigs.rig import Reading
 
 
@@ -27,40 +29,23 @@ class DriveLayout:
         mappable: Whether a master may write the contents of PDOs.
     """
 
-    outputs: Pdos
-    inputs: Pdos
+    outputs: tuple[Pdo, ...]
+    inputs: tuple[Pdo, ...]
     assigned_outputs: tuple[int, ...]
     assigned_inputs: tuple[int, ...]
     mappable: bool = True
 
     def idle_objects(self, known: Mapping[tuple[int, int], ObjectEntry]) -> dict[tuple[int, int], ObjectEntry]:
         """Objects in these PDOs that the drive does not implement: they remain 0, or as the master sets them."""
-        parts = {part for pdos in (self.outputs, self.inputs) for entries in pdos.values() for part in entries}
         return {
-            (part.index, part.subindex): ObjectEntry(0, part.bits)
-            for part in parts
-            if part.index and (part.index, part.subindex) not in known
+            (entry.index, entry.subindex): ObjectEntry(0, entry.bits)
+            for pdo in (*self.outputs, *self.inputs)
+            for entry in pdo.entries
+            if entry.index and (entry.index, entry.subindex) not in known
         }
 
 
-ELMO_LAYOUT = DriveLayout(
-    outputs={
-        0x1602: (Mapped(0x6071, 0, 16), Mapped(0x6040, 0, 16)),
-        0x160B: (Mapped(0x6060, 0, 8), Mapped(0, 0, 8)),
-    },
-    inputs={
-        0x1A02: (
-            Mapped(0x6064, 0, 32),
-            Mapped(0x6077, 0, 16),
-            Mapped(0x6041, 0, 16),
-            Mapped(0x6061, 0, 8),
-            Mapped(0, 0, 8),
-        ),
-        0x1A11: (Mapped(0x606C, 0, 32),),
-    },
-    assigned_outputs=(0x1602,),
-    assigned_inputs=(0x1A02,),
-)
+ELMO_LAYOUT = DriveLayout(PDO_SETS["elmo-cst"].outputs, PDO_SETS["elmo-cst"].inputs, (0x1602,), (0x1A02,))
 """PDOs for torque control with the mapping of Elmo's drives; only 0x1602 and 0x1A02 are assigned after power-up."""
 
 

@@ -2,18 +2,10 @@
 
 from enum import IntEnum
 
-TYPE, FMMU_COUNT, SYNC_MANAGER_COUNT, RAM_SIZE, _PORTS, ESC_FEATURES = (
-    0x0000,
-    0x0004,
-    0x0005,
-    0x0006,
-    0x0007,
-    0x0008,
-)
-"""Type and features of the slave controller (§6.1.1)."""
+TYPE, FMMU_COUNT, ESC_FEATURES = 0x0000, 0x0004, 0x0008
+"""Type of the slave controller, numbers of its parts from 0x0004 on, and features (§6.1.1)."""
 
 STATION_ADDRESS = 0x0010
-STATION_ALIAS = 0x0012
 DL_CONTROL, DL_STATUS = 0x0100, 0x0110
 """Data link: DL_STATUS contains which ports are linked, open or looped back, and so the topology (§6.1.4)."""
 

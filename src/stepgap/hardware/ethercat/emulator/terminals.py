@@ -3,8 +3,9 @@
 from collections.abc import Callable
 
 from stepgap.hardware.ethercat.emulator.device import EmulatedDevice
-from stepgap.hardware.ethercat.emulator.dictionary import Dictionary, Mapped, ObjectEntry
+from stepgap.hardware.ethercat.emulator.dictionary import Dictionary, ObjectEntry
 from stepgap.hardware.ethercat.emulator.sii import Identity
+from stepgap.hardware.ethercat.pdo import Entry, Pdo
 from stepgap.rigs.rig import Reading
 
 BECKHOFF = 0x00000002
@@ -18,7 +19,7 @@ INPUTS, OUTPUTS, VALUE, LATCH = 0x6000, 0x7000, 0x11, 0x12
 STATUS_BITS = range(1, 17)
 """Subindices of the bits of a terminal's status word; 0x0F is *TxPDO State*: the data are not valid."""
 
-STATUS = tuple(Mapped(INPUTS, subindex, 1) for subindex in STATUS_BITS)  # The status word in a PDO
+STATUS = tuple(Entry(INPUTS, subindex, 1) for subindex in STATUS_BITS)  # The status word in a PDO
 
 
 class StatusWord:
@@ -31,13 +32,6 @@ class StatusWord:
         """Sets all bits."""
         for subindex in STATUS_BITS:
             self.entries[INPUTS, subindex].value = bits >> (subindex - 1) & 1
-
-
-class Coupler(EmulatedDevice):
-    """Joins terminals to the ring; neither mailbox nor process data."""
-
-    def __init__(self, name: str, identity: Identity = COUPLER_IDENTITY):
-        super().__init__(name, identity)
 
 
 class EncoderTerminal(EmulatedDevice):
@@ -64,9 +58,9 @@ class EncoderTerminal(EmulatedDevice):
             (INPUTS, LATCH): ObjectEntry(0, 32),
             (OUTPUTS, VALUE): ObjectEntry(0, 32, writable=True),
         }
-        outputs = {0x1600: (Mapped(0, 0, 16), Mapped(OUTPUTS, VALUE, 32))}
-        inputs = {0x1A00: (*STATUS, Mapped(INPUTS, VALUE, 32), Mapped(INPUTS, LATCH, 32))}
-        self.dictionary = Dictionary(self.identity, objects, outputs, inputs, (0x1600,), (0x1A00,))
+        output = Pdo(0x1600, (Entry(0, 0, 16), Entry(OUTPUTS, VALUE, 32)))
+        input_ = Pdo(0x1A00, (*STATUS, Entry(INPUTS, VALUE, 32), Entry(INPUTS, LATCH, 32)))
+        self.dictionary = Dictionary(self.identity, objects, (output,), (input_,), (0x1600,), (0x1A00,))
 
     def sense(self, reading: Reading) -> None:
         """Updates the counter, which wraps at 2³²."""
@@ -97,8 +91,8 @@ class AnalogInput(EmulatedDevice):
         self._counts = ObjectEntry(0, 16, True)
         self._status = StatusWord()
         objects = {**self._status.entries, (INPUTS, VALUE): self._counts}
-        inputs = {0x1A00: (*STATUS, Mapped(INPUTS, VALUE, 16))}
-        self.dictionary = Dictionary(self.identity, objects, {}, inputs, (), (0x1A00,))
+        inputs = (Pdo(0x1A00, (*STATUS, Entry(INPUTS, VALUE, 16))),)
+        self.dictionary = Dictionary(self.identity, objects, (), inputs, (), (0x1A00,))
 
     def sense(self, reading: Reading) -> None:
         """Updates the value in counts."""

@@ -1,7 +1,6 @@
 """Comparison of a slave in `rig.toml` with the ESI file of its vendor."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 from stepgap.hardware.ethercat.drive_setup import REACTIONS
 from stepgap.hardware.ethercat.esi.reader import EsiDevice, EsiFile, EsiPdo, InitCommand
@@ -284,11 +283,6 @@ def _drive_findings(pdos: PdoSet, device: EsiDevice, state_timeout: float) -> It
     if lacking:
         text = f"the file lists no option code {', '.join(lacking)}: read in the manual what the drive does"
         yield Finding(text, is_error=False)
-
-
-def labelled(findings: Sequence[Finding], label: str) -> tuple[Finding, ...]:
-    """The same findings, each with the name of its slave and file in front."""
-    return tuple(replace(each, text=f"{label}: {each.text}") for each in findings)
 
 
 def _listed(numbers: Sequence[int], most: int, digits: int = 8) -> str:
