@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import count
-from math import inf, nan, tau
+from math import inf, nan
 from struct import Struct
 
 import numpy as np
@@ -16,14 +16,14 @@ from stepgap.hardware.hopper.moteus import AuxContact, MoteusSettings, hopper_on
 from stepgap.hardware.hopper.twin_machine import TwinMachine
 from stepgap.hardware.moteus.can_bus import registers_of
 from stepgap.hardware.moteus.moteus_rig import MOST_LIMITED, POSITION_COUNTS, MoteusRig
-from stepgap.hardware.moteus.moteus_settings import AuxEncoder, Controller, JointCommand, Scale
+from stepgap.hardware.moteus.moteus_settings import AuxEncoder, Controller
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.rigs.rig import Rig, RigFault, Torques
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.tick.hop_control import HopperControl
 from stepgap.robots.hopper.tick.limits import SafetyLimits
 from stepgap.robots.hopper.tick.sensors import HopperReading, HopperSensorModel
-from stepgap.robots.hopper.tick.tick_row import Tick
+from stepgap.robots.hopper.tick.tick_row import TickRow
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from tests.hardware.ethercat.ring_process import Recorder
@@ -290,45 +290,6 @@ def test_frames_that_are_not_answers_are_ignored(data: bytes) -> None:
     assert registers_of(data) is None
 
 
-# Joints
-
-SCALES = st.builds(
-    Scale, st.floats(0.1, 20), st.sampled_from([1, -1]), st.floats(-5, 5), st.floats(0.1, 100), st.floats(0.01, 10)
-)
-NUMBERS = st.floats(-10, 10)
-
-
-@settings(deadline=None)
-@given(SCALES, st.builds(JointCommand, NUMBERS, NUMBERS, st.floats(1e-3, 100), st.just(0.0), NUMBERS), NUMBERS, NUMBERS)
-def test_the_controllers_law_equals_that_of_the_joint(scale: Scale, command: JointCommand, q: float, dq: float) -> None:
-    """Moteus: kp · kp_scale · (position − p) + kd · kd_scale · (velocity − v) + feedforward, at its output."""
-    command = command._replace(kd=0.9 * command.kp * scale.servo_kd / scale.servo_kp)
-    sent = scale.position_command(command)
-    position, velocity = scale.zero + scale.sign * scale.gear * q / tau, scale.sign * scale.gear * dq / tau
-    terms = (
-        scale.servo_kp * sent["kp_scale"] * (sent["position"] - position),
-        scale.servo_kd * sent["kd_scale"] * (sent["velocity"] - velocity),
-        sent["feedforward_torque"],
-    )
-    state = scale.joint_state(position, velocity, sum(terms))
-    torque = command.kp * (command.q - q) + command.kd * (command.dq - dq) + command.tau
-    np.testing.assert_allclose(state, (q, dq, torque), rtol=1e-9, atol=1e-7)
-
-
-@pytest.mark.parametrize(
-    ("command", "expected"),
-    [
-        (JointCommand(nan, 0, 0, 0, 0), "finite"),
-        (JointCommand(0, 0, 0, 0, inf), "finite"),
-        (JointCommand(0, 0, -1, 0, 0), "negative"),
-        (JointCommand(0, 0, 1, 1, 0), "kd = 1 must be at most 0.0125"),
-    ],
-)
-def test_a_joint_command_that_moteus_does_not_support_is_refused(command: JointCommand, expected: str) -> None:
-    with pytest.raises(ValueError, match=expected):
-        Scale(1.0, 1, 0.0, 4.0, 0.05).position_command(command)
-
-
 # Hops
 
 HOPPER = replace(
@@ -371,14 +332,14 @@ class Counted(Rig):
         self._twin.close()
 
 
-def hops(rig: Rig) -> tuple[list[np.ndarray], list[Tick]]:
+def hops(rig: Rig) -> tuple[list[np.ndarray], list[TickRow]]:
     rows = []
     with RigPlant(
         rig, HopperControl(ROBOT, Gains(), CommandBounds(), HOPPER.limits), on_ticks=lambda got, step: rows.extend(got)
     ) as plant:
         states = [plant.start()]
         states += [plant.take_step(np.array([-5.0, -5.0])).next_state for _ in range(1)]
-    return states, [Tick.of(row) for row in rows]
+    return states, [TickRow(*row) for row in rows]
 
 
 def test_the_twin_hops_with_the_controllers_as_without_them() -> None:
@@ -391,7 +352,8 @@ def test_the_twin_hops_with_the_controllers_as_without_them() -> None:
     direct, direct_ticks = hops(Counted(Twin(ROBOT, GAP, np.random.default_rng(0)), idle))
     np.testing.assert_allclose(through, direct, rtol=1e-12)
     assert len(ticks) == len(direct_ticks)
-    np.testing.assert_allclose([tick.applied for tick in ticks], [tick.applied for tick in direct_ticks], atol=1e-9)
+    applied, expected = (np.array([(row.applied_1, row.applied_2) for row in got]) for got in (ticks, direct_ticks))
+    np.testing.assert_allclose(applied, expected, atol=1e-9)
 
 
 def test_another_torque_than_commanded_is_a_fault_if_it_is_judged() -> None:

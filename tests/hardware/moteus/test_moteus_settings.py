@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from stepgap.base.errors import InputError
 from stepgap.hardware.hopper.moteus import MoteusSettings, hopper_on_moteus, read_moteus_settings
+from stepgap.hardware.moteus.moteus_settings import Controller
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.tick.sensors import hopper_sensors
 
@@ -25,7 +26,6 @@ def read(tmp_path: Path, text: str) -> MoteusSettings:
 def test_the_example_is_a_rig() -> None:
     settings = read_moteus_settings(EXAMPLE)
     assert (settings.motor_1.id, settings.motor_2.id, settings.motor_2.sign) == (1, 2, -1)
-    assert settings.motor_2.servo_kp == 4.0
     assert settings.boom_vertical.id == 2
     assert settings.limits.torque_step == 20
     assert settings.contact.zero == 400
@@ -44,7 +44,6 @@ WRONG = [
     ("sign = -1", "sign = 2", "[motor_2] sign = 2, but it must be 1 or -1"),
     ("sign = -1", "gear = 2", "[motor_2] gear = 2.0, but it must be that of motor 1, 1"),
     ("torque_limit = 38.0 ", "torque_limit = inf ", "[motor_1] torque_limit = inf, but it must be positive"),
-    ("servo_kp = 4.0", "servo_kp = 0", "[motor_1] servo_kp = 0.0, but it must be positive"),
     ("zero = 0.0 ", "zero = 1e9 ", "[motor_1] zero = 1000000000.0, but it must lie within ±128 turns"),
     ("source = 1 ", "source = 0 ", "[boom_horizontal] source = 0, but it must be 1 or 2"),
     ("counts_per_turn = 5000", "counts_per_turn = 5e3", "[boom_horizontal] counts_per_turn = 5000.0, but it must be a"),
@@ -88,3 +87,13 @@ def test_any_number_is_accepted_or_refused_in_one_line(tmp_path_factory: pytest.
         assert 0 < settings.watchdog <= 0.5
         assert isfinite(hopper_sensors(hopper_on_moteus(settings, RobotParameters()).sensor_model).motor_counts)
     assert "\n" not in message
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_controller_reports_the_torque_at_the_link_that_it_was_commanded(sign: int) -> None:
+    motor = Controller(id=1, torque_limit=20.0, gear=4.0, sign=sign)
+    command = motor.torque_command(6.0)
+    assert command["feedforward_torque"] == sign * 1.5
+    assert command["maximum_torque"] == 5.0
+    assert command["kp_scale"] == command["kd_scale"] == 0.0
+    assert motor.torque_at_link(command["feedforward_torque"]) == 6.0

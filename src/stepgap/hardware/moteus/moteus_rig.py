@@ -1,6 +1,6 @@
 """A robot on moteus controllers as a `Rig`: joint commands out; positions, encoders and forces in."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from math import isfinite, nan
 from time import monotonic
@@ -16,8 +16,6 @@ from stepgap.hardware.moteus.moteus_settings import (
     CanDevice,
     CanSettings,
     Controller,
-    JointCommand,
-    JointState,
 )
 from stepgap.hardware.moteus.watchdog import check_timeout, measure_watchdogs, watchdog_query
 from stepgap.rigs.rig import Reading, RigFault, SensorModel, Torques, WatchdogTimes
@@ -50,11 +48,11 @@ class CommandedTorques:
         for watch, torque in zip(self._watches, torques, strict=True):
             watch.command(torque)
 
-    def excess(self, joints: Iterable[JointState]) -> str:
-        """Takes a reading; returns why torque must go off, or an empty text."""
-        for motor, watch, joint in zip(self._motors, self._watches, joints, strict=True):
-            if watch.reading(joint.tau):
-                return f"controller {motor.id}: its torque is {joint.tau:.1f} N·m, commanded were {watch.commanded} N·m"
+    def excess(self, torques: Torques) -> str:
+        """Takes the torques of a reading [N·m]; returns why torque must go off, or an empty text."""
+        for motor, watch, torque in zip(self._motors, self._watches, torques, strict=True):
+            if watch.reading(torque):
+                return f"controller {motor.id}: its torque is {torque:.1f} N·m, commanded were {watch.commanded} N·m"
         return ""
 
     def note_fault(self, number: int, code: int) -> None:
@@ -103,7 +101,8 @@ ANALOG_INPUTS = {1: Register.AUX1_ANALOG_IN1, 2: Register.AUX2_ANALOG_IN1}
 SUPPLY = {"bus_voltage": (Register.VOLTAGE, "V"), "temperature": (Register.TEMPERATURE, "°C")}
 """Values of a controller that are logged, with their registers and units; the temperature is that of its board."""
 
-LIMP = JointCommand(q=0.0, dq=0.0, kp=0.0, kd=0.0, tau=0.0)
+REPORTED = (Register.MODE, Register.FAULT, Register.POSITION, Register.VELOCITY, Register.TORQUE)
+"""Registers that each answer must have."""
 
 
 class MoteusRig(BusRig):
@@ -130,15 +129,9 @@ class MoteusRig(BusRig):
         self._bus: CanBus | None = None
         self._written = False
         self._reading = settings.reading((0.0,) * len(self._sensors))
-        self._joints = (JointState(0, 0, 0),) * len(self._motors)
         self._commanded = CommandedTorques(self._motors)
         self._supplies = (nan,) * (len(SUPPLY) * len(self._motors))
         self._remarks = list[str]()
-
-    @property
-    def joints(self) -> tuple[JointState, ...]:
-        """States of the top links from the controllers, at the last good reading; for logs."""
-        return self._joints
 
     @property
     def diagnostic_units(self) -> Mapping[str, str]:
@@ -216,7 +209,7 @@ class MoteusRig(BusRig):
         self._require_finite(torques)
         limits = [motor.torque_limit for motor in self._motors]
         sent = tuple(min(max(torque, -most), most) for torque, most in zip(torques, limits, strict=True))
-        self._command(bus, [LIMP._replace(tau=torque) for torque in sent])
+        self._command(bus, sent)
         self._commanded.command(sent)
         self._written = True
         return sent
@@ -272,7 +265,7 @@ class MoteusRig(BusRig):
         """Commands zero torque until all controllers accept commands."""
         until = monotonic() + ANSWER_TIMEOUT
         while True:
-            self._command(bus, [LIMP] * len(self._motors))
+            self._command(bus, (0.0,) * len(self._motors))
             replies = self._ask(bus)
             ready = [registers.get(Register.MODE) == Mode.POSITION for registers in replies.values()]
             if len(ready) == len(self._controllers) and all(ready):
@@ -287,15 +280,12 @@ class MoteusRig(BusRig):
         self._send(bus, {number: each.make_query(query) for number, each in self._controllers.items()})
         return bus.receive(self._controllers, self._settings.reply_timeout, registers_of)
 
-    def _command(self, bus: CanBus, commands: Sequence[JointCommand]) -> None:
-        """Sends a command to each controller, without a reply."""
+    def _command(self, bus: CanBus, torques: Torques) -> None:
+        """Sends a torque to each controller [N·m], without a reply."""
         frames = {}
-        for motor, command in zip(self._motors, commands, strict=True):
+        for motor, torque in zip(self._motors, torques, strict=True):
             frames[motor.id] = self._controllers[motor.id].make_position(
-                **motor.scale.position_command(command),
-                maximum_torque=motor.torque_limit / motor.gear,
-                watchdog_timeout=self._settings.watchdog,
-                query=False,
+                **motor.torque_command(torque), watchdog_timeout=self._settings.watchdog, query=False
             )
         self._send(bus, frames)
 
@@ -309,26 +299,20 @@ class MoteusRig(BusRig):
         """Updates the reading from complete answers; a controller without torque or an encoder error is a fault."""
         try:
             for number, registers in replies.items():
-                if registers[Register.MODE] != Mode.POSITION or registers[Register.FAULT] not in (0, *LIMITING):
+                mode, fault, *_ = (registers[name] for name in REPORTED)
+                if mode != Mode.POSITION or fault not in (0, *LIMITING):
                     raise self._trip(f"{_state(number, registers)}: it no longer accepts torque commands")
-                self._commanded.note_fault(number, int(registers[Register.FAULT]))
-            self._joints = tuple(self._joint(replies, motor) for motor in self._motors)
+                self._commanded.note_fault(number, int(fault))
+            torques = tuple(motor.torque_at_link(replies[motor.id][Register.TORQUE]) for motor in self._motors)
             self._supplies = tuple(replies[motor.id][key] for motor in self._motors for key, _ in SUPPLY.values())
             values = [sensor(replies) for sensor in self._sensors]
         except KeyError as missing:
             raise self._trip(f"a controller does not report register 0x{missing.args[0]:03X}") from None
         except ValueError as error:
             raise self._trip(str(error)) from None
-        if excess := self._commanded.excess(self._joints):
+        if excess := self._commanded.excess(torques):
             raise self._trip(excess)
         self._reading = self._settings.reading(values)
-
-    @staticmethod
-    def _joint(replies: Mapping[int, Registers], motor: Controller) -> JointState:
-        registers = replies[motor.id]
-        return motor.scale.joint_state(
-            registers[Register.POSITION], registers[Register.VELOCITY], registers[Register.TORQUE]
-        )
 
     def _up(self) -> CanBus:
         if self._fault or not self._bus:

@@ -1,93 +1,10 @@
 """Settings of a CAN bus and its devices: the part of `moteus.toml` that is the same for every robot."""
 
 from dataclasses import dataclass
-from math import inf, isfinite, nan, tau
-from typing import NamedTuple
+from math import inf, isfinite, nan
 
 from stepgap.base.ranges import require
 from stepgap.hardware.bus_rig import BusTiming
-
-
-class JointCommand(NamedTuple):
-    """Command of a joint, whose drive gives the torque kp (q − q_now) + kd (dq − dq_now) + tau.
-
-    Attributes:
-        q: Angle [rad].
-        dq: Its rate [rad/s].
-        kp: Stiffness [N·m/rad].
-        kd: Damping [N·m·s/rad].
-        tau: Feedforward torque [N·m].
-    """
-
-    q: float
-    dq: float
-    kp: float
-    kd: float
-    tau: float
-
-
-class JointState(NamedTuple):
-    """State of a joint, as measured by its drive.
-
-    Attributes:
-        q: Angle [rad].
-        dq: Its rate [rad/s].
-        tau: Torque [N·m].
-    """
-
-    q: float
-    dq: float
-    tau: float
-
-
-@dataclass(frozen=True)
-class Scale:
-    """Units of a moteus controller: turns and N·m of its output, and gains as fractions of its configured ones.
-
-    Attributes:
-        gear: Turns of the controller's output per turn of the joint.
-        sign: 1 if output and joint turn in the same direction, else −1.
-        zero: Position of the output at angle zero [turns].
-        servo_kp: The controller's `servo.pid_position.kp` [N·m/turn].
-        servo_kd: The controller's `servo.pid_position.kd` [N·m·s/turn].
-    """
-
-    gear: float
-    sign: int
-    zero: float
-    servo_kp: float
-    servo_kd: float
-
-    def position_command(self, command: JointCommand) -> dict[str, float]:
-        """Converts a command to arguments of `moteus.Controller.make_position`; without stiffness the position is NaN.
-
-        Raises:
-            ValueError: A number is not finite, a gain is negative, or the damping is larger than moteus supports: it
-                limits the scale of kd to that of kp.
-        """
-        if not all(map(isfinite, command)):
-            raise ValueError(f"a joint command must be finite, not {command}")
-        if command.kp < 0 or command.kd < 0:
-            raise ValueError(f"gains must not be negative: {command}")
-        per_turn = tau / self.gear**2
-        kp_scale = command.kp * per_turn / self.servo_kp
-        kd_scale = command.kd * per_turn / self.servo_kd
-        if kd_scale > kp_scale:
-            raise ValueError(f"kd = {command.kd} must be at most {self.servo_kd / self.servo_kp * command.kp:g} here")
-        turns = self.sign * self.gear / tau
-        return {
-            "position": self.zero + turns * command.q if command.kp else nan,
-            "velocity": turns * command.dq if command.kp else 0.0,
-            "feedforward_torque": self.sign * command.tau / self.gear,
-            "kp_scale": kp_scale,
-            "kd_scale": kd_scale,
-            "ilimit_scale": 0.0,
-        }
-
-    def joint_state(self, position: float, velocity: float, torque: float) -> JointState:
-        """Converts the registers of the controller [turns, turns/s, N·m] to the state of the joint."""
-        angle = self.sign * tau / self.gear
-        return JointState(angle * (position - self.zero), angle * velocity, self.sign * self.gear * torque)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,8 +17,6 @@ class Controller:
         gear: Turns of the controller's output per turn of the top link; 1 if `rotor_to_output_ratio` includes it.
         sign: 1 if the output's turns increase forward, else −1.
         zero: The controller's position at angle zero [turns].
-        servo_kp: Its `servo.pid_position.kp` [N·m/turn].
-        servo_kd: Its `servo.pid_position.kd` [N·m·s/turn].
         torque_tolerance: Largest distance at the top link of the torque that it reports from the commands of the last
             5 ticks [N·m]; infinite if it is not judged.
     """
@@ -111,23 +26,32 @@ class Controller:
     gear: float = 1.0
     sign: int = 1
     zero: float = 0.0
-    servo_kp: float = 4.0
-    servo_kd: float = 0.05
     torque_tolerance: float = inf
 
     def __post_init__(self) -> None:
         require(self.torque_tolerance > 0, "torque_tolerance", self.torque_tolerance, "be positive")
         require(1 <= self.id <= 126, "id", self.id, "lie between 1 and 126")
-        for name in ("torque_limit", "gear", "servo_kp", "servo_kd"):
+        for name in ("torque_limit", "gear"):
             value = getattr(self, name)
             require(isfinite(value) and value > 0, name, value, "be positive")
         require(self.sign in (1, -1), "sign", self.sign, "be 1 or -1")
         require(abs(self.zero) <= 128, "zero", self.zero, "lie within ±128 turns")
 
-    @property
-    def scale(self) -> Scale:
-        """Units of the controller."""
-        return Scale(self.gear, self.sign, self.zero, self.servo_kp, self.servo_kd)
+    def torque_command(self, torque: float) -> dict[str, float]:
+        """Arguments of `moteus.Controller.make_position` for a torque at the top link [N·m], with gains zero."""
+        return {
+            "position": nan,
+            "velocity": 0.0,
+            "feedforward_torque": self.sign * torque / self.gear,
+            "maximum_torque": self.torque_limit / self.gear,
+            "kp_scale": 0.0,
+            "kd_scale": 0.0,
+            "ilimit_scale": 0.0,
+        }
+
+    def torque_at_link(self, torque: float) -> float:
+        """Torque at the top link for the one that the controller reports at its output [N·m]."""
+        return self.sign * self.gear * torque
 
 
 @dataclass(frozen=True, kw_only=True)
