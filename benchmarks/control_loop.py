@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from stepgap.hardware.commissioning.limp import FrameCount, limp_setup, ticks_of
+from stepgap.hardware.commissioning.limp import limp_setup, ticks_of
 from stepgap.hardware.hopper.still import still_hopper
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.step import Array
@@ -34,7 +34,7 @@ def measured(tick: float, seconds: float) -> str:
         tick: Time between two of them [s].
         seconds: Duration of the measurement [s].
     """
-    setup = limp_setup(partial(still_hopper, tick), Hopper().control(), FrameCount())
+    setup = limp_setup(partial(still_hopper, tick), Hopper().control())
     ticks = ticks_of(setup, round(seconds / tick))
     late, took = ticks.table["late"], ticks.table["took"]
     missed = int((late / tick).astype(int).sum())

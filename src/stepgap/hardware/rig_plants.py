@@ -9,8 +9,7 @@ from stepgap.base.errors import InputError
 from stepgap.experiment.loop import Plants
 from stepgap.experiment.plants import PlantRequest
 from stepgap.hardware.commissioning.check import checked
-from stepgap.hardware.commissioning.jog import JOG
-from stepgap.hardware.commissioning.proof import proven
+from stepgap.hardware.commissioning.proof import JOG, proven
 from stepgap.hardware.realtime.consent import supervised
 from stepgap.hardware.realtime.loop import LoopSettings
 from stepgap.hardware.realtime.process import RealtimeSetup

@@ -34,7 +34,7 @@ class CompiledRig(Rig):
     """A rig whose time can stand still, and which calls the control of its robot without returning to Python.
 
     A subclass that changes `read` or `write` must change `run`, too; to observe or change single ticks, wrap the rig
-    in another `Rig`.
+    in a `WrappedRig`.
     """
 
     @abstractmethod

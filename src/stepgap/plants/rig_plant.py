@@ -101,13 +101,10 @@ class RigPlant(Plant):
 
     def take_step(self, command: Array) -> StepRecord:
         """Takes a step; after a fall, a fault or a safety stop the record has no next state, and torque is off."""
-        return self._next(command, None)
+        return self.take_replanned_step(command, lambda _: command)
 
     def take_replanned_step(self, command: Array, at_touchdown: AtTouchdown) -> StepRecord:
         """Takes a step whose command is chosen anew at its touchdown; the time of the rig stands still meanwhile."""
-        return self._next(command, at_touchdown)
-
-    def _next(self, command: Array, at_touchdown: AtTouchdown | None) -> StepRecord:
         self._number += 1
         commands = StepCommands(self._space, command)
         if np.isnan(commands.within).any():

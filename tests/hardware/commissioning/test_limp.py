@@ -5,7 +5,7 @@ from math import inf, nan
 
 import numpy as np
 
-from stepgap.hardware.commissioning.limp import FrameCount, LastTick, LimpRig, describe_devices
+from stepgap.hardware.commissioning.limp import LastTick, LimpRig, describe_devices
 from stepgap.hardware.hopper.still import StillRig
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import SensorModel
@@ -54,7 +54,7 @@ def test_what_a_rig_judges_is_described_by_names_and_units() -> None:
 
 def test_a_limp_rig_tells_what_its_rig_tells() -> None:
     rig = ReportingRig(SensorModel(tick=1e-3), ())
-    limp = LimpRig(rig, RigLimits(), FrameCount())
+    limp = LimpRig(rig, RigLimits())
     for name in ("diagnostic_units", "diagnostic_ranges", "diagnostic_names", "warning"):
         assert getattr(limp, name) == getattr(rig, name)
     assert describe_devices(limp, {"left_sto": 0.0}) == {"left_sto": "closed"}

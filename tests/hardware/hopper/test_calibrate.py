@@ -109,7 +109,7 @@ def ticks_with(**columns: list[float]) -> LimpTicks:
     rows = np.zeros((4, len(LOG_UNITS)))
     for name, values in columns.items():
         rows[:, list(LOG_UNITS).index(name)] = values
-    return LimpTicks(TickTable(LOG_UNITS, rows), "", "")
+    return LimpTicks(TickTable(LOG_UNITS, rows), 0, "", "")
 
 
 def test_a_robot_that_moves_is_refused_and_one_at_rest_is_averaged() -> None:

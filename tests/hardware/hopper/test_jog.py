@@ -22,7 +22,8 @@ from stepgap.hardware.hopper.ring_rig import emulated_settings
 from stepgap.hardware.realtime.board import Board, Request
 from stepgap.hardware.realtime.loop import LOOP_UNITS, ControlLoop, LoopSettings
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.rigs.rig import Rig, Torques
+from stepgap.rigs.rig import Torques
+from stepgap.rigs.wrapped_rig import WrappedRig
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.tick.hop_control import HopperControl
 from stepgap.robots.hopper.tick.limits import SafetyLimits
@@ -64,25 +65,20 @@ FROZEN_1 = Wiring(reading=lambda now, first: now._replace(motor_1=first.motor_1)
 FROZEN_BOTH = Wiring(reading=lambda now, first: now._replace(motor_1=first.motor_1, motor_2=first.motor_2))
 
 
-class HangingTwin(Rig):
+class HangingTwin(WrappedRig):
     """The twin, held in the air for good, behind its wiring; it keeps the true counts of its motors."""
 
     def __init__(self, wiring: Wiring, gap: RealityGap, seed: int):
-        self._twin, self._wiring = Twin(ROBOT, gap, np.random.default_rng(seed), hold=1e4), wiring
+        self._twin = Twin(ROBOT, gap, np.random.default_rng(seed), hold=1e4)
+        super().__init__(self._twin)
+        self._wiring = wiring
         self._first: HopperReading | None = None
         self.counts = list[tuple[float, float]]()
 
     @property
-    def sensor_model(self):
-        return self._twin.sensor_model
-
-    @property
     def limits(self):
-        layout = emulated_settings(self.sensor_model, ROBOT, RingSettings())
+        layout = emulated_settings(self._twin.sensor_model, ROBOT, RingSettings())
         return replace(layout.limits, sample_jitter=0.1)
-
-    def connect(self):
-        self._twin.connect()
 
     def read(self):
         reading = self._twin.read()
@@ -91,11 +87,8 @@ class HangingTwin(Rig):
         return self._wiring.reading(reading, self._first)
 
     def write(self, torques):
-        self._twin.write(self._wiring.torques(*torques))
+        self._rig.write(self._wiring.torques(*torques))
         return torques
-
-    def close(self):
-        self._twin.close()
 
 
 def jogged(motor: int, wiring: Wiring = RIGHT, gap: RealityGap = DAMPED, seed: int = 0):

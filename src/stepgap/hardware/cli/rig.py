@@ -2,6 +2,7 @@
 
 import shlex
 import sys
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -29,10 +30,8 @@ def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds
         plant: Name of its rig. [default: ethercat]
         seconds: Duration [s].
     """
-    from functools import partial
-
     from stepgap.hardware.commissioning.check import describe, measure, with_findings, with_watchdog, write_check
-    from stepgap.hardware.commissioning.limp import FrameCount, limp_setup
+    from stepgap.hardware.commissioning.limp import limp_setup
     from stepgap.hardware.commissioning.proof import fingerprint
     from stepgap.hardware.hopper.still import still_hopper
     from stepgap.rigs.entry_points import load_rig
@@ -42,25 +41,24 @@ def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds
     _check_seconds(seconds)
     if plant and rig_file is None:
         raise InputError(f"--plant {plant}: valid only with RIG_FILE, the file that describes the rig")
-    frames = FrameCount()
     robot = Hopper()
     control = robot.control()
     limits = SafetyLimits.of(robot.parameters)
     if rig_file is None:
         print("no rig.toml given: timing of this machine alone, with constant sensor values")
-        setup = limp_setup(partial(still_hopper, 1e-3), control, frames)
-        result = measure(setup, frames, 1e-3, limits, seconds)
+        setup = limp_setup(partial(still_hopper, 1e-3), control)
+        result = measure(setup, 1e-3, limits, seconds)
         print(describe(result, bus=False))
     else:
         mark = fingerprint(rig_file)
         make_rig = partial(load_rig, plant or ETHERCAT, rig_file, robot)
         found = make_rig()
-        setup = limp_setup(make_rig, control, frames)
+        setup = limp_setup(make_rig, control)
         findings = found.findings()
         _refuse_contradictions(rig_file, mark, findings)
         tick = found.sensor_model.tick
         clocks = found.clock_limits
-        result = measure(setup, frames, tick, found.limits or limits, seconds, clocks)
+        result = measure(setup, tick, found.limits or limits, seconds, clocks)
         result = with_watchdog(with_findings(result, findings), make_rig)
         file = write_check(rig_file, mark, result)
         print(describe(result, bus=True))
@@ -91,10 +89,8 @@ def calibrate(
         out: New file for the settings with the new zeros. [default: RIG.calibrated.toml]
         experiment: TOML file of settings, of which [parameters] is used.
     """
-    from functools import partial
-
     from stepgap.experiment.settings import read_experiment
-    from stepgap.hardware.commissioning.limp import FrameCount, limp_setup, ticks_of
+    from stepgap.hardware.commissioning.limp import limp_setup, ticks_of
     from stepgap.hardware.hopper import calibrate as verb
     from stepgap.hardware.hopper.ethercat import hopper_on_ethercat, read_rig_settings
     from stepgap.robots.hopper.robot import as_hopper
@@ -110,7 +106,7 @@ def calibrate(
     expected = verb.expected_reading(settings, hopper.parameters, pose)
     if target.exists():
         raise InputError(f"{target}: exists already; choose another --out")
-    setup = limp_setup(partial(hopper_on_ethercat, settings, hopper.parameters), hopper.control(), FrameCount())
+    setup = limp_setup(partial(hopper_on_ethercat, settings, hopper.parameters), hopper.control())
     ticks = ticks_of(setup, round(1 / settings.tick))
     zeros = verb.new_zeros(settings, verb.mean_reading(settings, ticks), expected)
     calibrated = verb.with_zeros(settings, zeros)
@@ -138,12 +134,9 @@ def jog(
         plant: Name of its rig.
         experiment: TOML file of settings, of which [parameters] and [gains] are used.
     """
-    from functools import partial
-
     from stepgap.experiment.settings import read_experiment
     from stepgap.hardware.commissioning.check import checked
-    from stepgap.hardware.commissioning.jog import JOG
-    from stepgap.hardware.commissioning.proof import fingerprint, write_proof
+    from stepgap.hardware.commissioning.proof import JOG, fingerprint, write_proof
     from stepgap.hardware.hopper.jog_trial import try_motors
     from stepgap.hardware.rig_plants import require_limits
     from stepgap.rigs.entry_points import load_rig
@@ -182,8 +175,6 @@ def dry_run_(
         seconds: Duration [s]. [default: until Ctrl-C]
         experiment: TOML file of settings, of which [parameters] and [gains] are used.
     """
-    from functools import partial
-
     from stepgap.experiment.settings import read_experiment
     from stepgap.hardware.commissioning.dry_run import dry_run
     from stepgap.rigs.entry_points import load_rig

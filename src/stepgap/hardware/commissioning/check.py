@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.base.errors import InputError
-from stepgap.hardware.commissioning.limp import FrameCount, describe_devices, ticks_of
+from stepgap.hardware.commissioning.limp import describe_devices, ticks_of
 from stepgap.hardware.commissioning.proof import proof_file, proven, write_proof
 from stepgap.hardware.realtime.pace import NEEDED_FOR_TORQUE
 from stepgap.hardware.realtime.process import RealtimeSetup
@@ -292,7 +292,6 @@ def _longest(missed: Sequence[int]) -> int:
 
 def measure(
     setup: RealtimeSetup,
-    frames: FrameCount,
     tick: float,
     limits: RigLimits,
     seconds: float,
@@ -302,7 +301,6 @@ def measure(
 
     Args:
         setup: Setup of that rig.
-        frames: Count of the frames that it lost.
         tick: Its tick [s].
         limits: Its limits.
         seconds: Duration, rounded to ticks [s].
@@ -313,12 +311,19 @@ def measure(
     """
     ticks = ticks_of(setup, round(seconds / tick))
     timing = timing_of(ticks.table["late"], tick)
-    lost = frames.lost
     clock = clock_check(ticks.table, clock_limits)
     last = dict(zip(ticks.table.units, ticks.table.rows[-1].tolist(), strict=True))
     drives = describe_devices(setup.make_rig(), last)
     return Check(
-        tick, limits.late_ticks, limits.simulated, timing, lost, ticks.refused, ticks.fault, clock=clock, drives=drives
+        tick,
+        limits.late_ticks,
+        limits.simulated,
+        timing,
+        ticks.lost_frames,
+        ticks.refused,
+        ticks.fault,
+        clock=clock,
+        drives=drives,
     )
 
 

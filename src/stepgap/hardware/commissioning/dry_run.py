@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from time import sleep
 
@@ -11,7 +12,7 @@ from rich.table import Table
 
 from stepgap.base.errors import InputError
 from stepgap.base.signals import terminated_as_interrupted
-from stepgap.hardware.commissioning.limp import FrameCount, LastTick, describe_devices, ended, limp_setup
+from stepgap.hardware.commissioning.limp import LastTick, describe_devices, ended, limp_setup
 from stepgap.hardware.realtime.session import Session
 from stepgap.plants.tick_control import RobotControl
 from stepgap.plants.ticks.log_description import LogDescription
@@ -73,56 +74,47 @@ def dry_run(make_rig: Callable[[], Rig], robot_control: RobotControl, seconds: f
         RigFault: The bus or a drive failed.
     """
     path = next_path(FOLDER)
-    frames = FrameCount()
     rig = make_rig()
-    setup = limp_setup(make_rig, robot_control, frames)
+    setup = limp_setup(make_rig, robot_control)
     try:
         log = WatchedLog(path, setup.units, setup.described())
     except TickLogError as error:
         raise InputError(str(error)) from None
     wanted = float("inf") if seconds is None else seconds / rig.sensor_model.tick
     fault = ""
-    describe = _describer(rig, robot_control, frames)
-    session = Session(setup, log)
-    try:
-        with (
-            suppress(KeyboardInterrupt),  # the regular end
-            terminated_as_interrupted(),
-            _display(round(1 / rig.sensor_model.tick)) as display,
-        ):
-            while log.count < wanted and not session.over():
-                sleep(_UPDATE_EVERY)
-                display(describe(log, session), log.count)
-            if fault := ended(session):
-                sleep(_UPDATE_EVERY)  # until the last ticks are read
-                display(describe(log, session), None)
-    finally:
-        session.close()
+    with (
+        Session(setup, log) as session,
+        suppress(KeyboardInterrupt),  # the regular end
+        terminated_as_interrupted(),
+        _display(round(1 / rig.sensor_model.tick)) as display,
+    ):
+        described = partial(_described, rig, robot_control, Travelled(), log, session)
+        while log.count < wanted and not session.over():
+            sleep(_UPDATE_EVERY)
+            display(described(), log.count)
+        if fault := ended(session):
+            sleep(_UPDATE_EVERY)  # until the last ticks are read
+            display(described(), None)
     print(path)
     if fault:
         raise RigFault(fault)
     return path
 
 
-def _describer(
-    rig: Rig, robot_control: RobotControl, frames: FrameCount
-) -> Callable[[WatchedLog, Session], DisplayedTick]:
-    travelled = Travelled()
-
-    def describe(log: WatchedLog, session: Session) -> DisplayedTick:
-        tick = log.last.fields
-        if not tick:
-            return {"state": session.board.state.name}
-        return {
-            "state": RigState(int(tick["state"])).name,
-            **robot_control.describe(rig, tick),
-            **travelled.describe(robot_control.travels(rig, tick)),
-            **describe_devices(rig, tick),
-            "late": f"{1e6 * tick['late']:.0f} µs, at most {1e6 * log.worst:.0f} µs",
-            "lost": f"{frames.lost} frames",
-        }
-
-    return describe
+def _described(
+    rig: Rig, robot_control: RobotControl, travelled: Travelled, log: WatchedLog, session: Session
+) -> DisplayedTick:
+    tick = log.last.fields
+    if not tick:
+        return {"state": session.board.state.name}
+    return {
+        "state": RigState(int(tick["state"])).name,
+        **robot_control.describe(rig, tick),
+        **travelled.describe(robot_control.travels(rig, tick)),
+        **describe_devices(rig, tick),
+        "late": f"{1e6 * tick['late']:.0f} µs, at most {1e6 * log.worst:.0f} µs",
+        "lost": f"{session.board.lost_frames} frames",
+    }
 
 
 @contextmanager

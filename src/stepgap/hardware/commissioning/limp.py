@@ -1,16 +1,11 @@
-"""A real-time process that reads a robot's bus and gives it no torque."""
+"""Sessions of a robot that gets no torque."""
 
-# pyright: reportIncompatibleMethodOverride=false
-# (Properties that `_of_rig` makes are no functions to it.)
-
-from collections.abc import Callable, Iterable, Mapping
-from ctypes import c_longlong
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from math import isfinite
-from multiprocessing import RawValue
 from time import sleep
-from typing import Any
 
 import numpy as np
 
@@ -21,87 +16,31 @@ from stepgap.plants.tick_control import RobotControl
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.limits import RigLimits
-from stepgap.rigs.rig import Finding, Reading, Rig, RigFault, Torques
+from stepgap.rigs.rig import Rig, RigFault, Torques
+from stepgap.rigs.wrapped_rig import WrappedRig
 from stepgap.step import Array
 
 
-@dataclass(frozen=True)
-class FrameCount:
-    """Counts lost frames in the process of the rig, for the process that started it."""
-
-    memory: Any = field(default_factory=lambda: RawValue(c_longlong, 0))
-
-    @property
-    def lost(self) -> int:
-        """Number of lost frames so far."""
-        return self.memory.value
-
-    def count(self) -> None:
-        """Counts one more lost frame."""
-        self.memory.value += 1
-
-
-def _of_rig(name: str) -> property:
-    return property(lambda limp: getattr(limp._rig, name))
-
-
-class LimpRig(Rig):
-    """Reads a rig and always writes zero torque.
+class LimpRig(WrappedRig):
+    """Reads a rig and always writes zero torque; after its warning a limp robot is switched off.
 
     Args:
         rig: The rig to read.
         limits: Limits that stop it: those of lost frames, but neither those of pose nor of speed.
-        frames: Counts the lost frames.
     """
 
-    def __init__(self, rig: Rig, limits: RigLimits, frames: FrameCount):
-        self._rig = rig
+    def __init__(self, rig: Rig, limits: RigLimits):
+        super().__init__(rig)
         self._limits = limits
-        self._frames = frames
 
     @property
     def limits(self) -> RigLimits:
         """Limits as given."""
         return self._limits
 
-    # all else is that of the rig; after its warning a limp robot is switched off
-    sensor_model = _of_rig("sensor_model")
-    health = _of_rig("health")
-    diagnostic_units = _of_rig("diagnostic_units")
-    diagnostics = _of_rig("diagnostics")
-    diagnostic_ranges = _of_rig("diagnostic_ranges")
-    diagnostic_names = _of_rig("diagnostic_names")
-    warning = _of_rig("warning")
-    clock_limits = _of_rig("clock_limits")
-    remarks = _of_rig("remarks")
-
-    def findings(self) -> tuple[Finding, ...]:
-        """Those of the rig."""
-        return self._rig.findings()
-
-    def clock_correction(self, slip: float = 0.0) -> float:
-        """That of the rig."""
-        return self._rig.clock_correction(slip)
-
-    def connect(self) -> None:
-        """Connects the rig."""
-        self._rig.connect()
-
-    def read(self) -> Reading:
-        """Reads the rig and counts a lost frame."""
-        try:
-            return self._rig.read()
-        finally:
-            if self._rig.health.frame_lost:
-                self._frames.count()
-
     def write(self, torques: Torques) -> Torques:
         """Writes zero torque instead of the given torques."""
         return self._rig.write((0.0,) * len(torques))
-
-    def close(self) -> None:
-        """Closes the rig."""
-        self._rig.close()
 
 
 _CHECK_EVERY = 0.05  # Time between two checks whether there are enough ticks [s]
@@ -113,11 +52,13 @@ class LimpTicks:
 
     Attributes:
         table: The ticks, at least one.
+        lost_frames: Number of frames that were lost.
         refused: The requests that the kernel refused; empty if there were none.
         fault: Why there are fewer ticks than requested; empty if there are not.
     """
 
     table: TickTable
+    lost_frames: int
     refused: str
     fault: str
 
@@ -130,19 +71,16 @@ def ticks_of(setup: RealtimeSetup, count: int) -> LimpTicks:
     """
     kept = _Memory()
     refused = ""
-    session = Session(setup, kept)
-    try:
-        with terminated_as_interrupted():
-            while kept.count < count and not session.over():
-                sleep(_CHECK_EVERY)
-                if session.board.state in (RigState.CALIBRATE, RigState.READY):
-                    refused = refused or session.message()
+    with Session(setup, kept) as session, terminated_as_interrupted():
+        while kept.count < count and not session.over():
+            sleep(_CHECK_EVERY)
+            if session.board.state in (RigState.CALIBRATE, RigState.READY):
+                refused = refused or session.message()
         fault = ended(session)
-    finally:
-        session.close()
+        lost = session.board.lost_frames
     if not kept.count:
         raise RigFault(fault)
-    return LimpTicks(TickTable(setup.units, np.concatenate(kept.blocks)[:count]), refused, fault)
+    return LimpTicks(TickTable(setup.units, np.concatenate(kept.blocks)[:count]), lost, refused, fault)
 
 
 def ended(session: Session) -> str:
@@ -186,6 +124,28 @@ class LastTick(TickSink):
                 self.fields |= {name: value for name, value in zip(self._names, row, strict=True) if isfinite(value)}
 
 
+@contextmanager
+def limp_robot(setup: RealtimeSetup) -> Iterator[Callable[[], Mapping[str, float]]]:
+    """Runs a limp robot within the block; yields a function that returns its last tick.
+
+    Args:
+        setup: Setup from `limp_setup`.
+
+    Raises:
+        RigFault: The rig failed.
+    """
+    last = LastTick(setup.units)
+    with Session(setup, last) as session, terminated_as_interrupted():
+
+        def look() -> Mapping[str, float]:
+            session.check()
+            return last.fields
+
+        while not look():
+            sleep(_CHECK_EVERY)
+        yield look
+
+
 def describe_devices(rig: Rig, fields: Mapping[str, float]) -> dict[str, str]:
     """Describes what the rig itself judges: temperatures, bus voltages and the state of inputs of its drives.
 
@@ -203,17 +163,16 @@ def describe_devices(rig: Rig, fields: Mapping[str, float]) -> dict[str, str]:
     }
 
 
-def limp_setup(make_rig: Callable[[], Rig], robot_control: RobotControl, frames: FrameCount) -> RealtimeSetup:
+def limp_setup(make_rig: Callable[[], Rig], robot_control: RobotControl) -> RealtimeSetup:
     """Creates the setup of a robot that gets no torque.
 
     Args:
         make_rig: Creates its rig; it must be possible to pickle it.
         robot_control: Computes the torques that are logged, but not written.
-        frames: Counts the lost frames.
     """
-    return RealtimeSetup(partial(_limp_robot, make_rig, robot_control, frames), robot_control)
+    return RealtimeSetup(partial(_limp_robot, make_rig, robot_control), robot_control)
 
 
-def _limp_robot(make_rig: Callable[[], Rig], robot_control: RobotControl, frames: FrameCount) -> LimpRig:
+def _limp_robot(make_rig: Callable[[], Rig], robot_control: RobotControl) -> LimpRig:
     rig = make_rig()
-    return LimpRig(rig, robot_control.limp_limits(rig), frames)
+    return LimpRig(rig, robot_control.limp_limits(rig))

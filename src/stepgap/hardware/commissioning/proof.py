@@ -13,6 +13,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.files import write_whole
 from stepgap.base.settings_file import LARGEST_SETTINGS_FILE
 
+JOG = "jog"  # Verb of `stepgap rig`, and folder of its logs
 LONGEST_AGE = timedelta(days=7)  # Time for which a result is valid
 
 

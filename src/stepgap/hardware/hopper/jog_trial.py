@@ -4,17 +4,23 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from math import atan2, cos, degrees, hypot, isnan, nan, pi, radians, tau
+from pathlib import Path
+from time import sleep
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stepgap.hardware.commissioning.jog import limp_robot, ticks_of_step
-from stepgap.hardware.commissioning.limp import FrameCount, limp_setup
+from stepgap.base.signals import terminated_as_interrupted
+from stepgap.hardware.commissioning.limp import ended, limp_robot, limp_setup
+from stepgap.hardware.commissioning.proof import JOG
 from stepgap.hardware.hopper.jog import FREQUENCY, MEASURED_TIME, HopperJog, link_angles
-from stepgap.hardware.realtime.consent import supervised
+from stepgap.hardware.realtime.board import Request
+from stepgap.hardware.realtime.consent import Consent, supervised
 from stepgap.hardware.realtime.loop import LoopSettings
 from stepgap.hardware.realtime.process import RealtimeSetup
+from stepgap.hardware.realtime.session import Session
+from stepgap.plants.ticks.tick_log import TickLog, next_path, read_intact_ticks
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.robots.hopper.tick.hop_control import HopperControl
@@ -187,6 +193,7 @@ def hand_failure(motor: int, turned: tuple[float, float]) -> str:
 
 
 MOTORS = (1, 2)
+_LOOK_EVERY = 0.02  # Time between two looks whether the trial of a motor has ended [s]
 
 
 def try_motors(make_rig: Callable[[], Rig], control: HopperControl, simulated: bool, settings: str) -> dict[str, Any]:
@@ -221,7 +228,7 @@ def try_motors(make_rig: Callable[[], Rig], control: HopperControl, simulated: b
 
 def _turn_by_hand(make_rig: Callable[[], Rig], control: HopperControl, motor: int) -> tuple[float, float]:
     """Angles by which the links turned while a person turned that of a motor forward by 45° [rad]."""
-    with limp_robot(limp_setup(make_rig, control, FrameCount())) as look:
+    with limp_robot(limp_setup(make_rig, control)) as look:
         _ask(f"Motor {motor}, without torque: hold its top link still and press Enter.")
         before = _links(look())
         _ask("Turn it forward by 45°, half a right angle, hold it there and press Enter.")
@@ -249,7 +256,7 @@ def _try_motor(
     jog = HopperJog.of(control, motor)
     loop, consent = supervised(LoopSettings(stand_time=0.01, landing_time=0.01), jog.consent_request, simulated)
     try:
-        log, ticks = ticks_of_step(RealtimeSetup(make_rig, jog, loop), consent, settings)
+        log, ticks = _ticks_of_step(RealtimeSetup(make_rig, jog, loop), consent, settings)
         answer = answer_of(ticks, motor)
     except (RigFault, ValueError) as fault:
         print(f"motor {motor}  not passed: {fault}")
@@ -263,3 +270,20 @@ def _try_motor(
     )
     print(f"motor {motor}  {f'not passed: {failure}' if failure else 'passed'}  ({log})")
     return {**asdict(answer), "failure": failure, "log": str(log)}
+
+
+def _ticks_of_step(setup: RealtimeSetup, consent: Consent, settings: str) -> tuple[Path, TickTable]:
+    """Runs a robot until the end of its first step, with the consent of a person; returns the log and its ticks."""
+    path = next_path(Path(JOG))
+    log = TickLog(path, setup.units, setup.described(settings))
+    with Session(setup, log) as session, terminated_as_interrupted():
+        session.await_ready()
+        with consent(session.board):
+            session.board.request = Request.START
+            while session.board.finished(0) is None and not ended(session):
+                session.check_sink()
+                sleep(_LOOK_EVERY)
+    if fault := session.message():
+        raise RigFault(f"{fault} ({path})")
+    units, rows, _ = read_intact_ticks(path)
+    return path, TickTable(units, rows)

@@ -15,7 +15,8 @@ from stepgap.hardware.ethercat.pdo import Pdo
 from stepgap.hardware.ethercat.pdo_sets import PDO_SETS
 from stepgap.hardware.ethercat.rig_settings import Encoder, Motor, Slave, WrittenPdo, WrittenPdoSet
 from stepgap.hardware.hopper.ethercat import Contact, RigSettings, hopper_on_ethercat
-from stepgap.rigs.rig import Health, Reading, Rig, RigFault, Torques
+from stepgap.rigs.rig import RigFault
+from stepgap.rigs.wrapped_rig import WrappedRig
 from stepgap.robots.ground import FLAT_GROUND, UnevenGround
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.tick.limits import SafetyLimits
@@ -160,7 +161,7 @@ def _limits(torque: float, jitter: float, ground: float) -> SafetyLimits:
     )
 
 
-class RingRig(Rig):
+class RingRig(WrappedRig):
     """A machine behind an emulated ring that runs in a separate process while the rig is connected.
 
     Args:
@@ -173,32 +174,12 @@ class RingRig(Rig):
     def __init__(
         self, make_machine: Callable[[], Machine], ring: RingSettings, settings: RigSettings, robot: RobotParameters
     ):
+        super().__init__(hopper_on_ethercat(settings, robot))
         self._make_machine = make_machine
         self._ring = ring
         self._settings = settings
         self._robot = robot
-        self._rig = hopper_on_ethercat(settings, robot)
         self._running = ExitStack()
-        self._sensor_model = settings.sensor_model(robot.boom_length)
-
-    @property
-    def sensor_model(self) -> HopperSensorModel:
-        """Sensor model of the settings."""
-        return self._sensor_model
-
-    @property
-    def limits(self) -> SafetyLimits:
-        """Safety limits of the settings."""
-        return self._settings.limits
-
-    @property
-    def health(self) -> Health:
-        """Whether the last frame was lost."""
-        return self._rig.health
-
-    def clock_correction(self, slip: float = 0.0) -> float:
-        """That of the master."""
-        return self._rig.clock_correction(slip)
 
     def connect(self) -> None:
         """Starts the ring with its machine in the starting pose, and brings the bus up like a real one.
@@ -217,14 +198,6 @@ class RingRig(Rig):
         except BaseException:
             self.close()  # or the ring would keep its interface
             raise
-
-    def read(self) -> Reading:
-        """Reads the sensors as `EthercatRig.read` does."""
-        return self._rig.read()
-
-    def write(self, torques: Torques) -> Torques:
-        """Writes the torques as `EthercatRig.write` does."""
-        return self._rig.write(torques)
 
     def close(self) -> None:
         """Switches torque off and ends bus and ring; may be called twice."""

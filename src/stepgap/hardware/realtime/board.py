@@ -6,11 +6,11 @@ while they are written. So an incomplete one is never used. This requires that s
 on x86-64; on ARM it holds in practice, since the interpreter executes much code between two stores.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from itertools import accumulate, pairwise
 from multiprocessing.shared_memory import SharedMemory
-from typing import NamedTuple, Self
+from typing import Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 
@@ -42,6 +42,7 @@ class Field(IntEnum):
     TOUCHDOWN_NUMBER = 14
     COMMAND_VERSION = 15
     TOUCHDOWN_VERSION = 16
+    LOST_FRAMES = 17
 
 
 class Request(IntEnum):
@@ -64,6 +65,23 @@ class StepEnd(NamedTuple):
     status: StepStatus
 
 
+Content = TypeVar("Content", bound=int)
+
+
+class _Word(Generic[Content]):
+    """A word of the board as an attribute."""
+
+    def __init__(self, field: Field, kind: Callable[[int], Content]):
+        self._field = field
+        self._kind = kind
+
+    def __get__(self, board: "Board", owner: object) -> Content:
+        return self._kind(board._words[self._field])
+
+    def __set__(self, board: "Board", value: Content) -> None:
+        board._words[self._field] = value
+
+
 class Board:
     """Shared memory of a real-time process and the process that started it.
 
@@ -72,7 +90,24 @@ class Board:
         states: Number of state coordinates of the robot, n.
         commands: Number of command coordinates of the robot, m.
         context: Number of quantities of its context.
+
+    Attributes:
+        request: The latest request of a person.
+        emergency_stop: Whether the software stop was requested; the request cannot be revoked.
+        presses: Number of times that the key came by which a person consents to torque, as long as it is held.
+        state: State of the real-time process.
+        ticks: Number of ticks so far.
+        missed_ticks: Number of missed ticks so far.
+        lost_frames: Number of frames of the bus that were lost so far.
     """
+
+    request = _Word(Field.REQUEST, Request)
+    emergency_stop = _Word(Field.EMERGENCY_STOP, bool)
+    presses = _Word(Field.PRESSES, int)
+    state = _Word(Field.RIG_STATE, RigState)
+    ticks = _Word(Field.TICKS, int)
+    missed_ticks = _Word(Field.MISSED_TICKS, int)
+    lost_frames = _Word(Field.LOST_FRAMES, int)
 
     def __init__(self, memory: SharedMemory, states: int, commands: int, context: int):
         assert memory.buf is not None  # until it is closed
@@ -110,73 +145,39 @@ class Board:
         """Name by which another process attaches."""
         return self._memory.name
 
-    @property
-    def request(self) -> Request:
-        """The latest request of a person."""
-        return Request(self._words[Field.REQUEST])
-
-    @request.setter
-    def request(self, request: Request) -> None:
-        self._words[Field.REQUEST] = request
-
-    @property
-    def emergency_stop(self) -> bool:
-        """Whether the software stop was requested; the request cannot be revoked."""
-        return self._words[Field.EMERGENCY_STOP] != 0
-
-    @property
-    def presses(self) -> int:
-        """Number of times that the key came by which a person consents to torque, as long as it is held."""
-        return self._words[Field.PRESSES]
-
-    @presses.setter
-    def presses(self, presses: int) -> None:
-        self._words[Field.PRESSES] = presses
-
     def stop_at_once(self) -> None:
         """Requests the software stop: torque off at the next tick. Only a contactor or STO is an emergency stop."""
         self._words[Field.EMERGENCY_STOP] = 1
 
     def post_command(self, number: int, command: Sequence[float]) -> None:
         """Posts the command of a step, m numbers; it replaces the one that was posted before."""
-        self._words[Field.COMMAND_VERSION] += 1
-        self._write(self._command, command)
-        self._words[Field.COMMAND_NUMBER] = number
-        self._words[Field.COMMAND_VERSION] += 1
+        self._post(Field.COMMAND_NUMBER, Field.COMMAND_VERSION, self._command, number, command)
 
     def command(self, number: int) -> tuple[float, ...] | None:
         """The command of a step, m numbers; None if it has not been posted."""
-        words = self._words
-        version = words[Field.COMMAND_VERSION]
-        if version % 2 or words[Field.COMMAND_NUMBER] != number:
-            return None
-        command = tuple(self._numbers[self._command].tolist())
-        return command if words[Field.COMMAND_VERSION] == version else None
-
-    @property
-    def state(self) -> RigState:
-        """State of the real-time process."""
-        return RigState(self._words[Field.RIG_STATE])
-
-    @state.setter
-    def state(self, state: RigState) -> None:
-        self._words[Field.RIG_STATE] = state
+        return self._posted(Field.COMMAND_NUMBER, Field.COMMAND_VERSION, self._command, number)
 
     def post_touchdown(self, number: int, context: Sequence[float]) -> None:
         """Posts what the touchdown of a step has found, in the order of the robot's context."""
-        self._words[Field.TOUCHDOWN_VERSION] += 1
-        self._write(self._found, context)
-        self._words[Field.TOUCHDOWN_NUMBER] = number
-        self._words[Field.TOUCHDOWN_VERSION] += 1
+        self._post(Field.TOUCHDOWN_NUMBER, Field.TOUCHDOWN_VERSION, self._found, number, context)
 
     def touchdown(self, number: int) -> tuple[float, ...] | None:
         """What the touchdown of a step has found; None before it and after that of the next one."""
+        return self._posted(Field.TOUCHDOWN_NUMBER, Field.TOUCHDOWN_VERSION, self._found, number)
+
+    def _post(self, number_at: Field, version_at: Field, part: slice, number: int, values: Sequence[float]) -> None:
+        self._words[version_at] += 1
+        self._write(part, values)
+        self._words[number_at] = number
+        self._words[version_at] += 1
+
+    def _posted(self, number_at: Field, version_at: Field, part: slice, number: int) -> tuple[float, ...] | None:
         words = self._words
-        version = words[Field.TOUCHDOWN_VERSION]
-        if version % 2 or words[Field.TOUCHDOWN_NUMBER] != number:
+        version = words[version_at]
+        if version % 2 or words[number_at] != number:
             return None
-        context = tuple(self._numbers[self._found].tolist())
-        return context if words[Field.TOUCHDOWN_VERSION] == version else None
+        values = tuple(self._numbers[part].tolist())
+        return values if words[version_at] == version else None
 
     def post_step(self, number: int, end: StepEnd) -> None:
         """Posts how a step ended; the number of the one that begins when the robot is released is 0."""
@@ -211,16 +212,6 @@ class Board:
         words[Field.MISSED_TICKS] += missed
         if late > numbers[Field.WORST_LATENESS]:
             numbers[Field.WORST_LATENESS] = late
-
-    @property
-    def ticks(self) -> int:
-        """Number of ticks so far."""
-        return self._words[Field.TICKS]
-
-    @property
-    def missed_ticks(self) -> int:
-        """Number of missed ticks so far."""
-        return self._words[Field.MISSED_TICKS]
 
     @property
     def worst_lateness(self) -> float:

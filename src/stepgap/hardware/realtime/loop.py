@@ -189,11 +189,19 @@ class ControlLoop:
         self._board.count_tick(late, missed)
         time = self._clock.begin(late)
         try:
-            reading = self._rig.read()
+            reading = self._read()
             health = self._rig.health._replace(late=missed, emergency_stop=self._board.emergency_stop)
             return self._act(reading, health, late)
         except RigFault as fault:
             return self._end_with(fault, time, late)
+
+    def _read(self) -> Reading:
+        """Reads the rig and counts a lost frame."""
+        try:
+            return self._rig.read()
+        finally:
+            if self._rig.health.frame_lost:
+                self._board.lost_frames += 1
 
     def _act(self, reading: Reading, health: Health, late: float) -> bool:
         """Computes and writes the torques; returns False when the robot is off."""
@@ -314,7 +322,7 @@ class ControlLoop:
     def _repeat(self, now: float) -> bool:
         """Exchanges a frame between two ticks, at a time [s]; returns False if the rig fails."""
         try:
-            self._rig.read()
+            self._read()
             self._rig.write(self._applied)
         except RigFault as fault:
             return self._end_with(fault, now, 0.0)

@@ -8,7 +8,7 @@ from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from threading import Event, Thread
 from time import sleep
-from typing import Protocol
+from typing import Protocol, Self
 
 from stepgap.hardware.realtime.board import Board, Request
 from stepgap.hardware.realtime.loop import LoopSettings
@@ -91,7 +91,7 @@ class TickSink(Protocol):
 class Session:
     """A real-time process, its shared memory, the thread that reads its ticks, and the one that watches them.
 
-    A process that makes no ticks any more is killed.
+    A process that makes no ticks any more is killed. Leaving its context closes the session.
 
     Args:
         setup: Setup of the process.
@@ -185,6 +185,12 @@ class Session:
             self._process.join(self._exit_timeout)
         finally:
             self._end()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
 
     def _end(self) -> None:
         """Ends the process, if it is still running, and releases all resources."""

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.ticks.stream import OnTicks
-from stepgap.rigs.limits import RigLimits
-from stepgap.rigs.rig import Health, Reading, Rig, SensorModel, Torques
+from stepgap.rigs.rig import Reading, Rig
+from stepgap.rigs.wrapped_rig import WrappedRig
 from stepgap.robots.hopper.tick.hop_control import HopperControl
 from stepgap.robots.hopper.twin.twin import Twin
 
@@ -46,7 +46,7 @@ def _true_columns(twin: Twin) -> tuple[float, ...]:
     return (*true.hip, *true.boom, (front + rear) / 2, (front - rear) / 2, *true.foot, true.ground_height)
 
 
-class _ObservedRig(Rig):
+class _ObservedRig(WrappedRig):
     """A rig that reports every reading.
 
     Args:
@@ -55,39 +55,10 @@ class _ObservedRig(Rig):
     """
 
     def __init__(self, rig: Rig, on_read: Callable[[], None]):
-        self._rig = rig
+        super().__init__(rig)
         self._on_read = on_read
-
-    @property
-    def sensor_model(self) -> SensorModel:
-        return self._rig.sensor_model
-
-    @property
-    def limits(self) -> RigLimits | None:
-        return self._rig.limits
-
-    @property
-    def health(self) -> Health:
-        return self._rig.health
-
-    @property
-    def truth(self) -> tuple[float, ...]:
-        return self._rig.truth
-
-    @property
-    def released(self) -> tuple[float, ...]:
-        return self._rig.released
-
-    def connect(self) -> None:
-        self._rig.connect()
 
     def read(self) -> Reading:
         reading = self._rig.read()
         self._on_read()
         return reading
-
-    def write(self, torques: Torques) -> Torques:
-        return self._rig.write(torques)
-
-    def close(self) -> None:
-        self._rig.close()
