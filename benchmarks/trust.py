@@ -14,7 +14,7 @@ step by step, exceed those without learning by more than 3 standard errors, from
 and their root mean square by more than 10 %. A deployment in which one of the two fell is judged up to the fall.
 
     ./go python -m benchmarks.trust --out trust.jsonl [--robots walker,stroller,hopper,quadruped,monopod] [--cases 40]
-        [--first-seed 1000] [--policy FOLDER] [--methods default,online]
+        [--first-seed 1000] [--policy FOLDER] [--methods default,online] [--largest-change 0.25]
 
 `--out` receives a line of JSON for each case as soon as it is done; cases in it are not computed again, so an
 interrupted run continues where it was. `--policy` is the folder of a Go1 policy, and adds the robot `go1`.
@@ -38,6 +38,7 @@ from benchmarks.disturbed_plant import METHODS, UNCORRECTED, DisturbedPlant, fin
 from benchmarks.trust_robots import TrustRobot, robots
 from benchmarks.wrong_warm_start import SOURCES, known_steps
 from stepgap.base.random_streams import random_stream
+from stepgap.control.settings import ControlSettings
 from stepgap.experiment.loop import Observer, Plants, Setup, run_experiment
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
@@ -67,6 +68,7 @@ class Case(NamedTuple):
     robot: str
     number: int
     policy: Path | None
+    control: ControlSettings
 
     @property
     def planted(self) -> str:
@@ -103,7 +105,7 @@ def run(robot: TrustRobot, case: Case, learning: LearningSettings, known: Steps 
     number, log = count(), list[LoggedStep]()
     plants = Plants(lambda rng: plant_of(robot, case, next(number), rng))
     learning = replace(learning, iterations=REDEPLOYMENTS, early_stop=False)
-    setup = Setup(robot.nominal, plants, robot.reference, learning, seed=case.number, known=known, priors=robot.priors)
+    setup = Setup(robot.nominal, plants, robot.reference, learning, case.control, case.number, known, robot.priors)
     with tempfile.TemporaryDirectory() as folder:
         run_experiment(setup, Path(folder), Observer(on_step=log.append))
     return [Steps(robot.nominal.space, log).of_iteration(k) for k in range(REDEPLOYMENTS + 1)]
@@ -209,12 +211,14 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=1000)
     parser.add_argument("--policy", type=Path)
     parser.add_argument("--methods", default=",".join(METHODS))
+    parser.add_argument("--largest-change", type=float, default=1.0, help="control.largest_change, of both runs")
     given = parser.parse_args()
     names = given.robots.split(",") if given.robots else list(robots(given.policy))
     rows: list[Row] = [json.loads(line) for line in given.out.open()] if given.out.exists() else []
     done = {(row["robot"], row["case"]) for row in rows}
     numbers = range(given.first_seed, given.first_seed + given.cases)
-    cases = [Case(name, number, given.policy) for number, name in product(numbers, names)]
+    control = ControlSettings(largest_change=given.largest_change)
+    cases = [Case(name, number, given.policy, control) for number, name in product(numbers, names)]
     waiting = [case for case in cases if case[:2] not in done]
     with given.out.open("a", encoding="utf-8") as out:
         for _, row in finished(partial(measure, methods=given.methods.split(",")), waiting):
