@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stepgap.base.errors import InputError
-from stepgap.logs import foreign_log
 from stepgap.logs.columns import Columns, read_columns
 from stepgap.logs.foreign_log import FoundSteps, read_foreign_logs, step_log_of
+from stepgap.logs.tables import reading
 from stepgap.records.steps_csv import RecordError
 
 NUMBERS = st.floats(-1e12, 1e12) | st.just(float("nan"))
@@ -147,7 +147,7 @@ def test_faults_of_a_file_are_named(text: str, message: str) -> None:
 
 
 def test_a_file_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(foreign_log, "LARGEST_LOG", 20)
+    monkeypatch.setattr(reading, "LARGEST_LOG", 20)
     (tmp_path / "log.csv").write_text("v,y,v2,y2,f\n1,2,3,4,5\n")
     with pytest.raises(RecordError, match="larger than 20 bytes"):
         read_foreign_logs([tmp_path / "log.csv"], WHOLE)

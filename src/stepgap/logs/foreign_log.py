@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from stepgap.base.errors import InputError
 from stepgap.learning.steps import Labels, Steps
 from stepgap.logs.columns import ROLES, Columns, column_of, read_columns
-from stepgap.logs.tables.files import LARGEST_LOG
 from stepgap.logs.tables.log_table import LogTable
 from stepgap.logs.tables.reading import chosen_table, read_log_tables
 from stepgap.records.steps_csv import RecordError
@@ -49,7 +48,7 @@ def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> FoundSteps:
     found = 0
     for path in paths:
         roles = columns.numbers | ({columns.deployment: "deployment"} if columns.deployment else {})
-        rows = chosen_table(path, read_log_tables(path, columns.format, LARGEST_LOG), list(roles), roles)
+        rows = chosen_table(path, read_log_tables(path, columns.format), list(roles), roles)
         part, deployment, missing = _steps_of(rows, columns)
         origins += map(rows.row, part.pop("row")[:, 0].tolist())
         parts.append(part)

@@ -156,43 +156,42 @@ def test_columns_from_a_file(stepgap: Command) -> None:
     assert "nominal     the target" in result.out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "parts"),
-    [
-        ("fit", ["LOG: none given"]),
-        ("fit none.csv", ["none.csv: No such file or directory; give the folder of a run"]),
-        ("fit folder", ["folder/steps.csv: No such file or directory; give the folder of a run"]),
-        ("fit log.csv", ["log.csv, line 1: the columns must be iteration,", "name its columns, see --help"]),
-        ("fit folder --yaw psi", ["folder: a folder that is not a run, which has a steps.csv; give the log's file"]),
-        ("fit run --yaw psi", ["run: a run, whose columns are known; leave out --yaw"]),
-        (
-            "fit header.csv --state v --command fx --nominal state",
-            ["no row holds a complete step; rows left out: 1 at"],
-        ),
-        ("fit log.csv --state v,y", ["--command: no column"]),
-        ("fit log.csv --state w,y --command fx", ["log.csv, line 1: state 'w': no column 'w'; there is v, y, fx"]),
-        ("fit log.csv --state v,y --command fxx", ["command 'fxx': no column 'fxx'; did you mean 'fx'?"]),
-        ("fit log.csv --state v, --command fx", ["--state = 'v,', but it must be names, and none may"]),
-        ("fit log.csv --columns none.toml", ["none.toml: No such file or directory"]),
-        ("fit log.csv --columns file", ["file: not TOML"]),
-        ("fit log.csv --state v,y --command fx,fy", ["--nominal: the log contains no predicted next states; name"]),
-        ("fit log.csv --state v,y --command fx --nominal map", ["--nominal map: state and command are v,y,fx; it"]),
-        ("fit log.csv --state v,y --command fx --nominal target", ["--nominal target: the log has none; name"]),
-        ("fit log.csv --state v,y --command fx --nominal mean", ["--nominal", "mean"]),
-        ("fit log.csv --state v --command fx --nominal state --gains.stiffness 3", ["state: it has no settings"]),
-        ("fit log.csv --state v --command fx --nominal state --folds 1", ["--folds 1: it must lie between 2 and"]),
-        ("fit log.csv --state v --command fx --nominal state --folds x", ["--folds", "x"]),
-        ("fit few.csv --state v --command fx --nominal state", ["few.csv: 4 usable steps, but there must be 20 to"]),
-        ("fit log.csv --out file", ["file: exists already; choose another --out"]),
-        ("fit log.csv --save file", ["file: exists already; choose another --save"]),
-        ("fit log.csv --plot file", ["file: exists already; choose another --plot"]),
-        ("fit log.csv --plot none/fit.png", ["none/fit.png: cannot be written", "choose another --plot"]),
-        ("fit log.csv --plot fit.xyz", ["fit.xyz: the name must end with one of .pdf, .png, .svg"]),
-        ("fit log.csv --gains.stifness 3", ["--gains.stifness: unknown key; did you mean stiffness?"]),
-        ("fit run --learning.residual linear", ["--learning.residual: every residual is fitted, without settings of"]),
-    ],
-)
-def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, parts: list[str]) -> None:
+WRONG = [
+    ("fit", ["LOG: none given"]),
+    ("fit none.csv", ["none.csv: No such file or directory; give the folder of a run"]),
+    ("fit folder", ["folder/steps.csv: No such file or directory; give the folder of a run"]),
+    ("fit log.csv", ["log.csv, line 1: the columns must be iteration,", "name its columns, see --help"]),
+    ("fit folder --yaw psi", ["folder: a folder that is not a run, which has a steps.csv; give the log's file"]),
+    ("fit run --yaw psi", ["run: a run, whose columns are known; leave out --yaw"]),
+    (
+        "fit header.csv --state v --command fx --nominal state",
+        ["no row holds a complete step; rows left out: 1 at"],
+    ),
+    ("fit log.csv --state v,y", ["--command: no column"]),
+    ("fit log.csv --state w,y --command fx", ["log.csv, line 1: state 'w': no column 'w'; there is v, y, fx"]),
+    ("fit log.csv --state v,y --command fxx", ["command 'fxx': no column 'fxx'; did you mean 'fx'?"]),
+    ("fit log.csv --state v, --command fx", ["--state = 'v,', but it must be names, and none may"]),
+    ("fit log.csv --columns none.toml", ["none.toml: No such file or directory"]),
+    ("fit log.csv --columns file", ["file: not TOML"]),
+    ("fit log.csv --state v,y --command fx,fy", ["--nominal: the log contains no predicted next states; name"]),
+    ("fit log.csv --state v,y --command fx --nominal map", ["--nominal map: state and command are v,y,fx; it"]),
+    ("fit log.csv --state v,y --command fx --nominal target", ["--nominal target: the log has none; name"]),
+    ("fit log.csv --state v,y --command fx --nominal mean", ["--nominal", "mean"]),
+    ("fit log.csv --state v --command fx --nominal state --gains.stiffness 3", ["state: it has no settings"]),
+    ("fit log.csv --state v --command fx --nominal state --folds 1", ["--folds 1: it must lie between 2 and"]),
+    ("fit log.csv --state v --command fx --nominal state --folds x", ["--folds", "x"]),
+    ("fit few.csv --state v --command fx --nominal state", ["few.csv: 4 usable steps, but there must be 20 to"]),
+    ("fit log.csv --out file", ["file: exists already; choose another --out"]),
+    ("fit log.csv --save file", ["file: exists already; choose another --save"]),
+    ("fit log.csv --plot file", ["file: exists already; choose another --plot"]),
+    ("fit log.csv --plot none/fit.png", ["none/fit.png: cannot be written", "choose another --plot"]),
+    ("fit log.csv --plot fit.xyz", ["fit.xyz: the name must end with one of .pdf, .png, .svg"]),
+    ("fit log.csv --gains.stifness 3", ["--gains.stifness: unknown key; did you mean stiffness?"]),
+    ("fit run --learning.residual linear", ["--learning.residual: every residual is fitted, without settings of"]),
+]
+
+
+def test_bad_input_is_refused_in_one_line(stepgap: Command) -> None:
     Path("file").write_text("keep me")
     Path("folder").mkdir()
     write_log(Path("log.csv"), 0.0)
@@ -200,7 +199,8 @@ def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, part
     write_log(Path("header.csv"), 0.0, count=1)
     write_run(Path("run"), 0.0)
     before = {path: path.read_bytes() for path in Path().iterdir() if path.is_file()}
-    refused(stepgap(*arguments.split()), *parts)
+    for arguments, parts in WRONG:
+        refused(stepgap(*arguments.split()), *parts)
     assert {path: path.read_bytes() for path in Path().iterdir() if path.is_file()} == before
 
 

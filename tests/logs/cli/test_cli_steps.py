@@ -153,33 +153,34 @@ def test_a_doubtful_log_is_refused_after_its_figure(log: HoppingLog, stepgap: Co
     assert len(log.apexes) == 30
 
 
+WRONG = [
+    ((*APEXES,), ("LOG: none given; give logs of the robot's motion",)),
+    (("log.csv", *STATE), ("--height = ''", "it must be the column of the height")),
+    (("log.csv", "--height", "height"), ("--state = ''",)),
+    (("log.csv", "--height", "hieght", *STATE), ("log.csv: no column 'hieght'; did you mean 'height'?",)),
+    (("gone.csv", *APEXES), ("gone.csv: No such file or directory",)),
+    (("log.csv", "--plan", "log.csv", "--plan", "plan.csv", *APEXES), ("--plan: 2 files for 1 logs",)),
+    (("log.csv", *APEXES), ("log.csv: no column 'number'",)),
+    (("log.csv", "--columns", "gone.toml"), ("gone.toml: No such file or directory",)),
+    (("log.csv", "--force", "height", *APEXES), ("log.csv, column 'height': from 0.", "subtract the offset")),
+    (("log.csv", "--phase", "phase", "--aerial", "AIR", *APEXES), ("no phase 'AIR'; there is FLIGHT, STANCE",)),
+    (("log.csv", "--contact", "force", *APEXES), ("a contact must be 0 or 1; use it as a --force",)),
+    (("log.csv", *APEXES, "--plot", "figure.gif"), ("figure.gif: the name must end with one of .pdf, .png, .svg",)),
+]
+
+
 @pytest.mark.usefixtures("log")
-@pytest.mark.parametrize(
-    ("arguments", "parts"),
-    [
-        ((*APEXES,), ("LOG: none given; give logs of the robot's motion",)),
-        (("log.csv", *STATE), ("--height = ''", "it must be the column of the height")),
-        (("log.csv", "--height", "height"), ("--state = ''",)),
-        (("log.csv", "--height", "hieght", *STATE), ("log.csv: no column 'hieght'; did you mean 'height'?",)),
-        (("gone.csv", *APEXES), ("gone.csv: No such file or directory",)),
-        (("log.csv", "--plan", "log.csv", "--plan", "plan.csv", *APEXES), ("--plan: 2 files for 1 logs",)),
-        (("log.csv", *APEXES), ("log.csv: no column 'number'",)),
-        (("log.csv", "--columns", "gone.toml"), ("gone.toml: No such file or directory",)),
-        (("log.csv", "--force", "height", *APEXES), ("log.csv, column 'height': from 0.", "subtract the offset")),
-        (("log.csv", "--phase", "phase", "--aerial", "AIR", *APEXES), ("no phase 'AIR'; there is FLIGHT, STANCE",)),
-        (("log.csv", "--contact", "force", *APEXES), ("a contact must be 0 or 1; use it as a --force",)),
-        (("log.csv", *APEXES, "--plot", "figure.gif"), ("figure.gif: the name must end with one of .pdf, .png, .svg",)),
-    ],
-)
-def test_wrong_input_is_refused(arguments: tuple[str, ...], parts: tuple[str, ...], stepgap: Command) -> None:
-    refused(stepgap("steps", *arguments, "--out", "steps.csv"), *parts)
+def test_wrong_input_is_refused(stepgap: Command) -> None:
+    for arguments, parts in WRONG:
+        refused(stepgap("steps", *arguments, "--out", "steps.csv"), *parts)
     assert not Path("steps.csv").exists()
 
 
 @pytest.mark.usefixtures("log")
-@pytest.mark.parametrize("taken", ["steps.csv", "steps.toml", "steps.png"])
-def test_nothing_is_overwritten(taken: str, stepgap: Command) -> None:
-    Path(taken).write_text("mine")
-    refused(stepgap("steps", "log.csv", *APEXES, "--out", "steps.csv"), f"{taken}: exists already")
-    assert Path(taken).read_text() == "mine"
-    assert len(list(Path().glob("steps.*"))) == 1
+def test_nothing_is_overwritten(stepgap: Command) -> None:
+    for taken in map(Path, ("steps.csv", "steps.toml", "steps.png")):
+        taken.write_text("mine")
+        refused(stepgap("steps", "log.csv", *APEXES, "--out", "steps.csv"), f"{taken}: exists already")
+        assert taken.read_text() == "mine"
+        assert list(Path().glob("steps.*")) == [taken]
+        taken.unlink()

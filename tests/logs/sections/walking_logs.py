@@ -49,7 +49,7 @@ def walking(duration: float, seed: int, tick: float = 0.005) -> WalkingLog:
     # It follows with a lag of first order, and moves along its middle direction in each tick.
     followed = tick / LAG * (0.8 * felt + 0.03)
     followed[0] = 0.0
-    velocity = lfilter([1.0], [1.0, tick / LAG - 1.0], followed, axis=0)
+    velocity = np.asarray(lfilter([1.0], [1.0, tick / LAG - 1.0], followed, axis=0), float)
     forward, left, turn = velocity.T
     yaw = np.cumsum(tick * turn)
     middle = yaw - tick * turn / 2

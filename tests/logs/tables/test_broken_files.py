@@ -262,14 +262,20 @@ BROKEN: dict[str, tuple[bytes | Callable[[Path], None], str]] = {
 @pytest.fixture(autouse=True)
 def _small_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """So that bombs need not be large."""
-    for limit in ("matlab._LARGEST_MAT", "arrays._LARGEST_ARRAY_FILE", "files.LARGEST_PART", "hdf5.LARGEST_PART"):
+    for limit in (
+        "matlab._LARGEST_MAT",
+        "arrays._LARGEST_ARRAY_FILE",
+        "files.LARGEST_PART",
+        "hdf5.LARGEST_PART",
+        "reading.LARGEST_LOG",
+    ):
         monkeypatch.setattr(f"stepgap.logs.tables.{limit}", 2**22)
     monkeypatch.setattr("stepgap.logs.tables.log_table.MOST_NUMBERS", 10**6)
     monkeypatch.setattr("stepgap.logs.tables.hdf5._MOST_OBJECTS", 100)
 
 
 def read_numbers(path: Path) -> None:
-    table = chosen_table(path, read_log_tables(path, largest=2**22), WANTED)
+    table = chosen_table(path, read_log_tables(path), WANTED)
     for column in WANTED:
         table.numbers(column)
 

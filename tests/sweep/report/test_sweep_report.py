@@ -182,7 +182,6 @@ def test_an_unfinished_sweep_says_so(tmp_path: Path) -> None:
     assert "No deployment was aborted by a failed step." in page.text
 
 
-@pytest.mark.usefixtures("drawn_page", "unplaced")
 @pytest.mark.parametrize("count", [1, 2, 9])
 def test_few_cases_have_a_page(tmp_path: Path, count: int) -> None:
     settings = {"a": [str(row % 2) for row in range(count)], "seed": list(map(str, range(count)))}
@@ -203,7 +202,6 @@ def test_all_cases_failed(tmp_path: Path) -> None:
     assert "reason 20" not in page.text
 
 
-@pytest.mark.usefixtures("drawn_page", "unplaced")
 def test_all_cases_are_aborted(tmp_path: Path) -> None:
     settings = combinations_of({"a": range(3), "seed": range(10)})
     folder = write_results_table(tmp_path, settings, np.ones((30, 2, 2)), aborted=dict.fromkeys(range(30), 1))
@@ -214,7 +212,6 @@ def test_all_cases_are_aborted(tmp_path: Path) -> None:
     assert "Cases whose last deployment was aborted (the first 10 of 30)" in page.text
 
 
-@pytest.mark.usefixtures("drawn_page", "unplaced")
 def test_deployment_0_alone(tmp_path: Path) -> None:
     settings = combinations_of({"a": range(3), "seed": range(10)})
     errors = np.random.default_rng(0).uniform(1, 2, (30, 1, 1))
@@ -238,7 +235,6 @@ def test_what_is_not_tracked_is_left_out(package: Path, stepgap: Command, monkey
     assert "pitch" not in page.text.partition("Settings that no axis changes")[0].replace("pitching", "")
 
 
-@pytest.mark.usefixtures("drawn_page", "unplaced")
 def test_only_the_first_settings_are_drawn(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     settings = {f"s{row:02d}": list(map(str, rng.integers(0, 2, 200))) for row in range(10)}

@@ -9,7 +9,6 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from stepgap.logs.tables.files import LARGEST_LOG
 from stepgap.logs.tables.log_table import LogColumn, LogTable, unknown_column
 from stepgap.logs.tables.reading import read_log_tables, with_topic
 from stepgap.logs.tables.text import AS_FOUND, TextFormat
@@ -127,9 +126,7 @@ def read_signal_log(text: str, time: str, factors: Mapping[str, float], written:
     Raises:
         RecordError: A file cannot be read, has no time, or its times decrease.
     """
-    return _signal_log(
-        text, [(path, read_log_tables(path, written, LARGEST_LOG)) for path in _paths(text)], time, factors
-    )
+    return _signal_log(text, [(path, read_log_tables(path, written)) for path in _paths(text)], time, factors)
 
 
 def read_deployments(
@@ -147,7 +144,7 @@ def read_deployments(
     Raises:
         RecordError: A file cannot be read, or has no such column; as of `read_signal_log`, for each deployment.
     """
-    files = [(path, read_log_tables(path, written, LARGEST_LOG)) for path in _paths(text)]
+    files = [(path, read_log_tables(path, written)) for path in _paths(text)]
     logs: dict[str, list[tuple[Path, dict[str, LogTable]]]] = {}
     for path, tables in files:
         found = dict(_with_deployments(tables, files[0][1], deployment))

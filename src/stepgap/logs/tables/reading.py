@@ -32,9 +32,7 @@ _GIT_LFS = b"version https://git-lfs"
 NO_ROLES: Mapping[str, str] = MappingProxyType({})  # Columns whose meaning is not known
 
 
-def read_log_tables(
-    path: str | Path, written: TextFormat = AS_FOUND, largest: int = LARGEST_LOG
-) -> Mapping[str, LogTable]:
+def read_log_tables(path: str | Path, written: TextFormat = AS_FOUND) -> Mapping[str, LogTable]:
     """Reads all tables of a log.
 
     A part that cannot be read, such as a topic or a column, is left out; a `StepGapWarning` names it, and so does the
@@ -43,7 +41,6 @@ def read_log_tables(
     Args:
         path: The file.
         written: How the numbers of a text file are written.
-        largest: Largest text that is read [bytes].
 
     Returns:
         The tables by topic or group; by "" for the only table of a file without topics.
@@ -58,7 +55,7 @@ def read_log_tables(
     else:
         tables = _binary_tables(path, begin_of(path), unread)
     if tables is None:
-        content = content_of(path, largest)
+        content = content_of(path, LARGEST_LOG)
         if content.startswith(_GIT_LFS):
             raise RecordError(f"{path}: not the file, but what Git LFS has in its place; get it by `git lfs pull`")
         text = decoded(content, written.encoding, str(path))
