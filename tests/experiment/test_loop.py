@@ -579,7 +579,16 @@ def test_a_run_interrupted_at_any_point_gives_the_same_result(
     if not with_summary:
         (copy / "summary.json").unlink(missing_ok=True)
     run_in(copy)
+    (copy / "steps.csv.before").unlink(missing_ok=True)
     assert contents(copy) == contents(unbroken)
+
+
+def test_rows_that_a_lost_summary_counted_are_kept(copy: Path) -> None:
+    before = contents(copy)["steps.csv"]
+    (copy / "summary.json").unlink()
+    run_in(copy, seed=4)
+    assert contents(copy)["steps.csv"] != before
+    assert contents(copy)["steps.csv.before"] == before
 
 
 def counting(make_plant: MakePlant, made: list[int]) -> MakePlant:

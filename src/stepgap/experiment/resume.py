@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from shutil import copyfile
 from typing import Self
 
 from stepgap.experiment.deployment import ExecutedSteps
@@ -23,6 +24,7 @@ class Recording:
 
     Deployments that `summary.json` verifies by its digest are taken as they are recorded. A plant that takes the same
     steps again begins the next one from its seed: the rows of an interrupted deployment are removed and written again.
+    If the summary is lost, all deployments are, and the rows of before are kept in `steps.csv.before`.
     Any other plant, such as hardware, keeps them as a deployment that is not continued. Use it as a context manager,
     and call `steps` for one deployment after the other.
 
@@ -72,6 +74,11 @@ class Recording:
             while self._recorded and self._recorded[0].iteration == iteration:
                 yield self._recorded.popleft()
             return
+        if self._recorded and self._recorded[-1].iteration > iteration:
+            # Finished deployments are taken again, since the summary that counted them is lost: their rows are kept.
+            kept = self._path.with_name("steps.csv.before")
+            if not kept.exists():
+                copyfile(self._path, kept)
         self._writer.cut(len(self._writer.recorded) - len(self._recorded))
         self._recorded.clear()
         with closing(execute()) as executed:
