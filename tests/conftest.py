@@ -28,6 +28,7 @@ from tests.quick_runs import (
     leave_out_report,
 )
 from tests.robots.plug_in import install
+from tests.shared_run import run_folder as run_folder  # a fixture
 from tests.warm_process import start_processes_from_a_warm_server
 
 settings.register_profile("no deadline", deadline=None)  # no test depends on how busy the machine is

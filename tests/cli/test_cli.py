@@ -544,15 +544,6 @@ def test_what_is_gone_is_answered_by_what_replaces_it(stepgap: Command, words: s
         refused(stepgap(verb, *arguments), f"stepgap: {words}: gone: {GONE[words]}")
 
 
-@pytest.mark.parametrize("verb", ["run", "map", "fit", "view", "export"])
-def test_no_integer_is_shown_as_a_string(stepgap: Command, verb: str) -> None:
-    result = stepgap(*verb.split(), "--help").out
-    counted = r"--(seed|iterations|explore|port|points|folds|deployment|iteration|twins|seeds)"
-    kinds = re.findall(rf"{counted} +([A-Z]+)", result)
-    assert kinds
-    assert {kind for name, kind in kinds if not (verb == "fit" and name == "deployment")} == {"INT"}
-
-
 @pytest.mark.parametrize("verb", ["run", "sweep", "view", "export", "fit", "gait", "map", "rig check"])
 def test_the_help_says_what_a_value_is_and_not_how_it_is_stored(stepgap: Command, verb: str) -> None:
     assert not re.findall(r"--[a-z-]+ (?:STR|FLOAT)\b", stepgap(*verb.split(), "--help").out)
@@ -567,7 +558,7 @@ def test_descriptions_are_wrapped_to_the_width_of_the_terminal() -> None:
         assert "[default: " in line, "the last words of its docstring"
 
 
-@pytest.mark.parametrize("columns", ["0", "1", "3"])
+@pytest.mark.parametrize("columns", ["0", "3"])
 def test_the_help_ends_on_a_terminal_without_columns(columns: str) -> None:
     program = [sys.executable, "-c", "from stepgap.cli.app import main; main()", "gait", "--help"]
     shown = subprocess.run(program, env={**os.environ, "COLUMNS": columns}, capture_output=True, text=True, check=True)
@@ -714,21 +705,21 @@ def test_a_full_cache_of_compiled_code_is_named(tmp_path: Path) -> None:
 HEAVY = {"numba", "scipy", "mujoco", "matplotlib", "rich.markdown"}
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    ["--help", "run --help", "--no-such-option", "run --no-such-option", "settings", "completion bash"],
-)
-def test_what_only_prints_text_imports_nothing_heavy(arguments: str) -> None:
+TEXTS = ["run --help", "run --no-such-option", "settings", "completion bash", "--help", "--no-such-option"]
+
+
+def test_what_only_prints_text_imports_nothing_heavy() -> None:
     asked = f"""
 import sys, stepgap.cli.app
-try:
-    stepgap.cli.app.main({arguments.split()})
-except SystemExit:
-    pass
-print({HEAVY} & sys.modules.keys(), file=sys.stderr)
+for arguments in {TEXTS}:
+    try:
+        stepgap.cli.app.main(arguments.split())
+    except SystemExit:
+        pass
+    print(arguments, {HEAVY} & sys.modules.keys(), file=sys.stderr)
 """
     done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
-    assert done.stderr.splitlines()[-1] == "set()"
+    assert [line for line in done.stderr.splitlines() if line.endswith(" set()")] == [f"{text} set()" for text in TEXTS]
 
 
 @pytest.mark.parametrize("arguments", [["run", "one.toml", "two.toml"], ["doctor", "two.toml"]])

@@ -1,6 +1,15 @@
+from pathlib import Path
+
 import pytest
 
 from stepgap.report import drawing
+from tests.report.runs import make_run
+
+
+@pytest.fixture(scope="session")
+def hopper_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of three deployments, which tests only read."""
+    return make_run(tmp_path_factory.mktemp("hopper") / "run")
 
 
 @pytest.fixture

@@ -16,7 +16,6 @@ from tests.browser import watched_page as watched_page
 from tests.control.maps import LossyHopper
 from tests.quick_runs import leave_out_files_of_figures
 from tests.report.runs import SCENE, make_run, motion, report_of
-from tests.view.conftest import run_folder as run_folder
 
 pytestmark = pytest.mark.usefixtures("chromium")  # skips without it before anything is made for the browser
 

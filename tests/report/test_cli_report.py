@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import tomli_w
 
-from stepgap.cli.app import main
 from stepgap.experiment.replay import find_kinematics, replay
 from stepgap.experiment.run import Run
 from stepgap.experiment.settings import Experiment
@@ -21,24 +20,14 @@ from stepgap.records.missing import Missing
 from stepgap.robots.hopper.tick.tick_row import TICK_UNITS
 from stepgap.robots.hopper.twin.twin import Twin
 from tests.cli.command_line import Command, CommandResult, refused
-from tests.quick_runs import leave_out_drawing, leave_out_repeats
 from tests.rig_ticks import LOG_UNITS, rig_rows
 from tests.sweep.report.tables import combinations_of, write_results_table
 
-SHORT = 'reference = "targets.csv"\n[learning]\niterations = 1\n'
-
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of two deployments of two steps."""
-    folder = tmp_path_factory.mktemp("finished")
-    (folder / "targets.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n")
-    (folder / "short.toml").write_text(SHORT)
-    with pytest.MonkeyPatch.context() as patch:
-        leave_out_repeats(patch)
-        leave_out_drawing(patch)
-        main(["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--quiet"])
-    return folder / "run"
+def finished(run_folder: Path) -> Path:
+    """A run of two deployments of four steps."""
+    return run_folder
 
 
 @pytest.fixture
@@ -81,7 +70,7 @@ def test_what_a_run_learned_in_its_only_deployment_is_described(finished: Path, 
     assert [each.name for each in Path("run/models").iterdir()] == ["iteration_0.json"], "what is believed beforehand"
     text = Path("run/report.html").read_text(encoding="utf-8")
     assert "A further deployment would begin with the residual" in text
-    assert "of 8 earlier steps" in text, "without the hop from rest"
+    assert "of 10 earlier steps" in text, "without the hop from rest"
     assert "Corrected map: " in text
 
 

@@ -19,20 +19,15 @@ from stepgap.report.learned_table import coverage_table, learned_tables
 from stepgap.report.reference_gait import reference_gait
 from tests.control.maps import LossyHopper
 from tests.report.pages import Page, check_alone
-from tests.report.runs import TARGETS, make_run, report_of
+from tests.report.runs import TARGETS, report_of
 
 SPACE = LossyHopper().space
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_run(tmp_path_factory.mktemp("learned") / "run")
-
-
-def test_the_last_model_and_its_numbers(folder: Path) -> None:
+def test_the_last_model_and_its_numbers(hopper_run: Path) -> None:
     record, saved = (
-        Run(folder, space=SPACE),
-        json.loads((folder / "models" / "iteration_2.json").read_text()),
+        Run(hopper_run, space=SPACE),
+        json.loads((hopper_run / "models" / "iteration_2.json").read_text()),
     )
     learned = Analysis(record).learned
     assert isinstance(learned, LearnedResidual)
@@ -48,25 +43,25 @@ def test_the_last_model_and_its_numbers(folder: Path) -> None:
     assert "of 40" in coverage_table(record)
 
 
-def test_a_missing_model_is_reported(folder: Path, tmp_path: Path) -> None:
-    assert Run(folder).residual(0) == Missing("deployment 0 used the nominal map")
-    shutil.copytree(folder, tmp_path / "run")
+def test_a_missing_model_is_reported(hopper_run: Path, tmp_path: Path) -> None:
+    assert Run(hopper_run).residual(0) == Missing("deployment 0 used the nominal map")
+    shutil.copytree(hopper_run, tmp_path / "run")
     shutil.rmtree(tmp_path / "run" / "models")
     page = Page(report_of(tmp_path / "run"))
     check_alone(page)
     assert "There is no model to describe: there is no models/iteration_2.json." in page.text
 
 
-def test_a_damaged_model_is_reported(folder: Path, tmp_path: Path) -> None:
-    shutil.copytree(folder, tmp_path / "run")
+def test_a_damaged_model_is_reported(hopper_run: Path, tmp_path: Path) -> None:
+    shutil.copytree(hopper_run, tmp_path / "run")
     (tmp_path / "run" / "models" / "iteration_2.json").write_text("{}")
     page = Page(report_of(tmp_path / "run"))
     assert re.search(r"There is no model to describe: [^\n]*iteration_2\.json: not a residual", page.text)
 
 
 @pytest.mark.parametrize("part", [0, 1, 100, 1000, -1])
-def test_a_truncated_model_is_refused(folder: Path, tmp_path: Path, part: int) -> None:
-    whole = (folder / "models" / "iteration_2.json").read_bytes()
+def test_a_truncated_model_is_refused(hopper_run: Path, tmp_path: Path, part: int) -> None:
+    whole = (hopper_run / "models" / "iteration_2.json").read_bytes()
     (tmp_path / "models").mkdir()
     (tmp_path / "models" / "iteration_2.json").write_bytes(whole[:part])
     found = Run(tmp_path, space=SPACE).residual(2)
@@ -92,8 +87,8 @@ def test_every_input_has_a_name(forgetting_time: float) -> None:
     assert len(names) == len(set(names)) == 4 + history_inputs.count
 
 
-def test_gaits_hold_the_targets(folder: Path) -> None:
-    record, nominal = Run(folder), LossyHopper()
+def test_gaits_hold_the_targets(hopper_run: Path) -> None:
+    record, nominal = Run(hopper_run), LossyHopper()
     learned = Analysis(record).learned
     gait = reference_gait(record, nominal, learned)
     np.testing.assert_array_equal(gait.targets, TARGETS.targets[::10])
@@ -108,16 +103,16 @@ def test_gaits_hold_the_targets(folder: Path) -> None:
 
 
 @pytest.mark.usefixtures("drawn_page", "unplaced")
-def test_the_gait_is_on_the_page(folder: Path, tmp_path: Path) -> None:
-    shutil.copytree(folder, tmp_path / "run")
+def test_the_gait_is_on_the_page(hopper_run: Path, tmp_path: Path) -> None:
+    shutil.copytree(hopper_run, tmp_path / "run")
     page = Page(report_of(tmp_path / "run", nominal=LossyHopper()))
     check_alone(page, 6)
     assert "Nominal map: 4 of 4 targets are held by a constant command within its bounds" in page.text
     assert (tmp_path / "run" / "figures" / "gait.pdf").is_file()
 
 
-def test_a_run_that_still_explores_has_no_gait(folder: Path, tmp_path: Path) -> None:
-    header, first, *_ = (folder / "steps.csv").read_text().splitlines(keepends=True)
+def test_a_run_that_still_explores_has_no_gait(hopper_run: Path, tmp_path: Path) -> None:
+    header, first, *_ = (hopper_run / "steps.csv").read_text().splitlines(keepends=True)
     (tmp_path / "steps.csv").write_text(header + first.replace("0,1,", "0,0,", 1))
     page = Page(report_of(tmp_path, nominal=LossyHopper()))
     check_alone(page)

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import zlib
 from base64 import b64decode
 from dataclasses import replace
@@ -16,18 +17,13 @@ from stepgap.report.replay_view import COARSE_LEVELS, LEVELS, MOST_FRAMES, repla
 from stepgap.robots.scene import GroundPieces
 from tests.control.maps import LossyHopper
 from tests.report.pages import Page, check_alone
-from tests.report.runs import SCENE, make_run, motion, report_of
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_run(tmp_path_factory.mktemp("replay") / "run", 1)
+from tests.report.runs import SCENE, motion, report_of
 
 
 @pytest.mark.parametrize("frames", [1, 500, 2 * MOST_FRAMES + 1])
-def test_channels_are_read_back(folder: Path, frames: int) -> None:
+def test_channels_are_read_back(hopper_run: Path, frames: int) -> None:
     shown = motion(frames)
-    page = replay_view(Run(folder, space=LossyHopper().space), Replay({1: shown}, SCENE))
+    page = replay_view(Run(hopper_run, space=LossyHopper().space), Replay({1: shown}, SCENE))
     found = re.search(r'id="replay-data">(.*?)</script>', page)
     assert found
     data = json.loads(found[1])
@@ -59,16 +55,16 @@ def test_channels_are_read_back(folder: Path, frames: int) -> None:
     assert [step[0] for step in entry["steps"]] == list(range(1, 41))
 
 
-def test_a_page_with_a_replay_stands_alone(folder: Path) -> None:
+def test_a_page_with_a_replay_stands_alone(hopper_run: Path, tmp_path: Path) -> None:
     replay = Replay({0: motion(300), 1: motion(200)}, SCENE)
-    page = Page(report_of(folder, replay=replay))
+    page = Page(report_of(shutil.copytree(hopper_run, tmp_path / "run"), replay=replay))
     check_alone(page)
     names = {given.get("id") for _, given in page.tags}
     assert {"replay-canvas", "replay-slider", "replay-play", "replay-deployment", "replay-moment"} <= names
 
 
-def test_the_legend_speaks_of_what_the_robot_has(folder: Path) -> None:
-    run, plain = Run(folder, space=LossyHopper().space), replace(SCENE, feet=(), height="", circle=0.0, signals={})
+def test_the_legend_speaks_of_what_the_robot_has(hopper_run: Path) -> None:
+    run, plain = Run(hopper_run, space=LossyHopper().space), replace(SCENE, feet=(), height="", circle=0.0, signals={})
     motions = {0: motion(40)}
     whole, short = (replay_view(run, Replay(motions, scene)) for scene in (SCENE, plain))
     for words in ("A foot is filled", "Dashed: target height", "Curves: the step", "the bending of the boom"):
@@ -77,8 +73,8 @@ def test_the_legend_speaks_of_what_the_robot_has(folder: Path) -> None:
     assert "what they do not contain is not shown." in short
 
 
-def test_the_ground_is_drawn_and_heights_stand_on_it(folder: Path) -> None:
-    run = Run(folder, space=LossyHopper().space)
+def test_the_ground_is_drawn_and_heights_stand_on_it(hopper_run: Path) -> None:
+    run = Run(hopper_run, space=LossyHopper().space)
     start, end, *heights = np.array([[0.0, 1.0], [1.0, 1.5], [0.0, 0.05], [0.01, 0.05]])
     changed = np.array([False, True])
     ground = GroundPieces(start=start, end=end, start_height=heights[0], end_height=heights[1], changed=changed)

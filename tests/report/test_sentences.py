@@ -1,6 +1,7 @@
 """Sentences on a run claim no more than its numbers support."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,7 @@ from stepgap.records.summary import parse_summary
 from stepgap.report.sentences import floor_sentences, headline, sentences
 from stepgap.step import ContextQuantity, Quantity, StepRecord, StepSpace, StepStatus
 from tests.control.maps import LossyHopper
-from tests.report.runs import logged, make_run
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_run(tmp_path_factory.mktemp("sentences") / "run")
+from tests.report.runs import logged
 
 
 def changed(run: Path, floor: float, **last: Any) -> Run:
@@ -32,19 +28,20 @@ def changed(run: Path, floor: float, **last: Any) -> Run:
     return Run(run, space=space, summary=parse_summary(json.dumps(content), space.state_names, "summary.json"))
 
 
-def test_an_error_above_three_noise_floors_is_not_called_tracking(run: Path) -> None:
+def test_an_error_above_three_noise_floors_is_not_called_tracking(hopper_run: Path) -> None:
     small = {"speed": 0.001, "height": 0.001}
-    assert headline(changed(run, 0.001, rmse=small)).startswith("It tracked: the last deployment made all its")
+    assert headline(changed(hopper_run, 0.001, rmse=small)).startswith("It tracked: the last deployment made all its")
     large = small | {"height": 0.0031}
-    found = headline(changed(run, 0.001, rmse=large))
+    found = headline(changed(hopper_run, 0.001, rmse=large))
     assert found.startswith("It did not track: the error of height is 3.1 noise floors. But the last deployment")
-    unknown = headline(changed(run, 0.0, rmse=large))
+    unknown = headline(changed(hopper_run, 0.0, rmse=large))
     assert unknown.startswith("The last deployment made all its 40 steps"), "an unknown noise floor claims nothing"
 
 
-def test_the_noise_floor_has_its_number_of_steps_and_its_interval(run: Path) -> None:
+def test_the_noise_floor_has_its_number_of_steps_and_its_interval(hopper_run: Path, tmp_path: Path) -> None:
     """The ends follow from quantiles of χ² with 60 degrees of freedom in a table: 40.482 and 83.298."""
     freedom = {"repeatability_freedom": {"speed": 60, "height": None}, "repeatability_steps": 240}
+    run = shutil.copytree(hopper_run, tmp_path / "run")
     content = json.loads((run / "summary.json").read_text()) | freedom
     (run / "summary.json").write_text(json.dumps(content))
     text = " ".join(floor_sentences(changed(run, 0.01)))
@@ -68,15 +65,15 @@ def test_intervals_contain_the_rmse_about_as_often_as_they_say(memory: float) ->
     assert 0.88 <= inside / runs <= 0.99
 
 
-def test_cut_commands_and_targets_that_were_not_held_are_listed(run: Path) -> None:
-    text = " ".join(sentences(changed(run, 0.001, cut=7, unreachable=[[0.3, 0.7]], missed=[[0.1, 0.6]] * 8)))
+def test_cut_commands_and_targets_that_were_not_held_are_listed(hopper_run: Path) -> None:
+    text = " ".join(sentences(changed(hopper_run, 0.001, cut=7, unreachable=[[0.3, 0.7]], missed=[[0.1, 0.6]] * 8)))
     assert "Limits cut 7 of 40 commands of deployment 2" in text
     held = "Not held by any command within the bounds, by the"
     assert f"{held} map of deployment 2: 1 target (speed 0.3 m/s, height 0.7 m)." in text
     assert f"{held} nominal map" not in text
     assert "although its map holds them: 8 targets (speed 0.1 m/s, height 0.6 m; " in text
     assert "; and 2 more)" in text
-    text = " ".join(sentences(changed(run, 0.001, cut=0, unreachable=[], missed=[])))
+    text = " ".join(sentences(changed(hopper_run, 0.001, cut=0, unreachable=[], missed=[])))
     assert not any(word in text for word in ("cut", "Not held", "Missed"))
 
 

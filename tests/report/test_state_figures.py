@@ -27,14 +27,8 @@ from stepgap.report.reference_gait import central_target, reference_gait
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.step import Quantity, StepSpace
 from tests.control.maps import LossyHopper
-from tests.report.runs import make_run
 
 SPACE = LossyHopper().space
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_run(tmp_path_factory.mktemp("figures") / "run", 1)
 
 
 def learned_from(kind: str) -> LearnedResidual:
@@ -46,9 +40,9 @@ def learned_from(kind: str) -> LearnedResidual:
     return LearnedResidual(1, fit_residual(kind, Observations(SPACE, state, command, error + noise)))
 
 
-def test_errors_are_drawn_against_every_coordinate(folder: Path) -> None:
-    steps = Run(folder).steps.of_iteration(1)
-    figure = state_error_figure(Run(folder))
+def test_errors_are_drawn_against_every_coordinate(hopper_run: Path) -> None:
+    steps = Run(hopper_run).steps.of_iteration(2)
+    figure = state_error_figure(Run(hopper_run))
     values = np.hstack([steps.state, steps.requested])
     for index, axes in enumerate(figure.axes):
         row, column = divmod(index, 4)
@@ -128,8 +122,8 @@ def test_a_surface_of_any_shape_can_be_drawn(kind: str) -> None:
     surface_figure(SPACE, learned, centre_of(learned, None)).draw_without_rendering()
 
 
-def test_the_other_inputs_are_those_of_the_middle_gait(folder: Path) -> None:
-    record = Run(folder)
+def test_the_other_inputs_are_those_of_the_middle_gait(hopper_run: Path) -> None:
+    record = Run(hopper_run)
     learned = Analysis(record).learned
     assert isinstance(learned, LearnedResidual)
     gait = reference_gait(record, LossyHopper(), learned)

@@ -16,7 +16,7 @@ from stepgap.view.watch import start_server, watch
 from tests.browser import Watched
 from tests.browser import chromium as chromium  # fixtures
 from tests.browser import watched_page as watched_page
-from tests.view.conftest import STEPS
+from tests.shared_run import STEPS
 
 SMALL: ViewportSize = {"width": 800, "height": 500}
 """Without a graphics card the processor computes every pixel of the scene, in every frame."""

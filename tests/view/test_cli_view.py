@@ -20,7 +20,7 @@ from stepgap.learning.steps import LoggedStep
 from stepgap.view.address import HERE
 from stepgap.view.live import LiveView
 from tests.cli.command_line import Command, refused
-from tests.view.conftest import TARGETS
+from tests.shared_run import TARGETS
 
 SENSITIVE = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
 """Code that enables Ctrl-C, which is ignored where the tests run in the background."""

@@ -12,7 +12,7 @@ from stepgap.view.address import HERE
 from stepgap.view.page import Page
 from stepgap.view.source import Source
 from stepgap.view.watch import start_server, stop_server, watch
-from tests.view.conftest import STEPS
+from tests.shared_run import STEPS
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from stepgap.robots.hopper.tick.tick_row import TICK_UNITS
 from stepgap.robots.scene import Motion
 from stepgap.view.source import STILL, Source
 from tests.rig_ticks import LOG_UNITS, rig_rows
-from tests.view.conftest import STEPS
+from tests.shared_run import STEPS
 
 
 def point(source: Source, motion: Motion, name: str) -> np.ndarray:
