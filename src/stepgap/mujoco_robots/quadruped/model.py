@@ -35,42 +35,53 @@ LINK, TOE_RADIUS = 0.213, 0.022  # Length of thigh and calf, and radius of the r
 THIGH_TORQUE, CALF_TORQUE = 23.7, 45.43  # Largest torques of the motors of thigh and calf [N·m]
 TRUNK_MASS, HIP_MASS, THIGH_MASS, CALF_MASS = 6.921, 0.678, 1.152, 0.241352
 """Masses [kg]; that of the calf contains the foot."""
-DEFAULTS = """<default>
-    <geom contype="0" conaffinity="0" mass="0"/>
-    <default class="leg"><joint axis="0 1 0" damping="0.1" armature="0.01" frictionloss="0.2"/></default>
-  </default>"""
-"""Defaults of the machine: a geom touches nothing and weighs nothing, and a joint of a leg has this friction."""
-TRUNK = f"""<inertial pos="0.021112 0 -0.005366" mass="{TRUNK_MASS}" diaginertia="0.02448 0.098077 0.107"/>
-      <geom name="trunk" type="box" size="0.1881 0.04675 0.057"/>
-      <geom name="head" type="sphere" size="0.047" pos="0.285 0 0.01"/>"""
-"""Inertia and shapes of the trunk."""
 TOTAL_MASS = TRUNK_MASS + 4 * (HIP_MASS + THIGH_MASS + CALF_MASS)
 
 
 def quadruped_xml() -> str:
     """The model; its joints are `x`, `z`, `pitch` (nose down positive), and `LEG_thigh` and `LEG_calf` of each leg."""
-    legs = "".join(map(leg_xml, LEGS))
     motors = "".join(
         f'<motor name="{leg.name}_{link}" joint="{leg.name}_{link}" ctrllimited="true" ctrlrange="-{most} {most}"/>'
         for leg in LEGS
         for link, most in (("thigh", THIGH_TORQUE), ("calf", CALF_TORQUE))
     )
-    return f"""
-<mujoco model="quadruped">
-  <compiler angle="radian"/>
-  <option timestep="0.001" integrator="implicitfast" cone="elliptic"/>
-  {DEFAULTS}
-  <worldbody>
-    <geom name="floor" type="plane" size="100 2 0.1" contype="1" conaffinity="1" friction="0.8" solref="0.01 1"/>
-    <body name="trunk">
-      <joint name="x" type="slide" axis="1 0 0"/>
+    joints = """<joint name="x" type="slide" axis="1 0 0"/>
       <joint name="z" type="slide" axis="0 0 1"/>
-      <joint name="pitch" axis="0 1 0"/>
-      {TRUNK}
+      <joint name="pitch" axis="0 1 0"/>"""
+    return machine_xml("quadruped", 'timestep="0.001"', "100 2 0.1", 0.0, joints, "".join(map(leg_xml, LEGS)), motors)
+
+
+def machine_xml(name: str, option: str, floor: str, height: float, joints: str, legs: str, actuators: str) -> str:
+    """A model of the machine. Its geoms touch nothing but the floor, and weigh nothing.
+
+    Args:
+        name: Name of the model.
+        option: More attributes of its options, such as the time step.
+        floor: Size of the floor, as in MJCF.
+        height: Height of the trunk in the first posture [m].
+        joints: Joints of the trunk.
+        legs: Legs, as by `leg_xml`.
+        actuators: Actuators.
+    """
+    return f"""
+<mujoco model="{name}">
+  <compiler angle="radian"/>
+  <option {option} integrator="implicitfast" cone="elliptic"/>
+  <default>
+    <geom contype="0" conaffinity="0" mass="0"/>
+    <default class="leg"><joint axis="0 1 0" damping="0.1" armature="0.01" frictionloss="0.2"/></default>
+  </default>
+  <worldbody>
+    <geom name="floor" type="plane" size="{floor}" contype="1" conaffinity="1" friction="0.8" solref="0.01 1"/>
+    <body name="trunk" pos="0 0 {height}">
+      {joints}
+      <inertial pos="0.021112 0 -0.005366" mass="{TRUNK_MASS}" diaginertia="0.02448 0.098077 0.107"/>
+      <geom name="trunk" type="box" size="0.1881 0.04675 0.057"/>
+      <geom name="head" type="sphere" size="0.047" pos="0.285 0 0.01"/>
       {legs}
     </body>
   </worldbody>
-  <actuator>{motors}</actuator>
+  <actuator>{actuators}</actuator>
 </mujoco>
 """
 

@@ -21,15 +21,14 @@ from numpy.typing import NDArray
 from stepgap.base.ranges import require
 from stepgap.mujoco_robots.quadruped.model import (
     CALF_TORQUE,
-    DEFAULTS,
     HIP_Y,
     LEGS,
     LINK,
     THIGH_OFFSET,
     THIGH_TORQUE,
     TOE_RADIUS,
-    TRUNK,
     leg_xml,
+    machine_xml,
 )
 from stepgap.mujoco_robots.velocity.walking_robot import WalkingControl, WalkingRobot, body_velocity
 from stepgap.step import Array
@@ -55,22 +54,8 @@ def walker_xml(stiffness: float, damping: float) -> str:
         for leg in LEGS
         for link, most in _TORQUES.items()
     )
-    return f"""
-<mujoco model="walker">
-  <compiler angle="radian"/>
-  <option timestep="0.002" integrator="implicitfast" cone="elliptic" impratio="10"/>
-  {DEFAULTS}
-  <worldbody>
-    <geom name="floor" type="plane" size="100 100 0.1" contype="1" conaffinity="1" friction="0.8" solref="0.01 1"/>
-    <body name="trunk" pos="0 0 0.3">
-      <freejoint name="trunk"/>
-      {TRUNK}
-      {legs}
-    </body>
-  </worldbody>
-  <actuator>{servos}</actuator>
-</mujoco>
-"""
+    option = 'timestep="0.002" impratio="10"'
+    return machine_xml("walker", option, "100 100 0.1", 0.3, '<freejoint name="trunk"/>', legs, servos)
 
 
 _SIDES = np.array([1.0 if leg.y > 0 else -1.0 for leg in LEGS])

@@ -76,27 +76,19 @@ class Hopper(Robot):
         return self.command.space(self.ground)
 
     def apex_map(self) -> StepMap:
-        """Map of the physics model."""
+        """Map of the physics model; with footholds, its state also has the stride."""
         from stepgap.robots.hopper.model.apex_map import ApexMap
 
-        return self._with_footholds(ApexMap(self.parameters, self.gains, self.command, ground=self._of_apexes))
+        if not self.ground.has_footholds:
+            return ApexMap(self.parameters, self.gains, self.command, ground=self.ground)
+        from stepgap.robots.hopper.model.foothold_map import FootholdMap
+
+        apexes = ApexMap(self.parameters, self.gains, self.command)
+        return FootholdMap(apexes, self.parameters, self.gains, self.command, self.ground)
 
     def nominal_maps(self) -> Mapping[str, Callable[[], StepMap]]:
         """The equations of motion."""
         return {"equations": self.apex_map}
-
-    @property
-    def _of_apexes(self) -> UnevenGround:
-        """Ground for a map of speed and height alone."""
-        return UnevenGround() if self.ground.has_footholds else self.ground
-
-    def _with_footholds(self, apexes: StepMap) -> StepMap:
-        """A map of speed and height, and of the stride where footholds are tracked."""
-        if not self.ground.has_footholds:
-            return apexes
-        from stepgap.robots.hopper.model.foothold_map import FootholdMap
-
-        return FootholdMap(apexes, self.parameters, self.gains, self.command, self.ground)
 
     @property
     def as_modelled(self) -> Self:
@@ -107,13 +99,10 @@ class Hopper(Robot):
         """The reference of the paper; with footholds, random strides, or those to the stones of the ground."""
         if not self.ground.has_footholds:
             return {"paper": paper_reference}
-        stones = {"stones": self._stones} if self.ground.stone_spacing else {}
-        return {**stones, "strides": random_strides}
-
-    def _stones(self) -> Reference:
-        return stones_reference(
-            self.ground.stones(tau * self.parameters.boom_length), tau * self.parameters.boom_length
-        )
+        if not self.ground.stone_spacing:
+            return {"strides": random_strides}
+        length = tau * self.parameters.boom_length
+        return {"stones": lambda: stones_reference(self.ground.stones(length), length), "strides": random_strides}
 
     def published(self) -> PublishedResult | None:
         """The result of the paper, whose robot did not track footholds."""

@@ -135,9 +135,8 @@ class HopControl(TickControl):
     def finished_step(self) -> FinishedStep:
         """The hop that ended with the last tick."""
         apex = Apex(*self._memory["apex"][0].item())
-        state = [apex.speed, apex.height]
+        state = np.array([apex.speed, apex.height, apex.next_foothold][: 2 + self._footholds])
         lost = np.array([apex.lost_x, apex.lost_y])
-        state = np.array([*state, apex.next_foothold] if self._footholds else state)
         return FinishedStep(state, np.array([apex.force_x, apex.force_y]), lost, self._context(apex.yaw))
 
     def touchdown(self) -> tuple[float, ...]:
@@ -221,7 +220,8 @@ class HopperControl(RobotControl):
 
     def control(self, rig: Rig) -> HopControl:
         """Compiled control of a rig at the start of a deployment."""
-        return self._new_control(rig)
+        sensors = hopper_sensors(rig.sensor_model)
+        return HopControl(sensors, self.robot, self.gains, self.limits_of(rig), self.ground)
 
     def limp_limits(self, rig: Rig) -> SafetyLimits:
         """Limits of a rig whose motors get no torque."""
@@ -235,7 +235,7 @@ class HopperControl(RobotControl):
     def describe(self, rig: Rig, tick: Mapping[str, float]) -> dict[str, str]:
         """Description of a logged tick: pose, contact, torques and exceeded limits."""
         reading = HopperReading(*(tick[name] for name in HopperReading._fields))
-        state = self._new_control(rig).observe(reading)
+        state = self.control(rig).observe(reading)
         motion = state.motion
         beyond = Limited(state.watch.stopped)
         return {
@@ -262,11 +262,6 @@ class HopperControl(RobotControl):
             "upward by pitch": tick["measured_height"],
             "upward by leg": -toe.y,
         }
-
-    def _new_control(self, rig: Rig) -> HopControl:
-        sensors = hopper_sensors(rig.sensor_model)
-        limits = self.limits_of(rig)
-        return HopControl(sensors, self.robot, self.gains, limits, self.ground)
 
     def limits_of(self, rig: Rig) -> SafetyLimits:
         """Limits that were given, or the rig's, or those of a simulation."""
