@@ -1,6 +1,6 @@
 """`difference`: one declaration of a difference is its checks, its draws, its absence and its text."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from math import inf, nan
 
 import numpy as np
@@ -8,7 +8,8 @@ import pytest
 
 from stepgap.experiment.settings_text import meanings
 from stepgap.mujoco_robots.mjcf.mjcf_gap import MjcfGap
-from stepgap.robots.gap import POSITIVE, Drawn, difference, differences
+from stepgap.mujoco_robots.velocity.walking_robot import WalkingGap
+from stepgap.robots.gap import NOT_NEGATIVE, POSITIVE, Drawn, Gap, difference, differences
 from stepgap.robots.hopper.twin.reality_gap import SHARE, RealityGap
 
 
@@ -50,13 +51,48 @@ def test_a_new_difference_is_drawn_after_the_others() -> None:
     assert all(getattr(twin, name) == getattr(windy, name) for name in differences(RealityGap))
 
 
-@pytest.mark.parametrize("kind", [RealityGap, MjcfGap])
-def test_what_is_drawn_has_a_value_without_gap_and_every_difference_a_meaning(
-    kind: type[RealityGap | MjcfGap],
-) -> None:
-    for name, known in differences(kind).items():
-        assert known.exact is not None or not known.drawn, name
-        assert meanings(kind)[name], name
+FIELDS = [(gap, name) for gap in (RealityGap(), MjcfGap(), WalkingGap()) for name in differences(gap)]
+
+
+@pytest.mark.parametrize(("gap", "name"), FIELDS, ids=[f"{type(gap).__name__}.{name}" for gap, name in FIELDS])
+def test_every_difference_has_a_meaning_and_refuses_what_makes_no_sense(gap: Gap, name: str) -> None:
+    known = differences(gap)[name]
+    assert meanings(type(gap))[name]
+    assert known.exact is not None or not known.drawn or name == "individual"  # a number that only tells robots apart
+    if name == "boom_arc":  # no number
+        return
+    wrong = [nan, -inf, *[-1.0] * bool({POSITIVE, NOT_NEGATIVE} & set(known.rules)), *[0.0] * (POSITIVE in known.rules)]
+    for value in wrong if known.exact == inf else [*wrong, inf]:
+        with pytest.raises(ValueError, match=f"{name} = {value}, but it must"):
+            replace(gap, **{name: value})
+    if known.exact == inf:  # rigid, exact or unlimited
+        replace(gap, **{name: inf}, **{"boom_arc": False} if isinstance(gap, RealityGap) else {})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "rule"),
+    [
+        ("ground_slope", 1.0, "lie within ±"),
+        ("boom_tilt", -1.0, "lie within ±"),
+        ("torque_imbalance", 1.0, "lie within ±"),
+        ("delay", 1.001, "be at most 1 s"),
+        ("ground_friction", inf, "be finite with boom_arc = true"),
+    ],
+)
+def test_limits_of_the_twin_are_named(name: str, value: float, rule: str) -> None:
+    with pytest.raises(ValueError, match=f"{name} = {value}, but it must {rule}"):
+        RealityGap(**{name: value})
+
+
+def test_no_gap_differs_from_a_real_machine_in_every_field_that_matters() -> None:
+    none, real = RealityGap.none(), RealityGap()
+    assert set(differences(none)) == {field.name for field in fields(RealityGap)}
+    same = {name for name in differences(none) if getattr(none, name) == getattr(real, name)}
+    kept = {name for name, known in differences(none).items() if known.exact is None}
+    of_other_twins = {
+        name for name, known in differences(none).items() if name != "boom_arc" and known.whole != getattr(real, name)
+    }
+    assert same == kept | of_other_twins
 
 
 def test_random_twins_are_those_of_earlier_versions() -> None:

@@ -4,7 +4,7 @@
 # ruff: noqa: ARG002  (a robot gets what it may need)
 
 import json
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from math import sqrt
 from pathlib import Path
 from typing import Any
@@ -115,13 +115,6 @@ def test_every_difference_is_in_the_model_or_in_the_steps() -> None:
         plant = MjcfPlant(Ball(gap=replace(EXACT, **change)), np.random.default_rng(0))
         plant.start()
         assert abs(plant.take_step(np.array([4.0])).next_state - reference)[0] > 1e-5, change
-
-
-@pytest.mark.parametrize("entry", fields(MjcfGap), ids=lambda entry: entry.name)
-def test_a_difference_that_makes_no_sense_is_refused(entry: Any) -> None:
-    for value in (np.nan, np.inf, -1.0):
-        with pytest.raises(ValueError, match=f"{entry.name} = .*, but it must"):
-            MjcfGap(**{entry.name: value})
 
 
 def test_a_repeated_step_leaves_the_plant_where_it_is() -> None:

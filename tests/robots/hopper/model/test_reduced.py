@@ -1,14 +1,12 @@
-"""The reduced motion compared with the full motion of hip and leg, and with conservation laws."""
+"""The reduced motion compared with the full motion of hip and leg."""
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from stepgap.base.compiled import compiled
-from stepgap.hybrid.integrator import TIME_OUT, Tolerance, integrate, make_trace
 from stepgap.robots.hopper import Gains, RobotParameters
-from stepgap.robots.hopper.model.dynamics import energy, impact, masses_of, terms
-from stepgap.robots.hopper.model.joint_control import JointLaw, joint_law
+from stepgap.robots.hopper.model.dynamics import masses_of, terms
+from stepgap.robots.hopper.model.joint_control import joint_law
 from stepgap.robots.hopper.model.leg import foot, four_bar, leg_of
 from stepgap.robots.hopper.model.reduced import (
     Hip,
@@ -23,13 +21,6 @@ from tests.robots.hopper.model.reference_hop import Hopper
 
 UNEQUAL = RobotParameters(boom_inertia_vertical=3.0, top_mass=0.2, torque_limit=1e9)
 ROBOTS = [RobotParameters(torque_limit=1e9), UNEQUAL]
-FINE = Tolerance(1e-13, 1e-14)
-
-
-@compiled
-def integrated(system, time, state, time_limit, tolerance, h, trace):
-    """`integrate`, compiled with a cache; without one, each process would compile it again."""
-    return integrate(system, time, state, time_limit, tolerance, h, trace)
 
 
 def random_motions(seed: int, count: int):
@@ -106,50 +97,3 @@ def test_saturated_motors_give_their_limit_until_the_law_requests_less() -> None
         assert min(piece_guards(flight, 1.0, hip, leg, torques)[4:]) >= 0.0
         seen.add(tuple(modes))
     assert len(seen) == 9
-
-
-def without_torque() -> JointLaw:
-    """Torque law of motors without torque."""
-    return joint_law(RobotParameters(), Gains())._replace(
-        stiffness=0.0, position_gain=0.0, damping_gain=0.0, torque_limit=1e9
-    )
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_without_torque_flight_keeps_energy(seed) -> None:
-    rng, masses = np.random.default_rng(seed), masses_of(RobotParameters())
-    hip, leg = Hip(3.0, 0.5, -1.0), tuple(rng.uniform([-0.3, 0.9, -2, -2], [0.3, 1.3, 2, 2]))
-    flight = flight_of(masses, without_torque(), -1.0, 0.0, hip, leg)
-
-    def kept(time, leg):
-        hip = flight_motion(flight, time, leg)[1]
-        return energy(masses, np.array([0, hip.height, *leg[:2]]), np.array([hip.speed_x, hip.speed_y, *leg[2:]]))
-
-    time, end, event, _ = integrated(flight, 0.0, leg, 0.1, FINE, 1e-4, make_trace())
-    assert event == TIME_OUT
-    assert kept(time, end) == pytest.approx(kept(0.0, leg), rel=1e-11)
-
-
-def test_in_stance_energy_with_the_spring_is_kept_until_the_command() -> None:
-    """With the motors as an ideal spring, energy + ½ K₂ (ℓ − ℓ₀)² is constant.
-
-    The toe is not on the leg axis, so the motors are a spring along the axis only without a toe.
-    """
-    robot = RobotParameters(foot_length=0.0)
-    masses, law, leg = masses_of(robot), joint_law(robot, Gains()), leg_of(robot)
-    angles = 0.04, float(law.landing_angle)
-    bar = four_bar(leg, angles[1])
-    m, toe = terms(masses, bar, *angles, 0.0, 0.0), foot(leg, bar, angles[0])
-    start = (*angles, *impact(m, toe, 0.3, -1.0, 0.0, 0.0)[2:])
-    stance = Stance(masses, law, -1.0, 0.0, 0.0, 0.0, 0.0)
-
-    def kept(state):
-        hip = stance_motion(stance, state)[1]
-        spring = 0.5 * law.stiffness * (four_bar(leg, state[1]).length - law.rest_length) ** 2
-        q, qd = [0, hip.height, *state[:2]], [hip.speed_x, hip.speed_y, *state[2:]]
-        return energy(masses, np.array(q), np.array(qd)) + spring
-
-    _, end, event, _ = integrated(stance, 0.0, start, 1.0, FINE, 1e-4, make_trace())
-    assert event == 1  # mid-stance
-    assert stance_motion(stance, end)[1].speed_y == pytest.approx(0, abs=1e-12)
-    assert kept(end) == pytest.approx(kept(start), abs=1e-10)

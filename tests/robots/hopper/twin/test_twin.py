@@ -19,6 +19,7 @@ from stepgap.robots.hopper.tick.sensors import HopperReading
 from stepgap.robots.hopper.twin.model import GroundProfile, build_model
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
 
 ROBOT = RobotParameters()
 NONE = RealityGap.none()
@@ -431,18 +432,28 @@ def test_a_tilted_boom_axis_accelerates_around_the_circle():
 # Forks
 
 
-def test_a_fork_continues_bit_for_bit():
+def forked(twin: Twin) -> Twin:
+    return twin.fork(np.random.default_rng(9))
+
+
+def become_itself(twin: Twin) -> Twin:
+    fork = forked(twin)
+    fork.become(twin._gap)
+    return fork
+
+
+@pytest.mark.parametrize("copied", [forked, become_itself])
+def test_a_copy_of_a_twin_continues_bit_for_bit(copied):
     gap = replace(RealityGap(), torque_noise=0.0, delay=3e-3)
     twin = make(gap, start_height=0.4, start_speed=0.3, hold=0.02)
     servo = Servo(twin)
     for ticks in (15, 60, 120):  # held, in flight, in stance
         for _ in range(ticks):
             servo.tick()
-        fork = twin.fork(np.random.default_rng(9))
-        other = Servo(fork)
+        other = Servo(copied(twin))
         other.last = servo.last
         assert [servo.tick() for _ in range(60)] == [other.tick() for _ in range(60)]
-        assert fork.true_state().qpos.tolist() == twin.true_state().qpos.tolist()
+        assert other.twin.true_state().qpos.tolist() == twin.true_state().qpos.tolist()
 
 
 def test_forks_with_equal_noise_are_equal_and_do_not_change_their_origin():
@@ -467,19 +478,6 @@ def test_a_fork_on_a_turned_floor_lands_on_the_turned_floor():
 
 
 # A change in the midst of the motion
-
-
-def test_a_twin_that_becomes_what_it_is_continues_bit_for_bit():
-    gap = replace(RealityGap(), delay=3e-3)
-    twins = [make(gap, start_height=0.4, start_speed=0.3, hold=0.02) for _ in range(2)]
-    servos = [Servo(twin) for twin in twins]
-    for ticks in (15, 60, 120):  # held, in flight, in stance
-        for servo in servos:
-            for _ in range(ticks):
-                servo.tick()
-        twins[1].become(gap)
-        assert [servos[0].tick() for _ in range(60)] == [servos[1].tick() for _ in range(60)]
-        assert twins[0].true_state().qpos.tolist() == twins[1].true_state().qpos.tolist()
 
 
 def test_a_twin_that_becomes_heavier_keeps_its_motion_and_then_moves_as_the_heavier_one():
@@ -512,6 +510,8 @@ def test_the_sensor_model_converts_the_counts():
     assert (sensors.motor_counts, sensors.boom_counts_horizontal, sensors.boom_counts_vertical) == (16384, 5000, 16384)
     assert (sensors.touchdown_force, sensors.takeoff_length) == (5.0, RealityGap().takeoff_length)
     assert make().sensor_model.motor_counts < inf
+    other = twin_sensor_model(RobotParameters(boom_length=1.7), RealityGap(motor_counts=4096, boom_counts_vertical=inf))
+    assert (other.boom_length, other.motor_counts, other.boom_counts_vertical) == (1.7, 4096, 16384)
 
 
 def test_hip_is_held_and_then_released_with_the_start_speed():
