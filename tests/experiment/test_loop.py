@@ -673,6 +673,7 @@ def test_an_interrupted_deployment_begins_again_from_its_seed(copy: Path, unbrok
     (copy / "summary.json").unlink()
     run_in(copy, learning=replace(ALWAYS, iterations=1))
     assert (copy / "steps.csv").read_text() == "".join(kept)
+    (copy / "steps.csv.before").unlink()
     rows_kept(copy, 32, "".join((unbroken / "steps.csv").read_text().splitlines(keepends=True)[33:41]))
     made: list[int] = []
     run_in(copy, counting(plant_of(REALITY), made))
