@@ -4,12 +4,14 @@ import signal
 import sys
 from threading import Timer, main_thread
 
+from stepgap.base.child_environment import import_nothing_from_here
 from stepgap.cli.terminal import STOPPED, warn
 
 
 def start() -> None:
     """Runs the command line of the program."""
     sys.unraisablehook = _repeat_interrupt
+    import_nothing_from_here()
     try:
         from stepgap.cli.app import main  # takes some tenths of a second
 

@@ -67,7 +67,7 @@ class LiveView(LivePage):
         program = "import sys; from stepgap.cli.app import main; main(sys.argv[1:])"
         options = ["--host", self._host, *(["--port", str(self._port)] if self._port else [])]
         self._process = subprocess.Popen(
-            [sys.executable, "-c", program, "view", str(self._folder), "--ring", self._ring.name, *options],
+            [sys.executable, "-P", "-c", program, "view", str(self._folder), "--ring", self._ring.name, *options],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             start_new_session=True,  # Ctrl-C reaches only the run, which ends the page

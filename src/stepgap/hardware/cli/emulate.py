@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
+from stepgap.base.child_environment import environment_of_user
 from stepgap.base.errors import InputError
 from stepgap.base.files import create
 from stepgap.base.settings_file import to_table
@@ -81,7 +82,7 @@ def run_program(program: Sequence[str]) -> int:
         InputError: There is no such program.
     """
     try:
-        process = subprocess.Popen(program)
+        process = subprocess.Popen(program, env=environment_of_user())
     except OSError as error:
         raise InputError(f"-- {shlex.join(program)}: cannot be run: {error.strerror}") from None
 

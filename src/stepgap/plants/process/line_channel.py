@@ -11,6 +11,7 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import IO, final
 
+from stepgap.base.child_environment import environment_of_user
 from stepgap.plants.process.messages import ProcessFault
 
 LONGEST_LINE = 65536  # Largest number of bytes of a line
@@ -110,7 +111,11 @@ class Child(LineChannel):
     def __init__(self, command: Sequence[str]):
         try:
             self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                start_new_session=True,
+                env=environment_of_user(),
             )
         except OSError as error:
             raise ProcessFault(f"{command[0]}: cannot be started: {error.strerror}") from None
