@@ -2,8 +2,8 @@
 
 The twin hops after random targets that change every 4 to 8 hops, each run 60 hops on another ground and place. `blind`
 and `touchdown` know 227 hops on flat ground; blind is the same controller without a new plan at touchdown, which knows
-the ground of the hop before alone. `again` has hopped 227 hops on that ground before. All but `nominal` learn from hop to
-hop. Errors are those of the true state above the ground that was measured.
+the ground of the hop before alone. `again` has hopped 227 hops on that ground before. All but `nominal` learn from hop
+to hop. Errors are those of the true state above the ground that was measured.
 
     ./go python -m benchmarks.uneven_ground [--grounds stairs_56,ramps_10] [--ways touchdown] [--seeds 1,2,3,4,5]
         [--hops 60]
