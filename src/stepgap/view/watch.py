@@ -13,6 +13,7 @@ from stepgap.view.address import free_port
 from stepgap.view.page import Page
 
 FRAME = 1 / 30  # Time between two frames [s]
+UNSEEN = 0.5  # The same while no browser shows the page; a run in progress is still read [s]
 
 
 def start_server(host: str, port: int | None) -> ViserServer:
@@ -55,7 +56,8 @@ def watch(server: ViserServer, page: Page, runs: Callable[[], bool] = lambda: Tr
                 now = monotonic()
                 page.update(now - last)
                 last = now
-                sleep(max(0.0, FRAME - (monotonic() - now)))
+                period = FRAME if server.get_clients() else UNSEEN
+                sleep(max(0.0, period - (monotonic() - now)))
     finally:
         stop_server(server)
 
