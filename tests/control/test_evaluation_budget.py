@@ -8,7 +8,7 @@ import pytest
 from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.settings import ControlSettings
 from stepgap.control.wrapped_map import BudgetedMap, EvaluationBudget
-from stepgap.step import Array, StepStatus, difference_jacobian
+from stepgap.step import Array, Codes, StepStatus, difference_jacobian
 from tests.control.maps import CountingMap, LossyHopper
 from tests.control.test_cautious_controller import Guessed
 
@@ -70,3 +70,20 @@ def test_a_spent_budget_makes_every_step_fail_and_costs_no_evaluation() -> None:
 def test_too_small_a_budget_is_refused() -> None:
     with pytest.raises(ValueError, match="evaluations"):
         ControlSettings(evaluations=10)
+
+
+class FailsOutside(LossyHopper):
+    """A robot that steps only with small forces, so that it falls with a command that another state wanted."""
+
+    def status(self, state: Array, command: Array) -> Codes:
+        status = np.where(np.abs(command[..., 0]) > 6, StepStatus.FELL, StepStatus.OK)
+        return np.broadcast_to(status, np.broadcast_shapes(state.shape[:-1], command.shape[:-1]))
+
+
+@pytest.mark.parametrize("evaluations", [60, 100, 2000])
+def test_a_search_whose_start_makes_no_step_begins_again_in_the_middle(evaluations: int) -> None:
+    hopper = FailsOutside()
+    state, target = np.array([0.2, 0.58]), np.array([0.22, 0.57])
+    controller = CautiousController(hopper, hopper, NO_FAILURES, ControlSettings(evaluations=evaluations))
+    plan = controller(state, target, guess=np.array([14.0, 0.0]))
+    np.testing.assert_allclose(plan.predicted, target, atol=1e-6)

@@ -13,6 +13,7 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.step import Array
+from tests.control.maps import NeverWorks
 from tests.learning.test_learner import NOISE, NOMINAL, REALITY, hops, log_of
 
 TARGETS = np.random.default_rng(5).uniform([0.05, 0.55], [0.35, 0.61], (45, 2)).repeat(4, axis=0)
@@ -54,3 +55,15 @@ def test_without_a_correction_there_are_no_intervals_to_calibrate() -> None:
     for logged in steps:
         controller = controller.after(logged)
     assert controller.calibration is None
+
+
+def test_steps_without_a_command_are_said_once() -> None:
+    learner = Learner.start(NeverWorks(), log_of([]), LearningSettings("none"), 0)
+    reference = Reference(("speed", "height"), TARGETS[:3])
+    said = list[str]()
+    plant = ModelPlant(REALITY, np.array([0.1, 0.55]))
+    steps = Steps(NOMINAL.space, list(deploy(learner, plant, reference, 0, on_warning=said.append)))
+    assert np.isnan(steps.predicted).all()
+    (sentence,) = said
+    assert sentence.startswith("step 1: the search found no command")
+    assert "control.evaluations" in sentence

@@ -51,6 +51,17 @@ def test_a_state_in_the_wrong_unit_is_named_even_without_a_nominal_map(record: R
     assert rest == "Not available: no map."
 
 
+def test_steps_without_a_command_are_counted(record: Run) -> None:
+    steps = [
+        replace(one, std=np.zeros(2), predicted=np.full(2, np.nan) if one.step in (4, 9) else one.predicted)
+        for one in steps_of(20, 1)
+    ]
+    (sentence,) = diagnosis_sentences(
+        Run(record.folder, space=SPACE, recorded=Steps(SPACE, steps), nominal=Missing("no map"))
+    )[:-1]
+    assert sentence.startswith("In 2 of the 20 steps of deployment 0, first in step 4, the search found no command")
+
+
 def test_an_offset_of_the_nominal_map_is_no_finding_but_one_that_learning_leaves_is() -> None:
     rng, count = np.random.default_rng(0), 30
     for offset, std, found in ((0.01, 0.0, 0), (0.01, 0.002, 1), (0.3, 0.0, 1), (0.0, 0.002, 0)):

@@ -17,6 +17,8 @@ ZOOM_ROUNDS = 13
 def bounded_solution(function: Function, jacobian: Jacobian, start: Array) -> Solution:
     """Searches the zero, or else the least norm, of a function within |point| ≤ 1; it may miss the global minimum."""
     best = minimise(function, jacobian, start)
+    if np.isinf(best.distance):  # the command of the step before may fail here; what is left of a budget goes on
+        best = minimise(function, jacobian, np.zeros_like(start))
     if best.distance <= REACHED:
         return best
     points, distance = _sample(function, len(start))

@@ -66,10 +66,12 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, improvement: 
     """
     point = np.clip(start, -1.0, 1.0)
     value = function(point)
+    if not np.isfinite(value).all():
+        return Solution(point, np.inf, converged=False)
     matrix = jacobian(point)
     origin = point
     damping = 0.0
-    if not (np.isfinite(value).all() and np.isfinite(matrix).all()):
+    if not np.isfinite(matrix).all():
         return Solution(point, float(norms(value)), converged=False)
     # `value` is the function at `point`, the best point so far. `matrix` is the Jacobian at `origin` with Broyden's
     # updates since then: that no step helps is believed only near `origin`; elsewhere the Jacobian is renewed.

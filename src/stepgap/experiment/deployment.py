@@ -30,6 +30,12 @@ ExecutedSteps = Generator[LoggedStep, None, None]
 """Generator of steps as they are executed; closing it stops the plant."""
 
 
+NO_COMMAND = (
+    "the search found no command that makes a step by the map, so the middle of the bounds was commanded; compare the "
+    "state with its ranges of use, or raise control.evaluations"
+)
+"""What is said of a step whose plan has no prediction, without a full stop."""
+
 MISSED = 0.1  # Part of half a range of use by which a plan misses a distance that may be out of reach
 
 
@@ -153,13 +159,13 @@ class DeploymentController:
 
     def _calibration_after(self, logged: LoggedStep) -> IntervalCalibration | None:
         record = logged.record
-        known = logged.std > 0
-        if not (known.any() and logged.planned):
+        has_std = logged.std > 0
+        if not (has_std.any() and logged.planned):
             return self.calibration
         step_map = self.learner.step_map()
         calibration = self.calibration or IntervalCalibration.start(step_map.space)
         ratio = np.divide(
-            record.next_state - logged.predicted, logged.std, out=np.full(len(known), np.nan), where=known
+            record.next_state - logged.predicted, logged.std, out=np.full(len(has_std), np.nan), where=has_std
         )
         share = _share_of_map(step_map, record.state, record.command)
         return calibration.after(record.state, logged.predicted, share, ratio)
@@ -188,13 +194,15 @@ def deploy(
         control: Settings of step control.
         on_time: Called with "planning" or "learning", and how long that took for one step [s].
         on_learner: Called with the state of knowledge after each step.
-        on_warning: Called before a step whose target is a distance that no command reaches.
+        on_warning: Called before a step whose target is a distance that no command reaches, and before the first one
+            for which no command is found.
 
     Raises:
         StepGapError: The first state of the plant is not finite, or has another shape.
         ResidualError: The learned residual failed, or has no finite prediction of a step.
     """
     controller = DeploymentController.start(learner, control)
+    lost = False  # whether a step had no plan
     with plant:
         state = _checked_start(plant.start(), plant.space)
         if record := plant.first_step:
@@ -209,6 +217,9 @@ def deploy(
                 target = reference.targets[number - 1]
                 plan = controller.plan(plant.space.onward(state), target, reference.targets[number:])
             on_time("planning", perf_counter() - begin)
+            if not (lost or np.isfinite(plan.predicted).all()):
+                lost = True
+                on_warning(f"step {number}: {NO_COMMAND}")
             replan = partial(_replanned, reference, number, plan, on_time, on_warning)
             record, plan = _taken(plant, controller, plan, replan)
             target = asked(reference, number, plant.space, record.context) if number > 0 else plan.predicted
@@ -230,17 +241,17 @@ def _replanned(
     on_time: Callable[[str, float], None],
     on_warning: Callable[[str], None],
     controller: DeploymentController,
-    found: Touchdown,
+    touchdown: Touchdown,
 ) -> CautiousPlan:
     """Plan of a step at its touchdown; an exploratory one keeps its command."""
     if number < 1:
-        return controller.predicted_plan(found.state, plan.command)
+        return controller.predicted_plan(touchdown.state, plan.command)
     begin = perf_counter()
     step_map = controller.learner.step_map()
-    target = asked(reference, number, step_map.space, found.context)
-    plan = controller.plan(found.state, target, reference.targets[number:])
+    target = asked(reference, number, step_map.space, touchdown.context)
+    plan = controller.plan(touchdown.state, target, reference.targets[number:])
     on_time("planning", perf_counter() - begin)
-    for sentence in beyond_reach(step_map, found, target, plan):
+    for sentence in beyond_reach(step_map, touchdown, target, plan):
         on_warning(f"step {number}: {sentence}")
     return plan
 
@@ -257,17 +268,17 @@ def asked(reference: Reference, number: int, space: StepSpace, context: Mapping[
     target = reference.targets[number - 1]
     if not space.adds_up.any():
         return target
-    stands = np.array([context.get(each.above, np.nan) for each in space.state])
+    stands = np.array([context.get(quantity.above, np.nan) for quantity in space.state])
     behind = np.where(space.adds_up, reference.targets[: number - 1].sum(axis=0) - stands, 0.0)
     return target + np.nan_to_num(behind)
 
 
-def beyond_reach(step_map: StepMap, found: Touchdown, target: Array, plan: CautiousPlan) -> Iterator[str]:
+def beyond_reach(step_map: StepMap, touchdown: Touchdown, target: Array, plan: CautiousPlan) -> Iterator[str]:
     """Sentences on distances that no command reaches, such as that to the next foothold.
 
     Args:
         step_map: The map.
-        found: Where the step starts.
+        touchdown: Where the step starts.
         target: Its target; shape (n,).
         plan: Its plan, beside which only a target is looked at that it misses.
     """
@@ -276,13 +287,14 @@ def beyond_reach(step_map: StepMap, found: Touchdown, target: Array, plan: Cauti
     missed &= np.abs(np.nan_to_num(target) - plan.predicted) > MISSED * space.state_scale
     if not missed.any():
         return
-    least, most = reach_from(step_map, found.state)
+    least, most = reach_from(step_map, touchdown.state)
     for number in np.flatnonzero(missed & ~((least <= target) & (target <= most))):
-        each = space.state[number]
-        wanted = target[number]
+        quantity = space.state[number]
+        distance = target[number]
         yield (
-            f"the next {each.above}, at {found.context[each.above] + wanted:.3f} {each.unit}, is {wanted:.3f} "
-            f"{each.unit} away, but commands reach {least[number]:.3f} to {most[number]:.3f} {each.unit}"
+            f"the next {quantity.above}, at {touchdown.context[quantity.above] + distance:.3f} {quantity.unit}, is "
+            f"{distance:.3f} {quantity.unit} away, but commands reach {least[number]:.3f} to {most[number]:.3f} "
+            f"{quantity.unit}"
         )
 
 
@@ -306,9 +318,9 @@ def _taken(
         return plant.take_step(plan.command), plan
     plans = [plan]
 
-    def at_touchdown(found: Touchdown) -> Array:
-        knowing = replace(controller, learner=controller.learner.found(found.context))
-        plans.append(replan(knowing, found))
+    def at_touchdown(touchdown: Touchdown) -> Array:
+        knowing = replace(controller, learner=controller.learner.found(touchdown.context))
+        plans.append(replan(knowing, touchdown))
         return plans[-1].command
 
     record = plant.take_replanned_step(plan.command, at_touchdown)
@@ -335,10 +347,10 @@ def _share_of_map(step_map: StepMap, state: Array, command: Array) -> Array:
 
 def _checked_start(state: Array, space: StepSpace) -> Array:
     """Returns the first state of a plant; raises StepGapError unless it is one finite number for each coordinate."""
-    wanted = (len(space.state),)
-    if np.shape(state) != wanted or not np.isfinite(state).all():
+    expected = (len(space.state),)
+    if np.shape(state) != expected or not np.isfinite(state).all():
         raise StepGapError(
-            f"the first state of the plant is {format_value(state)}, but it must be finite numbers of shape {wanted}"
+            f"the first state of the plant is {format_value(state)}, but it must be finite numbers of shape {expected}"
         )
     return state
 

@@ -62,7 +62,8 @@ class Observer:
             record; then the record is locked, and agrees with the settings up to this deployment.
         on_time: Called with the number of a deployment, what was computed for it, and how long that took [s]: the `fit`
             before it, the `planning` of each command, and `learning` from each step.
-        on_warning: Called before a step whose target is a distance that no command reaches, with a sentence.
+        on_warning: Called with a sentence before a step whose target is a distance that no command reaches, and before
+            the first one of a deployment for which the search found no command.
         on_exploration: Called with what each exploratory step is expected to be worth [`worth_of_steps`], where a prior
             says that; the last one is not made if it is worth too little.
     """
@@ -279,7 +280,8 @@ def is_finished(deployments: Sequence[Deployment], scale: Array, learning: Learn
 def _still_improves(deployments: Sequence[Deployment], scale: Array, tolerance: float) -> bool:
     """Whether to deploy again: fewer than three deployments, the last one failed later, or an error still falling."""
     errors = [
-        inf if each.failed_steps else float(np.linalg.norm(np.nan_to_num(each.rmse / scale))) for each in deployments
+        inf if deployment.failed_steps else float(np.linalg.norm(np.nan_to_num(deployment.rmse / scale)))
+        for deployment in deployments
     ]
     if len(errors) < 3:
         return True
@@ -292,4 +294,4 @@ def fails_no_later(deployments: Sequence[Deployment]) -> bool:
     """Whether the last three deployments failed, the last of them after no more steps than one of the two before."""
     latest = deployments[-3:]
     steps = [deployment.steps for deployment in latest]
-    return len(latest) == 3 and all(each.failed_steps for each in latest) and steps[-1] <= max(steps[:-1])
+    return len(latest) == 3 and all(deployment.failed_steps for deployment in latest) and steps[-1] <= max(steps[:-1])

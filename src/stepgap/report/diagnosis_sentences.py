@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 
 from stepgap.experiment.command_response import command_response
+from stepgap.experiment.deployment import NO_COMMAND
 from stepgap.experiment.outcome import far_states, offset_sentences
 from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
@@ -27,11 +28,25 @@ def diagnosis_sentences(run: Run) -> list[str]:
     first = run.steps.of_iteration(run.steps.iterations[0])
     last = run.steps.of_iteration(run.steps.iterations[-1])
     offsets = [f"{sentence} {OFFSET_ADVICE}" for sentence in offset_sentences(last)]
+    lost = [sentence for number in run.steps.iterations for sentence in _lost(run.steps.of_iteration(number))]
     if isinstance(run.nominal, Missing):
-        return [*far_states(first), *offsets, f"Not available: {run.nominal.reason}."]
+        return [*far_states(first), *lost, *offsets, f"Not available: {run.nominal.reason}."]
     deployments = [first] if len(run.steps.iterations) == 1 else [first, last]
     bounds = [sentence for steps in deployments for sentence in _bounds(steps)]
-    return [*far_states(first), *offsets, *response_sentences(first, run.nominal), *bounds]
+    return [*far_states(first), *lost, *offsets, *response_sentences(first, run.nominal), *bounds]
+
+
+def _lost(steps: Steps) -> list[str]:
+    """A sentence if the search found no command for some steps of a deployment; they have a deviation nevertheless."""
+    tracking = steps.tracking()
+    missing = ~np.isfinite(tracking.predicted).all(axis=1) & np.isfinite(tracking.std).all(axis=1)
+    if not missing.any():
+        return []
+    first = tracking.number[missing][0]
+    return [
+        f"In {np.count_nonzero(missing)} of the {len(missing)} steps of deployment {steps.iterations[0]}, first in "
+        f"step {first}, {NO_COMMAND}."
+    ]
 
 
 def response_sentences(steps: Steps, nominal: StepMap) -> list[str]:
