@@ -104,7 +104,7 @@ class CautiousController:
         checking = self._with_half_the_budget()
         space = self.step_map.space
         predicting = searching.step_map
-        targets = np.array([checked_target(space, each) for each in (target, *np.asarray(ahead))])
+        targets = np.array([checked_target(space, row) for row in (target, *np.asarray(ahead))])
         goals = goals_for(self._with_half_the_budget().step_map, targets)
         goal = goals.onward[0]
         solver = StepController(self.change.limited(predicting))
@@ -148,8 +148,8 @@ class CautiousController:
 
         Where it is, all commands have the same variance.
         """
-        known = self.step_map.std(state, command) <= self.step_map.noise_std
-        return not self.settings.cautious or bool(known[self.step_map.space.tracked].all())
+        certain = self.step_map.std(state, command) <= self.step_map.noise_std
+        return not self.settings.cautious or bool(certain[self.step_map.space.tracked].all())
 
     def _nominal_commands(self, state: Array, goal: Goal, start: Array) -> list[Array]:
         """The command of the nominal map, if it has one."""

@@ -50,12 +50,12 @@ def plan_ahead(
     if reached:
         return first
     sequence = _Sequence(step_map, state, goals, change, cautious)
-    starts = np.array([sequence.point_of([each, *commands[1:]]) for each in (first.command, *others)])
+    starts = np.array([sequence.point_of([start, *commands[1:]]) for start in (first.command, *others)])
     best = starts[np.argmin(norms(sequence.errors(starts)))]
-    found = minimise(sequence.errors, sequence.jacobian, best, AHEAD_IMPROVEMENT)
-    command = sequence.commands_at(found.point)[0]
+    solution = minimise(sequence.errors, sequence.jacobian, best, AHEAD_IMPROVEMENT)
+    command = sequence.commands_at(solution.point)[0]
     predicted, status = step_map.evaluate(state, command)
-    if status != StepStatus.OK or not np.isfinite(found.distance):  # a later step of every sequence fails
+    if status != StepStatus.OK or not np.isfinite(solution.distance):  # a later step of every sequence fails
         return first
     distance = float(np.linalg.norm(goals[0].errors(predicted)))
     return StepPlan(command, predicted, distance <= REACHED, distance)

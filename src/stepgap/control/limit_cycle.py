@@ -163,14 +163,14 @@ def nearest_fixed_point(step_map: StepMap, target: Array) -> Array:
     """
     space = step_map.space
     n = len(space.state)
-    wanted = np.flatnonzero(space.has_target(target))
+    targeted = np.flatnonzero(space.has_target(target))
     change = repeated_state(step_map, space.state_centre, np.arange(n))
     start = np.zeros(change.size)
-    start[wanted] = space.scaled_state(target)[wanted]
-    pull = PULL * np.eye(change.size)[wanted]
+    start[targeted] = space.scaled_state(target)[targeted]
+    pull = PULL * np.eye(change.size)[targeted]
 
     def pulled(point: Array) -> Array:
-        return np.concatenate([change.function(point), PULL * (point - start)[..., wanted]], axis=-1)
+        return np.concatenate([change.function(point), PULL * (point - start)[..., targeted]], axis=-1)
 
     near = bounded_solution(pulled, lambda point: np.vstack([change.jacobian(point), pull]), start)
     return change.state_at(minimise(change.function, change.jacobian, near.point).point)
@@ -193,18 +193,18 @@ def held_reference(step_map: StepMap, reference: Reference) -> Reference | None:
         return reference
     for row in np.flatnonzero(~held):
         state = nearest_fixed_point(step_map, targets[row])
-        wanted = step_map.space.has_target(targets[row])
-        targets[row, wanted] = state[wanted]
+        targeted = step_map.space.has_target(targets[row])
+        targets[row, targeted] = state[targeted]
     held = _are_held(step_map, targets)
     if not held.any():
         return None
-    wanted = step_map.space.has_target(targets)
+    targeted = step_map.space.has_target(targets)
     for row in np.flatnonzero(~held):  # the nearest of the others takes its place
-        alike = held & (wanted == wanted[row]).all(axis=1)
+        alike = held & (targeted == targeted[row]).all(axis=1)
         if not alike.any():
             return None
         away = (targets[alike] - reference.targets[first[row]]) / step_map.space.error_scale
-        targets[row] = targets[alike][np.argmin(np.nansum(away[:, wanted[row]] ** 2, axis=1))]
+        targets[row] = targets[alike][np.argmin(np.nansum(away[:, targeted[row]] ** 2, axis=1))]
     return Reference(reference.names, targets[number])
 
 

@@ -20,13 +20,13 @@ def read_points(path: Path, space: StepSpace) -> Array:
     Raises:
         ValueError: The message names file, line and column, and states what is valid.
     """
-    wanted = f"it must be a CSV file with the columns {','.join(space.names)}"
+    remedy = f"it must be a CSV file with the columns {','.join(space.names)}"
     try:
         text = read_bounded_text(path, LARGEST_POINTS_FILE)
     except OSError as error:
-        raise ValueError(f"{path}: {error.strerror}; {wanted}") from None
+        raise ValueError(f"{path}: {error.strerror}; {remedy}") from None
     except UnicodeDecodeError:
-        raise ValueError(f"{path}: this is not text; {wanted}") from None
+        raise ValueError(f"{path}: this is not text; {remedy}") from None
     return parse_rows(text, (*space.state, *space.command), str(path), "point")
 
 

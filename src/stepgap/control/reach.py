@@ -48,17 +48,17 @@ def whole_states(step_map: StepMap, targets: Array) -> Array:
 
     The coordinates without a target are searched within their ranges of use, from the middle of them.
     """
-    wanted = step_map.space.has_target
-    whole = [target if wanted(target).all() else whole_state(step_map, target)[0] for target in targets]
+    has_target = step_map.space.has_target
+    whole = [target if has_target(target).all() else whole_state(step_map, target)[0] for target in targets]
     return np.array(whole).reshape(targets.shape)
 
 
 def whole_state(step_map: StepMap, target: Array) -> tuple[Array, Array]:
     """A target (n,) completed in the coordinates without one, by a zero of next state − state; and its command (m,)."""
     space = step_map.space
-    known = space.has_target(target)
-    free = np.flatnonzero(~known)
-    change = repeated_state(step_map, np.where(known, target, space.state_centre), free)
+    targeted = space.has_target(target)
+    free = np.flatnonzero(~targeted)
+    change = repeated_state(step_map, np.where(targeted, target, space.state_centre), free)
     point = bounded_solution(change.function, change.jacobian, np.zeros(change.size)).point
     return change.state_at(point), space.command_at(point[len(free) :])
 

@@ -81,14 +81,14 @@ class Reference:
         Raises:
             ValueError: It has a target of a coordinate that the space does not have, or does not track.
         """
-        known = tuple(quantity.name for quantity in space.state if quantity.weight)
-        wanted = [name for name, column in zip(self.names, self.targets.T, strict=True) if np.isfinite(column).any()]
-        if others := sorted({*wanted} - {*known}):
-            raise ValueError(f"the reference has targets of {','.join(others)}; the robot tracks {','.join(known)}")
+        tracked = tuple(quantity.name for quantity in space.state if quantity.weight)
+        targeted = [name for name, column in zip(self.names, self.targets.T, strict=True) if np.isfinite(column).any()]
+        if others := sorted({*targeted} - {*tracked}):
+            raise ValueError(f"the reference has targets of {','.join(others)}; the robot tracks {','.join(tracked)}")
         if self.names == space.state_names:
             return self
         targets = np.full((len(self), len(space.state)), np.nan)
-        for name in wanted:
+        for name in targeted:
             targets[:, space.state_names.index(name)] = self.targets[:, self.names.index(name)]
         return type(self)(space.state_names, targets)
 
@@ -144,9 +144,9 @@ def same_target(one: Array, other: Array) -> NDArray[np.bool_]:
 
 def mean_of_known(values: Array) -> Array:
     """Means over the steps whose values, such as targets or errors, are finite; (N, n) to (n,), NaN without any."""
-    known = np.isfinite(values)
-    count = known.sum(axis=0)
-    total = np.where(known, values, 0.0).sum(axis=0)
+    finite = np.isfinite(values)
+    count = finite.sum(axis=0)
+    total = np.where(finite, values, 0.0).sum(axis=0)
     return np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
 
 
@@ -230,9 +230,9 @@ def parse_rows(text: str, quantities: Sequence[Quantity], source: str, item: str
         raise ValueError(f"{source}, line {rows.line_num}: {error}; it must be CSV") from None
     if not numbers:
         raise ValueError(f"{source}, line 2: there is no {item}; it must have at least one row below the header")
-    found = np.full((len(numbers), len(names)), np.nan)
-    found[:, [names.index(name) for name in header]] = numbers
-    return found
+    table = np.full((len(numbers), len(names)), np.nan)
+    table[:, [names.index(name) for name in header]] = numbers
+    return table
 
 
 def _numbers_in_row(row: Sequence[str], quantities: Sequence[Quantity], source: str, may_lack: bool) -> list[float]:

@@ -93,10 +93,10 @@ class StepController:
 
         def error(point: Array) -> Array:
             """Errors at points (…, m); shape (…, r). Keeps the next states."""
-            found = self.step_map.evaluate(state, command_at(point)).next_state
-            known = zip(point.reshape(-1, m), found.reshape(-1, n), strict=True)
-            next_states.update((at.tobytes(), next_state) for at, next_state in known if np.isfinite(next_state).all())
-            return goal.errors(found)
+            ends = self.step_map.evaluate(state, command_at(point)).next_state
+            pairs = zip(point.reshape(-1, m), ends.reshape(-1, n), strict=True)
+            next_states.update((at.tobytes(), next_state) for at, next_state in pairs if np.isfinite(next_state).all())
+            return goal.errors(ends)
 
         def jacobian(point: Array) -> Array:
             """∂error/∂point; shape (r, m)."""

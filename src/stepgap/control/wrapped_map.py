@@ -80,7 +80,7 @@ class CommandChange:
         lower = np.maximum(space.command_lower, previous - change).tolist()
         upper = np.minimum(space.command_upper, previous + change).tolist()
         sides = zip(space.command, lower, upper, strict=True)
-        return replace(space, command=tuple(replace(each, lower=low, upper=high) for each, low, high in sides))
+        return replace(space, command=tuple(replace(quantity, lower=low, upper=high) for quantity, low, high in sides))
 
     def limited(self, step_map: StepMap) -> StepMap:
         """The map with the bounds of the next command."""

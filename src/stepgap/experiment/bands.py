@@ -64,10 +64,10 @@ def window_errors(errors: Array) -> Array:
 
 def interval_coverage(steps: Steps) -> tuple[Codes, Codes]:
     """Number of next states within their 95 % prediction interval, and number of those with an interval; (n,) each."""
-    known = steps.completed()
-    error = np.abs(known.next_state - known.predicted)
-    counted = np.isfinite(error) & (known.std > 0)
-    return (counted & (error <= INTERVAL_95 * known.std)).sum(axis=0), counted.sum(axis=0)
+    ended = steps.completed()
+    error = np.abs(ended.next_state - ended.predicted)
+    counted = np.isfinite(error) & (ended.std > 0)
+    return (counted & (error <= INTERVAL_95 * ended.std)).sum(axis=0), counted.sum(axis=0)
 
 
 def rmse_interval(steps: Steps) -> Array:
@@ -90,10 +90,10 @@ def rms_interval(errors: Array) -> Array:
     Returns:
         Lower and upper ends [units of the errors], NaN for fewer than `FEWEST_TRACKED` errors; shape (2, n).
     """
-    known = np.isfinite(errors)
-    if not known.all():
+    finite = np.isfinite(errors)
+    if not finite.all():
         return np.hstack(
-            [rms_interval(column[there][:, None]) for column, there in zip(errors.T, known.T, strict=True)]
+            [rms_interval(column[there][:, None]) for column, there in zip(errors.T, finite.T, strict=True)]
         )
     squares = errors**2
     count, size = squares.shape

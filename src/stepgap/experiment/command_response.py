@@ -46,21 +46,21 @@ def command_response(log: Steps, nominal: StepMap) -> CommandResponse | None:
         nominal: Map that says which effect is expected.
     """
     rows = np.flatnonzero(log.follows & np.isfinite(log.next_state).all(axis=1) & ~log.doubtful)
-    known = log.selected(rows)
+    here = log.selected(rows)
     before = log.selected(rows - 1)
-    plain = np.hstack([np.ones((len(rows), 1)), known.state])
+    plain = np.hstack([np.ones((len(rows), 1)), here.state])
     n = len(log.space.state)
     m = len(log.space.command)
     if len(rows) < FEWEST_STEPS_PER_WEIGHT * (1 + n + 2 * m):
         return None
-    now = known.requested
+    now = here.requested
     later = before.requested
-    both = fit_linear(np.hstack([plain, now, later]), known.next_state)
+    both = fit_linear(np.hstack([plain, now, later]), here.next_state)
     acts, acts_later = (
-        _explains(fit_linear(np.hstack([plain, other]), known.next_state).residual, both.residual, m, len(rows))
+        _explains(fit_linear(np.hstack([plain, other]), here.next_state).residual, both.residual, m, len(rows))
         for other in (later, now)
     )
-    by_command = nominal.jacobian(known.state, now)[..., n:]
+    by_command = nominal.jacobian(here.state, now)[..., n:]
     usable = np.isfinite(by_command).all(axis=(1, 2))
     if not usable.any():
         return CommandResponse(len(rows), acts, acts_later, np.zeros(n, bool))

@@ -119,7 +119,7 @@ def worth_of_steps(controller: CautiousController, residual: Residual, reference
 
 def worthwhile(worths: Sequence[float]) -> int:
     """Number of exploratory steps that are made, of those whose worth `worth_of_steps` has found."""
-    return sum(each >= LEAST_WORTH for each in worths)
+    return sum(worth >= LEAST_WORTH for worth in worths)
 
 
 def exploration_plan(controller: CautiousController, residual: Residual, state: Array, goals: Goals) -> CautiousPlan:

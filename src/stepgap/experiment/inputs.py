@@ -41,11 +41,11 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
         return _tracked(built_in[experiment.reference](), experiment).of(space)
     names = " or ".join(f"'{name}'" for name in built_in)
     path = Path(experiment.reference)
-    wanted = f"reference must be {names} or a CSV file of targets"
+    remedy = f"reference must be {names} or a CSV file of targets"
     try:
         return read_reference(path, space)
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; {wanted}") from None
+        raise InputError(f"{path}: {error.strerror}; {remedy}") from None
     except ValueError as error:
         raise InputError(str(error)) from None
 
@@ -57,8 +57,8 @@ def _tracked(reference: Reference, experiment: Experiment) -> Reference:
         return reference
     targets = np.where(ignored, np.nan, reference.targets)
     if np.isnan(targets).all():
-        wanted = "give targets of what is tracked, as a CSV file"
-        raise InputError(f"reference '{experiment.reference}': it only has targets of a weight of 0; {wanted}")
+        remedy = "give targets of what is tracked, as a CSV file"
+        raise InputError(f"reference '{experiment.reference}': it only has targets of a weight of 0; {remedy}")
     return replace(reference, targets=targets)
 
 
@@ -66,8 +66,10 @@ def run_folders(path: Path) -> list[Path]:
     """The folders of the runs in a folder, or of those of a sweep; the folder itself if it is a run or has none."""
     if (path / "steps.csv").exists():
         return [path]
-    found = [each.parent for each in (*path.glob("[!.]*/steps.csv"), *path.glob("runs/[!.]*/steps.csv"))]
-    runs = {each.resolve(): each for each in sorted(found, reverse=True)}  # a link such as `latest` is no other run
+    folders = [file.parent for file in (*path.glob("[!.]*/steps.csv"), *path.glob("runs/[!.]*/steps.csv"))]
+    runs = {
+        folder.resolve(): folder for folder in sorted(folders, reverse=True)
+    }  # a link such as `latest` is no other run
     return sorted(runs.values()) or [path]
 
 
@@ -80,21 +82,21 @@ def load_known(experiment: Experiment, space: StepSpace) -> Steps:
     if not experiment.warm_start:
         return Steps(space)
     path = Path(experiment.warm_start)
-    wanted = "a warm start needs the folder of a run, its steps.csv, or many runs"
+    remedy = "a warm start needs the folder of a run, its steps.csv, or many runs"
     files = [path]
     if path.is_dir():
         runs = run_folders(path)
         earlier = [path / WARM_START] if runs == [path] and (path / WARM_START).is_file() else []
-        files = [*earlier, *(each / "steps.csv" for each in runs)]
+        files = [*earlier, *(folder / "steps.csv" for folder in runs)]
     try:
-        known = joined([read_step_log(file, space) for file in files])
+        steps = joined([read_step_log(file, space) for file in files])
     except OSError as error:
-        raise InputError(f"{error.filename}: {error.strerror}; {wanted}") from None
+        raise InputError(f"{error.filename}: {error.strerror}; {remedy}") from None
     except RecordError as error:
-        raise InputError(f"{error}; {wanted}, of the same state and command") from None
-    if not len(known):
-        raise InputError(f"{files[-1]}: no step yet; {wanted} with at least one step")
-    return known
+        raise InputError(f"{error}; {remedy}, of the same state and command") from None
+    if not len(steps):
+        raise InputError(f"{files[-1]}: no step yet; {remedy} with at least one step")
+    return steps
 
 
 def load_priors(experiment: Experiment, space: StepSpace) -> list[PriorFile]:
@@ -116,22 +118,22 @@ def load_priors(experiment: Experiment, space: StepSpace) -> list[PriorFile]:
     elif experiment.prior == NO_PRIOR:
         return []
     files = prior_files(path)
-    found = [_read_prior(each, experiment, space) for each in files]
-    if built_in and any(each.nominal != nominal for each in found):
+    priors = [_read_prior(file, experiment, space) for file in files]
+    if built_in and any(prior.nominal != nominal for prior in priors):
         return []
-    for each, file in zip(found, files, strict=True):
-        if each.nominal != nominal or linear:
+    for one, file in zip(priors, files, strict=True):
+        if one.nominal != nominal or linear:
             kind = f"a linear map of nominal.kind = '{nominal}'" if linear else f"nominal.kind = '{nominal}'"
-            raise InputError(f"{file}: it is for nominal.kind = '{each.nominal}', but this experiment has {kind}")
-    return found
+            raise InputError(f"{file}: it is for nominal.kind = '{one.nominal}', but this experiment has {kind}")
+    return priors
 
 
 def check_prior_is_used(experiment: Experiment) -> None:
     """Raises InputError if a prior is wanted, but what is learned cannot begin with it."""
     learning = experiment.learning
     usual = LearningSettings().residual
-    wanted = experiment.prior not in (PRIOR_OF_ROBOT, NO_PRIOR)
-    if wanted and not (learning.drift and learning.residual == usual):
+    chosen = experiment.prior not in (PRIOR_OF_ROBOT, NO_PRIOR)
+    if chosen and not (learning.drift and learning.residual == usual):
         raise InputError(
             f"prior = {experiment.prior!r}: only beliefs begin with a prior; leave it out, or set learning.residual = "
             f"{usual!r} and learning.drift = true"
@@ -149,16 +151,16 @@ def prior_files(path: Path) -> list[Path]:
 
 def _read_prior(path: Path, experiment: Experiment, space: StepSpace) -> PriorFile:
     try:
-        found = read_prior(path, space)
+        prior = read_prior(path, space)
     except OSError as error:
         raise InputError(
             f"{path}: {error.strerror}; prior must be robot, none or a file of `stepgap prior`, or a folder of them"
         ) from None
     except ValueError as error:
         raise InputError(str(error)) from None
-    if found.robot != experiment.robot.name:
-        raise InputError(f"{path}: it is of robot '{found.robot}', but this one is '{experiment.robot.name}'")
-    return found
+    if prior.robot != experiment.robot.name:
+        raise InputError(f"{path}: it is of robot '{prior.robot}', but this one is '{experiment.robot.name}'")
+    return prior
 
 
 def experiment_files(
@@ -203,8 +205,8 @@ def experiment_files(
         path = Path(experiment.prior)
         several = path.is_dir()
         files |= {
-            f"{PRIOR_FOLDER}/{each.name}" if several else PRIOR_FILE: _text_of(each, "prior")
-            for each in prior_files(path)
+            f"{PRIOR_FOLDER}/{file.name}" if several else PRIOR_FILE: _text_of(file, "prior")
+            for file in prior_files(path)
         }
         experiment = replace(experiment, prior=PRIOR_FOLDER if several else PRIOR_FILE)
     if known:

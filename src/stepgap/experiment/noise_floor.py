@@ -79,8 +79,8 @@ def measure_noise_floor(
     repeated = partial(_repeated, make_plant, CautiousController(step_map, step_map, no_failures, EXACT))
     jobs = zip(reference.targets[chosen], rng.spawn(len(chosen)), strict=True)
     progress(0, len(chosen))
-    for found in _side_by_side(repeated, jobs, threads):
-        groups.append(found)
+    for states in _side_by_side(repeated, jobs, threads):
+        groups.append(states)
         progress(len(groups), len(chosen))
     return _pooled(groups, size)
 
@@ -116,19 +116,19 @@ def _repeated(make_plant: MakePlant, controller: CautiousController, job: tuple[
                 return nothing
         command = tracking_plan(controller, state, target, None).command
         phases = rng.uniform(0, tau, PHASES)
-        found = np.array([[plant.repeated(command, rng, phase) for _ in range(REPEATS)] for phase in phases])
-    return found[np.isfinite(found).all(axis=(1, 2))]
+        states = np.array([[plant.repeated(command, rng, phase) for _ in range(REPEATS)] for phase in phases])
+    return states[np.isfinite(states).all(axis=(1, 2))]
 
 
 def _pooled(groups: Sequence[Array], size: int) -> NoiseFloor:
     """Components of variance of repeated steps (phases, repeats, n), one array for each target; n is the `size`."""
-    groups = [found for found in groups if len(found) > 1]
+    groups = [group for group in groups if len(group) > 1]
     if not groups:
         return NoiseFloor.unknown(size)
-    means = [found.mean(axis=1) for found in groups]
+    means = [group.mean(axis=1) for group in groups]
     within = np.array([np.sum((x - m[:, None]) ** 2, axis=(0, 1)) for x, m in zip(groups, means, strict=True)])
     between = np.array([REPEATS * np.sum((m - m.mean(axis=0)) ** 2, axis=0) for m in means])
-    counts = np.array([len(found) for found in groups])
+    counts = np.array([len(group) for group in groups])
     within_freedom = counts * (REPEATS - 1)
     between_freedom = counts - 1
     noise = within.sum(axis=0) / within_freedom.sum()

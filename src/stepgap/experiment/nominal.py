@@ -97,20 +97,20 @@ def _load_map(settings: Experiment, on_samples: Callable[[int, Array], None]) ->
         if not file:
             example = "template.toml" if kind == FROM_TEMPLATE else "steps.csv"
             raise InputError(f"nominal.kind = {kind}: give its file by nominal.file, such as {example}")
-        found = _read_map(kind, Path(file), settings.space)
-        if isinstance(found, LogMap):
-            return Nominal(found, warnings=tuple(f"{file}: {gap}" for gap in found.gaps))
-        return Nominal(found, warnings=gaps_of_template(Path(file), found) if isinstance(found, AffineMap) else ())
+        read = _read_map(kind, Path(file), settings.space)
+        if isinstance(read, LogMap):
+            return Nominal(read, warnings=tuple(f"{file}: {gap}" for gap in read.gaps))
+        return Nominal(read, warnings=gaps_of_template(Path(file), read) if isinstance(read, AffineMap) else ())
     maps = robot.nominal_maps()
     if kind not in maps:
-        known = ", ".join([*maps, FROM_TEMPLATE, FROM_LOG])
-        raise InputError(f"nominal.kind = {kind}: robot '{robot.name}' has no such map; it must be one of {known}")
+        kinds = ", ".join([*maps, FROM_TEMPLATE, FROM_LOG])
+        raise InputError(f"nominal.kind = {kind}: robot '{robot.name}' has no such map; it must be one of {kinds}")
     nominal = maps[kind]()
     if not isinstance(nominal, SimulatorMap):
         if file:
             raise InputError(f"nominal.file = {file}: nominal map '{kind}' needs no file")
-        found = _differenced(kind, nominal) if has_no_formula(nominal) else Nominal(nominal)
-        return found._replace(map=_weighted(found.map, settings))
+        read = _differenced(kind, nominal) if has_no_formula(nominal) else Nominal(nominal)
+        return read._replace(map=_weighted(read.map, settings))
     if file:
         return Nominal(_read_map(kind, Path(file), settings.space))
     rng = random_stream(settings.seed, 0, 2)

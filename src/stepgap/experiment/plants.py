@@ -71,8 +71,8 @@ def choose_plants(request: PlantRequest) -> Plants:
         return _simulated(request)
     installed = [plant for plant in plugin_names(PLANTS) if plant != ANY_RIG]
     if name not in (*installed, *rig_names()) and not settings.rig:
-        known = (*simulations_of(settings.robot), *installed, *rig_names())
-        raise InputError(f"--plant {name}: unknown; it must be one of {', '.join(known)}")
+        names = (*simulations_of(settings.robot), *installed, *rig_names())
+        raise InputError(f"--plant {name}: unknown; it must be one of {', '.join(names)}")
     kind = name if name in installed else ANY_RIG
     return load_plugin(PLANTS, "plant", kind, callable, "callable with a PlantRequest")(request)
 

@@ -50,15 +50,15 @@ def find_prior(robots: Sequence[RobotSteps]) -> PriorFile:
     if len(robots) < LEAST_FOR_PRIOR:
         raise InputError(f"RUNS: {len(robots)} robots with enough steps, but a prior needs at least {LEAST_FOR_PRIOR}")
     first = robots[0]
-    for each in robots:
-        if each[1:3] != first[1:3] or each.observations.space != first.observations.space:
-            wanted = "the robot, the ranges of its state and command, and the nominal map must be the same"
-            raise InputError(f"{each.folder}: differs from {first.folder}; {wanted}")
+    for one in robots:
+        if one[1:3] != first[1:3] or one.observations.space != first.observations.space:
+            remedy = "the robot, the ranges of its state and command, and the nominal map must be the same"
+            raise InputError(f"{one.folder}: differs from {first.folder}; {remedy}")
     if not first.nominal:
         raise InputError(f"{first.folder}: a prior is for the nominal map as it is, but nominal.linear is true")
     provenance = {
         "robots": len(robots),
-        "steps": sum(len(each.observations) for each in robots),
+        "steps": sum(len(robot.observations) for robot in robots),
         "stepgap": versions_here()["stepgap"],
     }
-    return PriorFile(fit_prior([each.observations for each in robots]), first.robot, first.nominal, provenance)
+    return PriorFile(fit_prior([robot.observations for robot in robots]), first.robot, first.nominal, provenance)

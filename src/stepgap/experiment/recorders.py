@@ -105,8 +105,8 @@ class TimeRecorder:
         """Adds the times of a deployment that was executed now; one that was taken from the record keeps its own."""
         if "planning" not in (measured := self._measured.get(iteration, {})):
             return
-        known = read_times(self.folder)
-        times = {} if isinstance(known, Missing) else known
+        recorded = read_times(self.folder)
+        times = {} if isinstance(recorded, Missing) else recorded
         times[iteration] = {part: statistics_of(seconds) for part, seconds in measured.items()}
         with suppress(OSError):  # a run does not end because its times cannot be kept
             write_times(self.folder, times)

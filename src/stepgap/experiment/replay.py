@@ -75,8 +75,8 @@ def _replay_of(run: Run, kinematics: Kinematics) -> Replay:
         return logged_ticks(run, iteration).resampled(1 / INTERVAL)
 
     ends = dict.fromkeys((run.shown_iterations[0], run.shown_iterations[-1]))
-    found = {iteration: ground_of(run, iteration, scene) for iteration in ends}
-    grounds = {iteration: ground for iteration, ground in found.items() if ground}
+    all_grounds = {iteration: ground_of(run, iteration, scene) for iteration in ends}
+    grounds = {iteration: ground for iteration, ground in all_grounds.items() if ground}
     return Replay({iteration: motion(iteration) for iteration in ends}, scene, grounds)
 
 
@@ -95,12 +95,12 @@ def ground_of(run: Run, iteration: int, scene: Scene) -> GroundPieces | None:
         return None
     if settings.simulated:
         return simulation_of(settings).ground(deployment_generator(settings.seed, iteration))
-    above = next((each.above for each in space.state if each.name == scene.height), "")
+    above = next((quantity.above for quantity in space.state if quantity.name == scene.height), "")
     if not (above and scene.foothold in space.context_names):
         return None
     columns = [space.context_names.index(name) for name in (scene.foothold, above)]
-    found = run.recorded.of_iteration(iteration).context[:, columns]
-    place, height = found[np.isfinite(found).all(axis=1)].T
+    places = run.recorded.of_iteration(iteration).context[:, columns]
+    place, height = places[np.isfinite(places).all(axis=1)].T
     return GroundPieces(
         start=place - FOOTPRINT / 2,
         end=place + FOOTPRINT / 2,

@@ -293,7 +293,7 @@ class Run:
             return Learner.restored(nominal, log, settings.learning, number, *model)
         if number < after and len(log):
             raise InputError(f"{self.folder}: there is no models/iteration_{number}.json, so the model is unknown")
-        priors = [each.prior for each in load_priors(settings, nominal.space)]
+        priors = [file.prior for file in load_priors(settings, nominal.space)]
         if number > 0 and (last := self._last_beliefs(number - 1)):
             return last.redeployed(log, priors)
         return Learner.start(nominal, log, settings.learning, number, priors)
@@ -393,7 +393,9 @@ class Run:
     @property
     def compared_result(self) -> PublishedResult | None:
         """The published result if the run has its reference, so that its errors can be compared; else None."""
-        incomplete = {each.iteration for each in self.deployments if each.failed_steps} | set(self.unfinished)
+        incomplete = {deployment.iteration for deployment in self.deployments if deployment.failed_steps} | set(
+            self.unfinished
+        )
         tracked = self.published is not None and all(
             self.published.is_tracked_by(self.steps.of_iteration(number).tracking().target, number not in incomplete)
             for number in self.steps.iterations
@@ -469,8 +471,8 @@ def _check_rmse(deployment: Deployment, steps: Steps, path: Path) -> None:
     errors = steps.of_iteration(deployment.iteration).tracking_errors()
     if not len(errors):
         return
-    found = np.sqrt(mean_of_known(errors**2))
-    for name, error, computed in zip(steps.space.state_names, deployment.rmse, found, strict=True):
+    of_steps = np.sqrt(mean_of_known(errors**2))
+    for name, error, computed in zip(steps.space.state_names, deployment.rmse, of_steps, strict=True):
         if isfinite(error) and not isclose(error, computed, rel_tol=1e-6):
             raise InputError(
                 f"{path}: rmse of {name} of deployment {deployment.iteration} is {error:.6g}, but that of its steps in "

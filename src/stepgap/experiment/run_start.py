@@ -45,12 +45,12 @@ def run_folder(out: Path | None) -> Iterator[Path]:
                 unused.rmdir()
 
 
-def _made(wanted: Path) -> Path:
+def _made(folder_wanted: Path) -> Path:
     """Makes a folder of this name, or of the first free one after it; raises InputError if that is not possible."""
     try:
-        wanted.parent.mkdir(parents=True, exist_ok=True)
+        folder_wanted.parent.mkdir(parents=True, exist_ok=True)
         while True:
-            folder = free_name(wanted)
+            folder = free_name(folder_wanted)
             with suppress(FileExistsError):  # another process was faster
                 folder.mkdir()
                 return folder
@@ -75,7 +75,7 @@ def load_setup(request: PlantRequest, nominal: StepMap) -> Setup:
     check_reach(nominal, request.reference, name, settings.robot)
     if settings.control.table and np.isnan(request.reference.targets).any():
         raise InputError("control.table: a table needs a target of every state coordinate at every step; set it to 0")
-    known = load_known(settings, settings.space)
+    steps = load_known(settings, settings.space)
     plants = choose_plants(request)
     check_prior_is_used(settings)
     priors = load_priors(settings, settings.space)
@@ -86,8 +86,8 @@ def load_setup(request: PlantRequest, nominal: StepMap) -> Setup:
         settings.learning,
         settings.control,
         settings.seed,
-        known,
-        [each.prior for each in priors],
+        steps,
+        [file.prior for file in priors],
     )
 
 
@@ -169,9 +169,9 @@ def check_reach(nominal: StepMap, reference: Reference, name: str, robot: Robot)
         step = int(unheld.min())
         state = nominal.space.state
         values = zip(state, reference.targets[step], strict=True)
-        wanted = ", ".join(f"{each.name} {value:g} {each.unit}" for each, value in values if value == value)
+        target = ", ".join(f"{quantity.name} {value:g} {quantity.unit}" for quantity, value in values if value == value)
         raise InputError(
-            f"reference {name}, step {step + 1}: {wanted} is out of reach: the model cannot hold it within the "
+            f"reference {name}, step {step + 1}: {target} is out of reach: the model cannot hold it within the "
             f"command bounds{_changes(robot)}; `stepgap gait` shows its range, `stepgap check` proposes targets in it"
         )
 

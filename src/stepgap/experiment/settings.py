@@ -233,8 +233,8 @@ def weighted_space(space: StepSpace, weights: Mapping[str, float]) -> StepSpace:
     for name, weight in weights.items():
         require(name in space.state_names, f"weights.{name}", weight, f"have the name of a state coordinate: {names}")
         require(0 <= weight < inf, f"weights.{name}", weight, "be a finite number from 0 on")
-    state = tuple(replace(each, weight=weights.get(each.name, each.weight)) for each in space.state)
-    tracked = any(each.weight for each in state)
+    state = tuple(replace(quantity, weight=weights.get(quantity.name, quantity.weight)) for quantity in space.state)
+    tracked = any(quantity.weight for quantity in state)
     require(tracked, "weights", dict(weights), f"leave a weight above 0 of at least one of {names}")
     return replace(space, state=state)
 
@@ -286,11 +286,11 @@ def read_settings_file(path: Path) -> SettingsFile | Missing:
 
 def with_absolute_paths(experiment: Experiment, folder: Path) -> Experiment:
     """The experiment from a file in this folder, to which its paths are relative."""
-    given = {name: attrgetter(name)(experiment) for name in _PATHS}
-    found = {name: in_folder(folder, experiment.robot, name, value) for name, value in given.items()}
-    nominal = replace(experiment.nominal, file=found.pop("nominal.file"))
+    written = {name: attrgetter(name)(experiment) for name in _PATHS}
+    absolute = {name: in_folder(folder, experiment.robot, name, value) for name, value in written.items()}
+    nominal = replace(experiment.nominal, file=absolute.pop("nominal.file"))
     robot = with_files(experiment.robot, lambda name, value: in_folder(folder, experiment.robot, name, value))
-    return replace(experiment, **found, nominal=nominal, robot=robot)
+    return replace(experiment, **absolute, nominal=nominal, robot=robot)
 
 
 def with_files(robot: Robot, change: Callable[[str, str], str]) -> Robot:
@@ -405,7 +405,7 @@ def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: 
 def _gone(table: Mapping[str, Any]) -> list[str]:
     """Dotted names of the settings of a table that are gone."""
     tables = {key: part for key, part in table.items() if isinstance(part, Mapping)}
-    return [name for key, part in tables.items() for each in part if (name := f"{key}.{each}") in GONE]
+    return [name for key, part in tables.items() for inner in part if (name := f"{key}.{inner}") in GONE]
 
 
 def _without_gone(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -413,7 +413,7 @@ def _without_gone(table: Mapping[str, Any]) -> dict[str, Any]:
     kept = dict(table)
     for name in _gone(table):
         key, _, gone = name.partition(".")
-        kept[key] = {each: value for each, value in kept[key].items() if each != gone}
+        kept[key] = {inner: value for inner, value in kept[key].items() if inner != gone}
     return kept
 
 
@@ -430,7 +430,7 @@ def _without_former(robot: Robot, table: Mapping[str, Any], locate: Locate) -> d
                 f"{locate(name)} = {format_value(part[former])}, but this setting is gone, and is read only as "
                 f"{format_value(harmless)}; leave it out"
             )
-        kept[key] = {each: value for each, value in part.items() if each != former}
+        kept[key] = {inner: value for inner, value in part.items() if inner != former}
     return kept
 
 

@@ -28,20 +28,20 @@ def meanings(settings: type) -> Mapping[str, str]:
 
     Of a `Gap`, it is the docstring below the field, with the value without gap.
     """
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for kind in reversed(settings.__mro__):
         style = DocstringStyle.GOOGLE
         text = parse_from_object(kind, style) if issubclass(kind, Gap) else parse(kind.__doc__ or "", style)
-        found |= {entry.arg_name: " ".join((entry.description or "").split()) for entry in text.params}
-    for name, known in differences(settings).items() if issubclass(settings, Gap) else ():
-        if name in found and known.exact is not None:
-            found[name] += f" No gap: {format_value(known.exact)}."
-    return found
+        texts |= {entry.arg_name: " ".join((entry.description or "").split()) for entry in text.params}
+    for name, difference in differences(settings).items() if issubclass(settings, Gap) else ():
+        if name in texts and difference.exact is not None:
+            texts[name] += f" No gap: {format_value(difference.exact)}."
+    return texts
 
 
 def experiment_toml(experiment: Experiment) -> str:
     """The TOML file of an experiment, with the meaning of every setting as a comment."""
-    known = {name: text for name, text, _ in described_settings(experiment)}
+    texts = {name: text for name, text, _ in described_settings(experiment)}
     lines = []
     table = ""
     for line in tomli_w.dumps(experiment_table(experiment)).splitlines():
@@ -53,7 +53,7 @@ def experiment_toml(experiment: Experiment) -> str:
             table = f"{name}."
         elif key:
             name = table + key[1]
-        lines += [*_comment(known.get(name, "")), line]
+        lines += [*_comment(texts.get(name, "")), line]
     return "\n".join([*lines, ""])
 
 
@@ -92,12 +92,12 @@ This page is written by `./go python docs/settings_page.py`.
 """
 
 
-def _tables(experiment: Experiment, wanted: set[str]) -> list[str]:
+def _tables(experiment: Experiment, names: set[str]) -> list[str]:
     """The wanted settings as tables in Markdown, one for each table of the file."""
     tables: dict[str, list[str]] = {}
     heads: dict[str, str] = {}
     for name, text, value in described_settings(experiment):
-        if name not in wanted:
+        if name not in names:
             continue
         table, _, key = name.rpartition(".")
         if value is None and key != "preset" and name != "method":

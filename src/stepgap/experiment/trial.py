@@ -40,8 +40,8 @@ def trial_run(
     """
     settings = replace(settings, learning=replace(settings.learning, iterations=0, exploration=0, online=False))
     kinematics = find_kinematics(settings)
-    known = not isinstance(kinematics, Missing)
-    recorder = TickRecorder(kinematics.units if known else {}, kinematics.every(INTERVAL) if known else 1)
+    drawn = not isinstance(kinematics, Missing)
+    recorder = TickRecorder(kinematics.units if drawn else {}, kinematics.every(INTERVAL) if drawn else 1)
     request = PlantRequest(settings, reference, folder, on_ticks=recorder.on_ticks, program=program)
     setup = Setup(nominal.map, choose_plants(request), reference, settings.learning, settings.control, settings.seed)
     write_experiment(folder, settings, reference, surrogate=nominal.file)

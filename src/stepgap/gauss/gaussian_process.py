@@ -275,7 +275,7 @@ class ExactGaussianProcess(GaussianProcess):
         """
         solved = self.least_squares
         values = self.values
-        mean, variance, kriging_variance = (np.full(len(values), each) for each in (np.nan, np.inf, np.inf))
+        mean, variance, kriging_variance = (np.full(len(values), empty) for empty in (np.nan, np.inf, np.inf))
         whitened = solve(solved.factor, np.eye(len(values)))
         basis = solved.basis / np.linalg.norm(solved.basis)
         without_basis = np.subtract(whitened, np.outer(basis, basis @ whitened), order="F")
@@ -375,7 +375,7 @@ class SparseGaussianProcess(GaussianProcess):
         features = self._features(self.points)
         whitened = solve(self.weight_factor, features)
         error = self.values - features.T @ self.weight_mean
-        mean, growth, kriging_growth = (np.full(count, each) for each in (np.nan, np.inf, np.inf))
+        mean, growth, kriging_growth = (np.full(count, empty) for empty in (np.nan, np.inf, np.inf))
         for block in blocks:
             if len(self.values[block]) < count:
                 inside = whitened[:, block]
@@ -384,8 +384,8 @@ class SparseGaussianProcess(GaussianProcess):
                 kriging_growth[block] = kriging.diagonal()
                 mean[block] = self.values[block] - kriging @ error[block]
         conditional = self._conditional_variance(features)
-        variances = (conditional + noise * (each - 1) for each in (growth, kriging_growth))
-        return LeftOut(mean, *(self.hyper_parameters.std(each, include_noise=True) for each in variances))
+        variances = (conditional + noise * (factor - 1) for factor in (growth, kriging_growth))
+        return LeftOut(mean, *(self.hyper_parameters.std(variance, include_noise=True) for variance in variances))
 
     def to_dict(self) -> dict[str, Any]:
         """What defines the process, for JSON; `process_from_dict` reads it."""

@@ -72,7 +72,7 @@ def fit_gaussian_process(
     Raises:
         ValueError: Data or scales are not finite, or their sizes do not fit.
     """
-    found = fit_hyper_parameters(
+    hyper_parameters = fit_hyper_parameters(
         points,
         values,
         input_scale,
@@ -81,7 +81,7 @@ def fit_gaussian_process(
         kernel=kernel,
         last_length_scale=last_length_scale,
     )
-    return condition_as_needed(points, values, input_scale, found, kernel)
+    return condition_as_needed(points, values, input_scale, hyper_parameters, kernel)
 
 
 def fit_hyper_parameters(
@@ -132,9 +132,9 @@ def fit_hyper_parameters(
         kernel=kernel,
     )
     log_parameters = _search(evidence, _starts(inputs, basis))
-    found = evidence.hyper_parameters(log_parameters)
+    probable = evidence.hyper_parameters(log_parameters)
     fitted = len(log_parameters.vector) + 1
-    return _widened(found, len(some), fitted)
+    return _widened(probable, len(some), fitted)
 
 
 def searched_rows(count: int) -> NDArray[np.intp]:
@@ -142,7 +142,7 @@ def searched_rows(count: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, count - 1, min(count, EXACT_SIZE)).astype(np.intp))
 
 
-def _widened(found: HyperParameters, size: int, fitted: int) -> HyperParameters:
+def _widened(probable: HyperParameters, size: int, fitted: int) -> HyperParameters:
     """Multiplies all variances by (N + 3p)/(N + p), for p fitted parameters; the mean does not change.
 
     The variance at the most probable parameters is too small, as is that of the residuals of a least-squares fit. There
@@ -151,8 +151,8 @@ def _widened(found: HyperParameters, size: int, fitted: int) -> HyperParameters:
     N = 30.
     """
     wider = math.sqrt((size + 3 * fitted) / (size + fitted))
-    stds = (wider * std for std in (found.signal_std, found.noise_std, found.slope_std))
-    return HyperParameters(found.length_scale, *stds)
+    stds = (wider * std for std in (probable.signal_std, probable.noise_std, probable.slope_std))
+    return HyperParameters(probable.length_scale, *stds)
 
 
 def fit_like_fitrgp(points: ArrayLike, values: ArrayLike) -> GaussianProcess:
@@ -179,15 +179,15 @@ def _like_fitrgp(points: Array, values: Array) -> HyperParameters:
     initial = spread if spread > 0 else 1.0
     least_noise = max(1e-6 * float(np.abs(values).max()), 1e-12, 0.01 * values_spread)
     evidence = Evidence(points / initial, values, None, 1, least_noise)
-    found = evidence.hyper_parameters(_search(evidence, [LogParameters(np.zeros(1), 0.0)]))
-    return HyperParameters(initial * found.length_scale, found.signal_std, found.noise_std)
+    fitted = evidence.hyper_parameters(_search(evidence, [LogParameters(np.zeros(1), 0.0)]))
+    return HyperParameters(initial * fitted.length_scale, fitted.signal_std, fitted.noise_std)
 
 
 def condition_as_needed(
     points: ArrayLike,
     values: ArrayLike,
     input_scale: ArrayLike,
-    found: HyperParameters,
+    hyper_parameters: HyperParameters,
     kernel: Kernel = MATERN_52,
 ) -> GaussianProcess:
     """Conditions a process on the data, with more than `EXACT_SIZE` points a sparse one that has as many as it needs.
@@ -200,26 +200,28 @@ def condition_as_needed(
         points: Shape (N, d), N ≥ 1.
         values: Shape (N,).
         input_scale: Fixed size of each input, not taken from the data; shape (d,).
-        found: Hyper-parameters; `noise_std` must be positive.
+        hyper_parameters: Hyper-parameters; `noise_std` must be positive.
         kernel: Covariance of f.
     """
     points, values, input_scale = checked_data(points, values, input_scale)
     if len(values) <= EXACT_SIZE:
-        return condition(points, values, input_scale, found, kernel)
+        return condition(points, values, input_scale, hyper_parameters, kernel)
     held_out = np.arange(len(values)) % 5 == 4
     size = INDUCING_SIZES[0]
     best = -np.inf
     for candidate in INDUCING_SIZES:
-        inducing = spread_points(points[~held_out], input_scale, found, candidate, kernel)
-        process = condition_sparse(points[~held_out], values[~held_out], input_scale, found, inducing, kernel)
+        inducing = spread_points(points[~held_out], input_scale, hyper_parameters, candidate, kernel)
+        process = condition_sparse(
+            points[~held_out], values[~held_out], input_scale, hyper_parameters, inducing, kernel
+        )
         std = process.kriging_std(points[held_out], include_noise=True)
         score = float(np.mean(log_density(values[held_out] - process.mean(points[held_out]), std)))
         if score < best + LEAST_GAIN:
             break
         size = candidate
         best = score
-    inducing = spread_points(points, input_scale, found, size, kernel)
-    return condition_sparse(points, values, input_scale, found, inducing, kernel)
+    inducing = spread_points(points, input_scale, hyper_parameters, size, kernel)
+    return condition_sparse(points, values, input_scale, hyper_parameters, inducing, kernel)
 
 
 def spread_points(

@@ -210,7 +210,7 @@ class Beliefs:
     @property
     def probabilities(self) -> Array:
         """Probability of each belief."""
-        weights = np.array([each.log_weight for each in self.beliefs])
+        weights = np.array([belief.log_weight for belief in self.beliefs])
         return _shares(weights)
 
     def mixture(self, phase: float) -> Mixture:
@@ -266,24 +266,24 @@ class Beliefs:
     def taught(self, step: Observed) -> "Beliefs":
         """The beliefs after a step that is learned without a judgement, such as the first one of a plant."""
         features = self.all_features(step.point, self.side(step.phase))
-        beliefs = tuple(each.learned(features, step.error, 1.0) for each in self.beliefs)
+        beliefs = tuple(belief.learned(features, step.error, 1.0) for belief in self.beliefs)
         before = np.concatenate([step.error, step.command])
         return replace(self, beliefs=beliefs, before=before, suspicion=None, alarm=None)
 
     def after(self, step: Observed) -> "Beliefs":
         """The beliefs after a step."""
-        beliefs = [each.walked(self._walking) for each in self.beliefs]
-        best = max(beliefs, key=lambda each: each.log_weight)
+        beliefs = [belief.walked(self._walking) for belief in self.beliefs]
+        best = max(beliefs, key=lambda belief: belief.log_weight)
         settled = max(
-            (each for each in beliefs if each.kind not in ("changed", "earlier")),
-            key=lambda each: each.log_weight,
+            (belief for belief in beliefs if belief.kind not in ("changed", "earlier")),
+            key=lambda belief: belief.log_weight,
             default=best,
         )
         if len(self.recent):
             least = best.log_weight + log(RETURN_HAZARD)
             beliefs = [
-                replace(each, log_weight=max(each.log_weight, least)) if each.kind == "earlier" else each
-                for each in beliefs
+                replace(belief, log_weight=max(belief.log_weight, least)) if belief.kind == "earlier" else belief
+                for belief in beliefs
             ]
             widenings = min(max(0, self._wrong_in_a_row - ACCIDENTS), WIDENINGS)
             beliefs.append(self._changed(best, best.log_weight + log(HAZARD), WIDER**widenings))
@@ -371,12 +371,12 @@ def _judged(
     beliefs: Sequence[Belief], best: Belief, features: Array, error: Array, elsewhere: _Elsewhere | None
 ) -> _Judged:
     """Weighs the beliefs by the density that each gives to an error, and lets each learn the step."""
-    predictions = [each.weights.predicted(features) for each in beliefs]
-    totals = [each.noise + found.variance for each, found in zip(beliefs, predictions, strict=True)]
+    predictions = [belief.weights.predicted(features) for belief in beliefs]
+    totals = [belief.noise + prediction.variance for belief, prediction in zip(beliefs, predictions, strict=True)]
     # A wrong step is as wide as the widest belief at least: otherwise every large error would be a change.
     wide = np.maximum(np.max(totals, axis=0), WRONG_WIDTH**2 * best.noise)
     doubt = elsewhere.probability if elsewhere else 0.0
-    found = list[Belief]()
+    updated = list[Belief]()
     wrongs = list[float]()
     moved = list[float]()
     for belief, (mean, _), total in zip(beliefs, predictions, totals, strict=True):
@@ -391,11 +391,11 @@ def _judged(
         trust = max(LEAST_TRUST / far, exp(max(regular, after) - density))
         lesson = (elsewhere.features, elsewhere.error) if elsewhere and after > regular else (features, error)
         learned = belief if belief.kind == "earlier" else belief.learned(*lesson, trust)
-        found.append(replace(learned, log_weight=belief.log_weight + density))
+        updated.append(replace(learned, log_weight=belief.log_weight + density))
         wrongs.append(exp(wrong - density))
         moved.append(exp(after - density))
-    shares = _shares(np.array([each.log_weight for each in found]))
-    return _Judged(found, float(shares @ wrongs), float(shares @ moved))
+    shares = _shares(np.array([belief.log_weight for belief in updated]))
+    return _Judged(updated, float(shares @ wrongs), float(shares @ moved))
 
 
 def _shares(log_weights: Array) -> Array:
@@ -418,32 +418,32 @@ def _reported(beliefs: Sequence[Belief], settled: Belief) -> tuple[list[Belief],
         beliefs: After a step.
         settled: The most probable one before it that is neither newborn nor what was believed earlier.
     """
-    top = max(each.log_weight for each in beliefs)
-    found = [replace(each, log_weight=each.log_weight - top) for each in beliefs]
-    first = max(found, key=lambda each: each.log_weight)
-    others = [each.log_weight for each in found if each.kind not in ("changed", "earlier")]
+    top = max(belief.log_weight for belief in beliefs)
+    weighed = [replace(belief, log_weight=belief.log_weight - top) for belief in beliefs]
+    first = max(weighed, key=lambda belief: belief.log_weight)
+    others = [belief.log_weight for belief in weighed if belief.kind not in ("changed", "earlier")]
     if first.kind not in ("changed", "earlier") or first.log_weight <= log(REPORTED_ODDS) + max(others, default=-inf):
-        return found, None
+        return weighed, None
     alarm = first.kind if first.kind == "earlier" or first.age <= SUDDEN else None
     if alarm:
         before = replace(settled, kind="earlier", log_weight=log(RETURN_HAZARD))
-        found = [each for each in found if each.kind not in ("current", "earlier") or each is first]
-        found = [*found, before]
-    return [replace(each, kind="current") if each is first else each for each in found], alarm
+        weighed = [belief for belief in weighed if belief.kind not in ("current", "earlier") or belief is first]
+        weighed = [*weighed, before]
+    return [replace(belief, kind="current") if belief is first else belief for belief in weighed], alarm
 
 
 def _joined(beliefs: Sequence[Belief], probes: Array) -> tuple[Belief, ...]:
     """The beliefs, from the most probable on, of which those that predict the same are one, and few are kept."""
     kept = list[tuple[Belief, Predicted]]()
-    for belief in sorted(beliefs, key=lambda each: -each.log_weight):
+    for belief in sorted(beliefs, key=lambda one: -one.log_weight):
         mean, variance = belief.weights.predicted(probes)
-        found = Predicted(mean, variance + belief.noise)
-        same = next((row for row, (other, there) in enumerate(kept) if _agree(belief, found, other, there)), None)
+        prediction = Predicted(mean, variance + belief.noise)
+        same = next((row for row, (other, there) in enumerate(kept) if _agree(belief, prediction, other, there)), None)
         if same is not None:
             other, there = kept[same]
             kept[same] = replace(other, log_weight=float(np.logaddexp(other.log_weight, belief.log_weight))), there
         elif len(kept) < MOST or belief.age <= YOUNG or belief.kind == "earlier":
-            kept.append((belief, found))
+            kept.append((belief, prediction))
     return tuple(belief for belief, _ in kept)
 
 

@@ -24,20 +24,20 @@ def beliefs_to_dict(beliefs: Beliefs) -> dict[str, Any]:
     """Converts beliefs before the first step of a deployment to data, which `beliefs_from_dict` reads."""
     return {
         "features": features_to_dict(beliefs.features),
-        "change": [_lower(each) for each in np.linalg.cholesky(beliefs.change)],
+        "change": [_lower(matrix) for matrix in np.linalg.cholesky(beliefs.change)],
         "wrong_measurements": list(beliefs.wrong_measurements),
         "beliefs": [
             {
-                "kind": each.kind,
-                "mean": each.weights.mean.tolist(),
-                "root": [_lower(root) for root in each.weights.root],
-                "freedom": each.freedom.tolist(),
-                "squares": each.squares.tolist(),
-                "log_weight": each.log_weight,
-                "rate": each.rate,
-                "age": each.age,
+                "kind": belief.kind,
+                "mean": belief.weights.mean.tolist(),
+                "root": [_lower(root) for root in belief.weights.root],
+                "freedom": belief.freedom.tolist(),
+                "squares": belief.squares.tolist(),
+                "log_weight": belief.log_weight,
+                "rate": belief.rate,
+                "age": belief.age,
             }
-            for each in beliefs.beliefs
+            for belief in beliefs.beliefs
         ],
     }
 
@@ -58,15 +58,15 @@ def beliefs_from_dict(saved: Mapping[str, Any], sizes: tuple[int, int]) -> Belie
     entries = saved.get("beliefs")
     if not isinstance(entries, list) or not 0 < len(entries) <= MOST_READ:
         raise ValueError(f"beliefs must be a list of 1 to {MOST_READ}")
-    found = tuple(_belief_from(as_object(each, "beliefs"), n, size, features) for each in entries)
-    if all(each.kind == "earlier" for each in found):
+    restored = tuple(_belief_from(as_object(entry, "beliefs"), n, size, features) for entry in entries)
+    if all(belief.kind == "earlier" for belief in restored):
         raise ValueError("beliefs: kind must be another one than earlier at least once")
     change = root @ np.swapaxes(root, 1, 2)
-    return Beliefs(features, found, change, np.zeros(n + m), None, (counts[0], counts[1]), np.empty((0, size)))
+    return Beliefs(features, restored, change, np.zeros(n + m), None, (counts[0], counts[1]), np.empty((0, size)))
 
 
 def _belief_from(saved: Mapping[str, Any], n: int, size: int, features: Features) -> Belief:
-    kinds: dict[str, Kind] = {each: each for each in get_args(Kind)}
+    kinds: dict[str, Kind] = {name: name for name in get_args(Kind)}
     if (kind := kinds.get(str(saved.get("kind")))) is None:
         raise ValueError(f"beliefs: kind must be one of {', '.join(kinds)}, not {saved.get('kind')!r:.40}")
     mean = numbers(saved, "mean", 2)
@@ -92,15 +92,15 @@ def _lower(matrix: Array) -> list[float]:
 def _roots(saved: Mapping[str, Any], key: str, n: int, size: int) -> Array:
     """Lower triangular matrices whose diagonal is positive; shape (n, k, k)."""
     rows = numbers(saved, key, 2)
-    wanted = (n, size * (size + 1) // 2)
-    require(rows.shape == wanted, f"beliefs: {key}.shape", rows.shape, f"be {wanted}")
-    found = np.zeros((n, size, size))
-    found[:, *np.tril_indices(size)] = rows
-    diagonal = found[:, range(size), range(size)]
+    expected = (n, size * (size + 1) // 2)
+    require(rows.shape == expected, f"beliefs: {key}.shape", rows.shape, f"be {expected}")
+    roots = np.zeros((n, size, size))
+    roots[:, *np.tril_indices(size)] = rows
+    diagonal = roots[:, range(size), range(size)]
     least = float(diagonal.min())
     require(least > LEAST, f"beliefs: {key}", least, f"have no number on its diagonal that is less than {LEAST:g}")
     _check_size(rows, key)
-    return found
+    return roots
 
 
 def _check_size(values: Array, key: str) -> None:

@@ -41,9 +41,11 @@ def observed(record: StepRecord, nominal: StepMap, error: Array, phase: float) -
             nominal.evaluate(record.state, record.requested).next_state
             - nominal.evaluate(start, record.requested).next_state
         )
-        found = (error + moved) / space.state_scale
+        moved_error = (error + moved) / space.state_scale
         slope = slope * space.state_scale / space.state_scale[:, None]
-        return (point(start), found, slope) if np.isfinite(found).all() and np.isfinite(slope).all() else None
+        return (
+            (point(start), moved_error, slope) if np.isfinite(moved_error).all() and np.isfinite(slope).all() else None
+        )
 
     inputs = point(record.state)
     scaled = error / space.state_scale
@@ -132,6 +134,6 @@ def planning_map(
     if beliefs is None:
         return CorrectedMap(nominal, residual.conditioned_on(history))
     mixture = beliefs.mixture(phase)
-    found = believed(residual, beliefs.features, mixture, no_observations(nominal.space))
+    mixed = believed(residual, beliefs.features, mixture, no_observations(nominal.space))
     offset = mixture.offset * nominal.space.state_scale
-    return CorrectedMap(nominal, found.conditioned_on(history), offset=offset if offset.any() else None)
+    return CorrectedMap(nominal, mixed.conditioned_on(history), offset=offset if offset.any() else None)

@@ -20,7 +20,7 @@ def load_residual_model(name: str) -> ResidualModel:
         InputError: There is no such model, a package that it needs is not installed, or it is not a residual model.
     """
     description = f"a {ResidualModel.__name__} of {ResidualModel.__module__}"
-    model = load_plugin(RESIDUALS, "residual", name, lambda found: isinstance(found, ResidualModel), description)
+    model = load_plugin(RESIDUALS, "residual", name, lambda plugin: isinstance(plugin, ResidualModel), description)
     if model.name != name:
         raise InputError(f"residual '{name}': its model has the name '{model.name}'; both names must be the same")
     return model

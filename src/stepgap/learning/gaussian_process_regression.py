@@ -63,8 +63,8 @@ class GaussianProcessRegression(Regression):
 
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
         """Predictions, with noise, of each value from those outside its block (RW Eq. 5.12 for blocks)."""
-        found = self.process.leave_out(blocks)
-        return Prediction(found.mean, found.std if self.plug_in else found.kriging_std)
+        predictions = self.process.leave_out(blocks)
+        return Prediction(predictions.mean, predictions.std if self.plug_in else predictions.kriging_std)
 
     def append(self, point: ArrayLike, value: float) -> "GaussianProcessRegression":
         """Conditions the process on one more value."""
@@ -76,15 +76,15 @@ class GaussianProcessRegression(Regression):
 
     def parameters(self) -> list[Parameter]:
         """Hyper-parameters and the constant."""
-        found = self.process.hyper_parameters
+        fitted = self.process.hyper_parameters
         meaning = (
             "A length scale is the distance over which the error changes: one much longer than the range of the data "
             "means that this input hardly matters."
         )
         return [
-            Parameter("length scale", found.length_scale * self.process.input_scale, "input", meaning),
+            Parameter("length scale", fitted.length_scale * self.process.input_scale, "input", meaning),
             *super().parameters(),
-            Parameter("signal", found.signal_std, "value"),
+            Parameter("signal", fitted.signal_std, "value"),
             Parameter("constant", self.process.coefficient, "value"),
         ]
 

@@ -170,7 +170,8 @@ class Learner:
         return self.found(logged.record.context)._after(logged)
 
     def _after(self, logged: LoggedStep) -> "Learner":
-        record, known = logged.record, self.known + [logged]  # noqa: RUF005 they share memory
+        record = logged.record
+        known = self.known + [logged]  # noqa: RUF005 they share memory
         error = error_of(record, self.nominal)
         learner = replace(self, known=known, history=next_history(known, self.nominal.space, self.iteration))
         known_error = bool(np.isfinite(error).all())

@@ -47,7 +47,7 @@ class Observations:
         _check_rows(self.command, "command", command)
         _check_rows(self.error, "error", state)
         if self.history is not None:
-            inputs = (each.name for each in self.space.context_inputs)
+            inputs = (quantity.name for quantity in self.space.context_inputs)
             _check_rows(self.history, "history", ("steps before", *inputs))
         sizes = [len(part) for part in (self.state, self.command, self.error, self.history) if part is not None]
         if len(set(sizes)) != 1:
@@ -102,8 +102,8 @@ def observe(log: Steps, nominal: StepMap) -> Observations:
     """
     error = log.next_state - nominal.evaluate(log.state, log.requested).next_state
     history = np.hstack([np.arange(float(len(log)))[:, None], _context_inputs(nominal.space, log)])
-    known = np.isfinite(error).all(axis=1) & ~log.doubtful
-    return Observations(nominal.space, log.state[known], log.requested[known], error[known], history[known])
+    usable = np.isfinite(error).all(axis=1) & ~log.doubtful
+    return Observations(nominal.space, log.state[usable], log.requested[usable], error[usable], history[usable])
 
 
 def next_history(log: Steps, space: StepSpace, iteration: int) -> Array:
@@ -121,18 +121,18 @@ def next_history(log: Steps, space: StepSpace, iteration: int) -> Array:
 
 def context_inputs_of(context: Mapping[str, float], space: StepSpace) -> Array:
     """Context inputs of a step in units of their scales, zero where one is unknown; shape (q,)."""
-    found = [context.get(each.name, 0.0) / each.input_scale for each in space.context_inputs]
-    return np.nan_to_num(np.array(found, float))
+    values = [context.get(quantity.name, 0.0) / quantity.input_scale for quantity in space.context_inputs]
+    return np.nan_to_num(np.array(values, float))
 
 
 def _context_inputs(space: StepSpace, log: Steps) -> Array:
     """Context inputs of all steps of a log; shape (N, q)."""
-    found = np.zeros((len(log), len(space.context_inputs)))
+    values = np.zeros((len(log), len(space.context_inputs)))
     names = log.space.context_names
-    for column, each in enumerate(space.context_inputs):
-        if each.name in names:
-            found[:, column] = np.nan_to_num(log.context[:, names.index(each.name)] / each.input_scale)
-    return found
+    for column, quantity in enumerate(space.context_inputs):
+        if quantity.name in names:
+            values[:, column] = np.nan_to_num(log.context[:, names.index(quantity.name)] / quantity.input_scale)
+    return values
 
 
 def error_of(record: StepRecord, nominal: StepMap) -> Array:

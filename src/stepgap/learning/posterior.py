@@ -97,18 +97,18 @@ class Posterior(BatchRegression):
         prior = unknown_belief(self.features)
         information = np.linalg.inv(prior.weights.covariance[0])
         noise = self.noise**2
-        known = np.empty((0, 0))
+        influence = np.empty((0, 0))
         error = values
         for _ in range(NOISE_ROUNDS):
             spread = np.linalg.inv(information + rows.T @ rows / noise)
-            known = rows @ spread / noise
-            error = values - known @ (rows.T @ values)
-            freedom = float(prior.freedom[0]) - 2 + len(values) - float(np.sum(known * rows))
+            influence = rows @ spread / noise
+            error = values - influence @ (rows.T @ values)
+            freedom = float(prior.freedom[0]) - 2 + len(values) - float(np.sum(influence * rows))
             noise = (float(prior.squares[0]) + float(error @ error)) / freedom
         mean = np.empty(len(values))
         std = np.empty(len(values))
         for block in blocks:
-            kept = np.eye(len(rows[block])) - known[block] @ rows[block].T
+            kept = np.eye(len(rows[block])) - influence[block] @ rows[block].T
             mean[block] = self.values[block] - unit * np.linalg.solve(kept, error[block])
             std[block] = unit * np.sqrt(noise * np.diag(np.linalg.inv(kept)))
         return Prediction(mean, std)
@@ -173,9 +173,9 @@ class Posterior(BatchRegression):
 
     def _by_point(self, slopes: Array, point: ArrayLike) -> Array:
         """Derivatives by the inputs from those by the scaled inputs of the features; (…, used) to (…, d)."""
-        found = np.zeros((*np.shape(point)[:-1], self.inputs))
-        found[..., self.used] = slopes
-        return found * (self.data.value_scale / self.data.scale)
+        derivatives = np.zeros((*np.shape(point)[:-1], self.inputs))
+        derivatives[..., self.used] = slopes
+        return derivatives * (self.data.value_scale / self.data.scale)
 
 
 def posterior_from_dict(saved: Mapping[str, Any]) -> Posterior:
@@ -188,11 +188,13 @@ def posterior_from_dict(saved: Mapping[str, Any]) -> Posterior:
     weights = numbers(saved, "weights", 1)
     covariance = numbers(saved, "covariance", 2)
     size = len(weights)
-    used = tuple(int(each) for each in numbers(saved, "used", 1))
+    used = tuple(int(index) for index in numbers(saved, "used", 1))
     require(size >= features.count, "weights", weights, f"have at least {features.count} numbers")
     require(covariance.shape == (size, size), "covariance.shape", covariance.shape, f"be {(size, size)}")
     require(len(used) == features.inputs, "used", used, f"have {features.inputs} numbers")
-    require(all(0 <= each < len(data.scale) for each in used), "used", used, f"lie between 0 and {len(data.scale) - 1}")
+    require(
+        all(0 <= index < len(data.scale) for index in used), "used", used, f"lie between 0 and {len(data.scale) - 1}"
+    )
     noise = number(saved, "noise")
     require(noise > 0, "noise", noise, "be positive")
     return Posterior(data, features, weights, covariance, np.zeros(size - features.count), noise, used)
@@ -216,8 +218,8 @@ def features_from_dict(saved: Mapping[str, Any]) -> Features:
     require(1 <= inputs <= MOST_FEATURES_READ, "features.inputs", inputs, f"lie between 1 and {MOST_FEATURES_READ}")
     require(degree in (1, 2), "features.degree", degree, "be 1 or 2")
     frequencies = numbers(saved, "frequencies", 2) if len(shifts) else np.empty((0, inputs))
-    wanted = (len(shifts), inputs)
-    require(frequencies.shape == wanted, "features.frequencies.shape", frequencies.shape, f"be {wanted}")
+    expected = (len(shifts), inputs)
+    require(frequencies.shape == expected, "features.frequencies.shape", frequencies.shape, f"be {expected}")
     largest = float(np.abs(frequencies).max(initial=0.0))
     require(largest <= LARGEST_NUMBER, "features.frequencies", largest, f"be at most {LARGEST_NUMBER:g}")
     features = Features(inputs, degree, frequencies, shifts)

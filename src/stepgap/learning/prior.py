@@ -76,14 +76,14 @@ class Prior:
         back = self._converted(centre, np.concatenate([space.state_scale, space.command_scale]))
         size = number_of_monomials(d, features.degree)
         kept = _kept(d, features.inputs)[:size]
-        found = unknown(features, n)
+        of_robot = unknown(features, n)
         for row, coordinate in enumerate(self.coordinates):
             unit = self.scale[row] / space.state_scale[row]
             covariance = unit**2 * (back @ coordinate.covariance @ back.T)[:size, :size]
-            found.mean[row, kept] = unit * (coordinate.mean @ back.T)[:size]
-            found.covariance[row][np.ix_(kept, kept)] = (covariance + covariance.T) / 2
-            found.noise_std[row] = unit * coordinate.noise_std
-        return found
+            of_robot.mean[row, kept] = unit * (coordinate.mean @ back.T)[:size]
+            of_robot.covariance[row][np.ix_(kept, kept)] = (covariance + covariance.T) / 2
+            of_robot.noise_std[row] = unit * coordinate.noise_std
+        return of_robot
 
     def _converted(self, centre: Array, scale: Array) -> Array:
         """The matrix that converts weights of this prior to those of inputs with other ranges; shape (k, k)."""
@@ -109,9 +109,9 @@ def fit_prior(robots: Sequence[Observations]) -> Prior:
     if len(robots) < LEAST_FOR_PRIOR:
         raise ValueError(f"{len(robots)} robots, but a prior needs those of at least {LEAST_FOR_PRIOR}")
     space = robots[0].space
-    basis = [monomials(space.scaled_inputs(each.state, each.command), DEGREE) for each in robots]
-    errors = [each.error / space.state_scale for each in robots]
-    coordinates = [_fitted(basis, [each[:, number] for each in errors]) for number in range(len(space.state))]
+    basis = [monomials(space.scaled_inputs(robot.state, robot.command), DEGREE) for robot in robots]
+    errors = [robot.error / space.state_scale for robot in robots]
+    coordinates = [_fitted(basis, [error[:, number] for error in errors]) for number in range(len(space.state))]
     centre = np.concatenate([space.state_centre, space.command_centre])
     scale = np.concatenate([space.state_scale, space.command_scale])
     return Prior(space.names, centre, scale, tuple(coordinates))
@@ -124,16 +124,16 @@ def _fitted(basis: Sequence[Array], values: Sequence[Array]) -> CoordinatePrior:
     mean = np.zeros(size)
     covariance = 0.1 * np.eye(size)
     noise = np.full(count, 0.05**2)
-    grams = [each.T @ each for each in basis]
-    sums = [each.T @ value for each, value in zip(basis, values, strict=True)]
+    grams = [rows.T @ rows for rows in basis]
+    sums = [rows.T @ value for rows, value in zip(basis, values, strict=True)]
     for _ in range(_ROUNDS):
         prior = np.linalg.inv(covariance)
         spreads = [np.linalg.inv(prior + gram / one) for gram, one in zip(grams, noise, strict=True)]
         weights = np.array(
             [spread @ (prior @ mean + total / one) for spread, total, one in zip(spreads, sums, noise, strict=True)]
         )
-        for number, (each, value) in enumerate(zip(basis, values, strict=True)):
-            squares = float(np.sum((value - each @ weights[number]) ** 2) + np.sum(grams[number] * spreads[number]))
+        for number, (rows, value) in enumerate(zip(basis, values, strict=True)):
+            squares = float(np.sum((value - rows @ weights[number]) ** 2) + np.sum(grams[number] * spreads[number]))
             noise[number] = squares / len(value)
         mean = weights.mean(axis=0)
         covariance = ((weights - mean).T @ (weights - mean) + sum(spreads) + LEAST_SPREAD * np.eye(size)) / count

@@ -148,7 +148,7 @@ class Residual:
         inputs = self._inputs(point)
         values = np.asarray(error, float)
         pairs = zip(self.regressions, values, strict=True)
-        return replace(self, regressions=tuple(each.append(inputs, float(value)) for each, value in pairs))
+        return replace(self, regressions=tuple(regression.append(inputs, float(value)) for regression, value in pairs))
 
     def to_dict(self) -> dict[str, Any]:
         """Converts the residual to JSON-ready data, which `residual_from_dict` reads; `history_values` is not kept."""

@@ -76,12 +76,12 @@ def check_prediction(name: str, mean: Array, std: Array) -> None:
     _check(name, "std", std, np.shape(std), least=0)
 
 
-def _check(name: str, method: str, found: Any, shape: tuple[int, ...], least: float = -LARGEST_RETURNED) -> None:
+def _check(name: str, method: str, result: Any, shape: tuple[int, ...], least: float = -LARGEST_RETURNED) -> None:
     """Raises ResidualError unless these are numbers of this shape, from `least` to `LARGEST_RETURNED`."""
-    values = np.asarray(found)
+    values = np.asarray(result)
     returned = f"residual '{name}': its {method} returned"
     if values.dtype.kind not in "fiu":
-        raise ResidualError(f"{returned} {found!r:.40}; it must return numbers of shape {shape}")
+        raise ResidualError(f"{returned} {result!r:.40}; it must return numbers of shape {shape}")
     if values.shape != shape:
         raise ResidualError(f"{returned} the shape {values.shape}; it must be {shape}")
     wrong = values[~((values >= least) & (values <= LARGEST_RETURNED))]

@@ -119,7 +119,7 @@ def _fit(model: ResidualModel, history_inputs: HistoryInputs, observations: Obse
     m = len(observations.space.command)
     data = [observations.training_data(history_inputs, coordinate) for coordinate in range(n)]
     with naming_model(model):
-        residual = Residual(model, tuple(model.fit(each) for each in data), m, history_inputs)
+        residual = Residual(model, tuple(model.fit(part) for part in data), m, history_inputs)
         for regression in residual.regressions:
             check_regression(model, regression, data[0].points)
     return residual

@@ -75,7 +75,7 @@ class LearningSettings:
         return self.online or (iteration == 0 and self.exploration > 0)
 
 
-def _require_name(setting: str, name: str, known: tuple[str, ...]) -> None:
+def _require_name(setting: str, name: str, names: tuple[str, ...]) -> None:
     """Raises ValueError unless a setting has one of the known names."""
-    meant = suggestion(name, known)
-    require(name in known, setting, name, f"be one of {', '.join(known)}{'; ' if meant else ''}{meant}")
+    meant = suggestion(name, names)
+    require(name in names, setting, name, f"be one of {', '.join(names)}{'; ' if meant else ''}{meant}")

@@ -88,13 +88,13 @@ class Steps:
         `iteration` is 0, and `number` counts from 1.
         """
         count = len(np.asarray(columns["state"]))
-        known = dict[str, ArrayLike](columns)
+        values = dict[str, ArrayLike](columns)
         if "command" in columns:
-            known = dict.fromkeys(("requested", "applied"), columns["command"]) | known
+            values = dict.fromkeys(("requested", "applied"), columns["command"]) | values
         labels = {"iteration": 0, "number": np.arange(1, count + 1), "status": StepStatus.OK}
         unknown = dict.fromkeys((*_OF_STATE, *_OF_COMMAND, "context"), np.nan)
         steps = cls(space)._of_rows(np.empty(count, _row_type(space)))
-        return steps.with_columns(**(labels | unknown | known))
+        return steps.with_columns(**(labels | unknown | values))
 
     def with_columns(self, **columns: ArrayLike) -> Self:
         """The same steps with other values in some columns."""
@@ -278,7 +278,7 @@ def _rows_of(space: StepSpace, steps: Iterable[LoggedStep]) -> NDArray[np.void]:
             *(logged.iteration, logged.step, int(logged.record.status)),
             *(logged.record.state, logged.target, logged.record.next_state, logged.record.true_next_state),
             *(logged.predicted, logged.std, logged.record.command, logged.record.requested, logged.record.applied),
-            [logged.record.context.get(each.name, np.nan) for each in space.context],
+            [logged.record.context.get(quantity.name, np.nan) for quantity in space.context],
         )
         for logged in steps
     ]
@@ -286,7 +286,7 @@ def _rows_of(space: StepSpace, steps: Iterable[LoggedStep]) -> NDArray[np.void]:
 
 
 def _logged(space: StepSpace, row: np.void) -> LoggedStep:
-    context = {each.name: float(value) for each, value in zip(space.context, row["context"], strict=True)}
+    context = {quantity.name: float(value) for quantity, value in zip(space.context, row["context"], strict=True)}
     record = StepRecord(
         state=row["state"],
         command=row["command"],
@@ -305,7 +305,7 @@ def joined(parts: Sequence[Steps]) -> Steps:
 
     The space is that of the first one, with the context of all.
     """
-    context = {each.name: each for steps in reversed(parts) for each in reversed(steps.space.context)}
+    context = {quantity.name: quantity for steps in reversed(parts) for quantity in reversed(steps.space.context)}
     merged = Steps(replace(parts[0].space, context=tuple(reversed(context.values()))))
     for steps in parts:
         first = max(merged.iterations, default=-2) + 2
@@ -315,13 +315,13 @@ def joined(parts: Sequence[Steps]) -> Steps:
 
 def runs_before(known: Steps) -> list[list[int]]:
     """Numbers of the deployments of each earlier run; they are negative, and one is missing between two runs."""
-    found = list[list[int]]()
-    for number in (each for each in known.iterations if each < 0):
-        if found and number == found[-1][-1] + 1:
-            found[-1].append(number)
+    runs = list[list[int]]()
+    for number in (iteration for iteration in known.iterations if iteration < 0):
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
         else:
-            found.append([number])
-    return found
+            runs.append([number])
+    return runs
 
 
 def as_past(known: Steps) -> Steps:

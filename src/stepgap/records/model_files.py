@@ -192,10 +192,11 @@ def _json_in(text: str) -> Any:
 
 def _check_sizes(path: Path, residual: Residual, space: StepSpace) -> None:
     """Raises ValueError if state or command have another size."""
-    wanted = (len(space.state), len(space.command))
-    if residual.sizes != wanted:
+    expected = (len(space.state), len(space.command))
+    if residual.sizes != expected:
         raise ValueError(
-            f"{path}: (state, command) sizes are {residual.sizes}, in steps.csv {wanted}; both must be of the same run"
+            f"{path}: (state, command) sizes are {residual.sizes}, in steps.csv {expected}; both must be of the same "
+            "run"
         )
 
 
@@ -203,10 +204,10 @@ def _check_names(path: Path, data: Mapping[str, Any], space: StepSpace, remedy: 
     """Raises ValueError if the file names other coordinates than the steps; names that it lacks are not compared."""
     for key, names in (("state", space.state_names), ("command", space.command_names)):
         pairs = data.get(key)
-        wanted = ", ".join(names)
+        expected = ", ".join(names)
         if pairs is not None and _names_in(pairs) != list(names):
-            found = ", ".join(_names_in(pairs)) or repr(pairs)
-            raise ValueError(f"{path}: its {key} is {found:.80}, that of the steps is {wanted:.80}; {remedy}")
+            recorded = ", ".join(_names_in(pairs)) or repr(pairs)
+            raise ValueError(f"{path}: its {key} is {recorded:.80}, that of the steps is {expected:.80}; {remedy}")
 
 
 def _names_in(pairs: Any) -> list[str]:
@@ -229,10 +230,10 @@ def _check_units(path: Path, data: Mapping[str, Any], space: StepSpace) -> None:
 
 def _check_source(path: Path, data: Mapping[str, Any], source: str) -> None:
     """Raises ValueError if the nominal next states are from another source."""
-    found = data.get("nominal", MAP)
-    if found != source:
+    recorded = data.get("nominal", MAP)
+    if recorded != source:
         raise ValueError(
-            f"{path}: learned with '--nominal {found!s:.40}', but the nominal next states of the steps are those of "
+            f"{path}: learned with '--nominal {recorded!s:.40}', but the nominal next states of the steps are those of "
             f"'--nominal {source}'; they must be of the same source"
         )
 

@@ -57,11 +57,11 @@ class PriorFile:
             "coordinates": [
                 {
                     "name": name,
-                    "noise_std": _rounded(each.noise_std),
-                    "mean": _rounded(each.mean),
-                    "covariance": _rounded(each.covariance),
+                    "noise_std": _rounded(coordinate.noise_std),
+                    "mean": _rounded(coordinate.mean),
+                    "covariance": _rounded(coordinate.covariance),
                 }
-                for name, each in zip(prior.names, prior.coordinates, strict=False)
+                for name, coordinate in zip(prior.names, prior.coordinates, strict=False)
             ],
         }
         return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
@@ -95,10 +95,10 @@ def _restored(data: Mapping[str, Any], space: StepSpace) -> PriorFile:
     monomial_names = _names_of_monomials(names)
     if data.get("monomials") != monomial_names:
         raise ValueError(f"monomials must be {', '.join(monomial_names):.200}, in this order")
-    centre, scale = (np.array([number(each, key) for each in inputs]) for key in ("centre", "scale"))
+    centre, scale = (np.array([number(entry, key) for entry in inputs]) for key in ("centre", "scale"))
     _check_size(centre, "inputs: centre")
     _check_size(scale, "inputs: scale", least=_LEAST_SCALE)
-    coordinates = tuple(_coordinate(each, len(monomial_names)) for each in saved)
+    coordinates = tuple(_coordinate(entry, len(monomial_names)) for entry in saved)
     robot, nominal = (str(data.get(key, "")) for key in ("robot", "nominal"))
     provenance = as_object(data.get("provenance", {}), "provenance")
     prior = Prior(names, centre, scale, coordinates)
@@ -107,16 +107,16 @@ def _restored(data: Mapping[str, Any], space: StepSpace) -> PriorFile:
 
 
 def _coordinate(data: Mapping[str, Any], size: int) -> CoordinatePrior:
-    found = CoordinatePrior(numbers(data, "mean", 1), numbers(data, "covariance", 2), number(data, "noise_std"))
-    covariance = found.covariance
-    if found.mean.shape != (size,) or covariance.shape != (size, size):
+    coordinate = CoordinatePrior(numbers(data, "mean", 1), numbers(data, "covariance", 2), number(data, "noise_std"))
+    covariance = coordinate.covariance
+    if coordinate.mean.shape != (size,) or covariance.shape != (size, size):
         raise ValueError(f"coordinates: mean and covariance must have {size} numbers and rows, one for each monomial")
     if not np.array_equal(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] <= 0:
         raise ValueError("coordinates: covariance must be symmetric and positive definite")
-    _check_size(found.mean, "coordinates: mean")
+    _check_size(coordinate.mean, "coordinates: mean")
     _check_size(covariance, "coordinates: covariance")
-    _check_size(np.array(found.noise_std), "coordinates: noise_std", least=_LEAST_SCALE)
-    return found
+    _check_size(np.array(coordinate.noise_std), "coordinates: noise_std", least=_LEAST_SCALE)
+    return coordinate
 
 
 def _check_condition(prior: Prior, space: StepSpace) -> None:
@@ -145,14 +145,14 @@ def _check_size(values: Array, name: str, least: float = -LARGEST_NUMBER) -> Non
 
 def _names_in(items: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """Names of the entries of a list, as far as they can be printed."""
-    return tuple("".join(filter(str.isprintable, str(each.get("name")))) for each in items)
+    return tuple("".join(filter(str.isprintable, str(item.get("name")))) for item in items)
 
 
 def _names_of_monomials(names: tuple[str, ...]) -> list[str]:
     """What each weight is multiplied by, in the order of `monomials`."""
     i, j = np.triu_indices(len(names))
-    found = ["1", *names, *(f"{names[a]} {names[b]}" for a, b in zip(i, j, strict=True))]
-    return found[: monomials(np.zeros(len(names)), DEGREE).size]
+    products = ["1", *names, *(f"{names[a]} {names[b]}" for a, b in zip(i, j, strict=True))]
+    return products[: monomials(np.zeros(len(names)), DEGREE).size]
 
 
 def _rounded(values: Array | float) -> Any:

@@ -130,13 +130,15 @@ def _recover_summary(folder: Path, out: Path, steps: Steps) -> list[str]:
     except (ValueError, OSError) as error:
         return [f"{message_of(error)}; left out"]
     planned = steps.planned()
-    whole = takewhile(lambda each: len(planned.of_iteration(each.iteration)) == each.steps, summary.deployments)
+    whole = takewhile(
+        lambda deployment: len(planned.of_iteration(deployment.iteration)) == deployment.steps, summary.deployments
+    )
     deployments = tuple(whole)
     if deployments:
         kept = steps.selected(np.isin(steps.iteration, [deployment.iteration for deployment in deployments]))
         measured = summary.noise_floor_measured and len(deployments) == len(summary.deployments)
-        found = replace(summary, deployments=deployments, steps_sha256=digest(kept), noise_floor_measured=measured)
-        write_summary(out / "summary.json", found, names)
+        shorter = replace(summary, deployments=deployments, steps_sha256=digest(kept), noise_floor_measured=measured)
+        write_summary(out / "summary.json", shorter, names)
     return []
 
 

@@ -82,8 +82,8 @@ def _legend(space: StepSpace) -> dict[str, tuple[str, str]]:
         **of(space.state, STATE_MEANINGS),
         **of(space.command, COMMAND_MEANINGS),
         **{
-            f"{each.name}{AFTER}": (each.unit, f"{each.name} after the step; NaN where it is not measured")
-            for each in space.context
+            f"{quantity.name}{AFTER}": (quantity.unit, f"{quantity.name} after the step; NaN where it is not measured")
+            for quantity in space.context
         },
         "status": ("", "outcome of the step: ok, or the reason why there is no next state"),
     }

@@ -60,7 +60,7 @@ def check_names(space: StepSpace) -> None:
     if len(space.state) > MOST_COORDINATES:
         raise RecordError(f"the state has {len(space.state)} coordinates, but it must have at most {MOST_COORDINATES}")
     columns = [*column_names(space), _FORMER]
-    for name in (*space.names, *(f"{each}{AFTER}" for each in space.context_names)):
+    for name in (*space.names, *(f"{quantity}{AFTER}" for quantity in space.context_names)):
         if columns.count(name) > 1:
             raise RecordError(
                 f"the name {name!r:.80} of a coordinate is that of another column of steps.csv; the names of state and "
@@ -129,10 +129,10 @@ def _check_numbers(logged: LoggedStep, space: StepSpace) -> None:
         ("predicted state of nominal map and residual", logged.predicted, n, False),
         ("standard deviation of nominal map and residual", logged.std, n, True),
     )
-    for name, values, size, known in numbers:
+    for name, values, size, required in numbers:
         if np.shape(values) != (size,):
             raise ValueError(f"the {name} has shape {np.shape(values)} instead of {(size,)}")
-        if known and not np.isfinite(values).all():
+        if required and not np.isfinite(values).all():
             raise ValueError(f"the {name} is not finite: {', '.join(map(str, np.asarray(values).tolist()))}")
 
 
@@ -152,8 +152,8 @@ def _check_order(last: LoggedStep | None, logged: LoggedStep) -> None:
     if last is not None and last.record.status != StepStatus.OK:
         del following[0]
     if here not in following:
-        wanted = " or ".join(f"step {step} of deployment {iteration}" for iteration, step in following)
-        raise ValueError(f"step {here[1]} of deployment {here[0]} where {wanted} must be")
+        places = " or ".join(f"step {step} of deployment {iteration}" for iteration, step in following)
+        raise ValueError(f"step {here[1]} of deployment {here[0]} where {places} must be")
 
 
 def space_of_header(path: Path) -> StepSpace:
@@ -259,19 +259,19 @@ def recover_steps(path: Path, space: StepSpace) -> tuple[Steps, str]:
     content = _read_content(path)
     readable = _readable(content)
     lines = _lines_in(content[:readable], path)
-    found = _space_in(lines, path, space)
+    of_file = _space_in(lines, path, space)
     steps = list[LoggedStep]()
     try:
-        for logged in _steps_in(lines, path, found):
+        for logged in _steps_in(lines, path, of_file):
             steps.append(logged)
     except RecordError as error:
         if not steps:
             raise
-        return Steps(found, steps), str(error).removesuffix(RECOVERY)
+        return Steps(of_file, steps), str(error).removesuffix(RECOVERY)
     if readable < len(content):
-        return Steps(found, steps), f"{path}: not text from byte {readable} on"
+        return Steps(of_file, steps), f"{path}: not text from byte {readable} on"
     cut = content[content.rfind(b"\n") + 1 :]
-    return Steps(found, steps), f"{path}: the last line is cut off after {len(cut)} bytes" if cut else ""
+    return Steps(of_file, steps), f"{path}: the last line is cut off after {len(cut)} bytes" if cut else ""
 
 
 def _read_content(path: Path) -> bytes:
@@ -312,21 +312,24 @@ def _lines_in(content: bytes, path: Path) -> list[str]:
 def _space_in(lines: Sequence[str], path: Path, space: StepSpace) -> StepSpace:
     """A space with the context that the header of a file has; raises RecordError if the other columns are not right."""
     columns = lines[0].split(",")
-    wanted = column_names(space)
-    if len(lines) == 1 and ",".join(wanted).startswith(lines[0]):
+    expected = column_names(space)
+    if len(lines) == 1 and ",".join(expected).startswith(lines[0]):
         return space  # cut off before the first line was complete
     check_not_older(columns, path)
-    fixed = len(wanted) - 1 - len(space.context)
+    fixed = len(expected) - 1 - len(space.context)
     names = [name.removesuffix(AFTER) for name in columns[fixed:-1]]
-    known = {each.name: each for each in space.context}
+    declared = {quantity.name: quantity for quantity in space.context}
     valid = all(map(is_name, names))
-    context = tuple(known.get(name) or ContextQuantity(name, "") for name in names) if valid else ()
-    there = {"", *(each.name for each in context)}  # an older run took from zero what it did not measure above anything
-    state = tuple(each if each.above in there else replace(each, above="") for each in space.state)
-    found = replace(space, state=state, context=context)
-    if columns != column_names(found) or len(set(columns)) < len(columns):
-        raise RecordError(f"{path}, line 1: the columns must be {','.join(wanted)}")
-    return found
+    context = tuple(declared.get(name) or ContextQuantity(name, "") for name in names) if valid else ()
+    there = {
+        "",
+        *(quantity.name for quantity in context),
+    }  # an older run took from zero what it did not measure above anything
+    state = tuple(quantity if quantity.above in there else replace(quantity, above="") for quantity in space.state)
+    of_file = replace(space, state=state, context=context)
+    if columns != column_names(of_file) or len(set(columns)) < len(columns):
+        raise RecordError(f"{path}, line 1: the columns must be {','.join(expected)}")
+    return of_file
 
 
 def _steps_in(lines: Sequence[str], path: Path, space: StepSpace) -> Iterator[LoggedStep]:

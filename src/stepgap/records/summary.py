@@ -279,7 +279,9 @@ def parse_deployment(entry: Any, names: tuple[str, ...], key: str, source: str) 
         cut=integer(fields, "cut", 0, f"{source}: "),
         unreachable=_targets(fields, "unreachable", names, source),
         missed=_targets(fields, "missed", names, source),
-        alarms=tuple(_alarm(each, f"{source}: alarms: ") for each in objects(older, "alarms", "alarms", f"{source}: ")),
+        alarms=tuple(
+            _alarm(alarm, f"{source}: alarms: ") for alarm in objects(older, "alarms", "alarms", f"{source}: ")
+        ),
     )
 
 
@@ -307,14 +309,14 @@ def _errors(fields: Mapping[str, Any], key: str, names: tuple[str, ...], source:
 
 def _noise_floor(fields: Mapping[str, Any], names: tuple[str, ...], source: str) -> NoiseFloor:
     """The noise floor; summaries of former versions have neither degrees of freedom nor the number of steps."""
-    known = {"repeatability_freedom": dict.fromkeys(names), "repeatability_same_yaw_freedom": dict.fromkeys(names)}
-    known |= {"repeatability_steps": 0, **fields}
+    whole = {"repeatability_freedom": dict.fromkeys(names), "repeatability_same_yaw_freedom": dict.fromkeys(names)}
+    whole |= {"repeatability_steps": 0, **fields}
     return NoiseFloor(
-        any_phase=_errors(known, "repeatability", names, source),
-        same_phase=_errors(known, "repeatability_same_yaw", names, source),
-        any_phase_freedom=_errors(known, "repeatability_freedom", names, source),
-        same_phase_freedom=_errors(known, "repeatability_same_yaw_freedom", names, source),
-        steps=integer(known, "repeatability_steps", 0, f"{source}: "),
+        any_phase=_errors(whole, "repeatability", names, source),
+        same_phase=_errors(whole, "repeatability_same_yaw", names, source),
+        any_phase_freedom=_errors(whole, "repeatability_freedom", names, source),
+        same_phase_freedom=_errors(whole, "repeatability_same_yaw_freedom", names, source),
+        steps=integer(whole, "repeatability_steps", 0, f"{source}: "),
     )
 
 

@@ -63,5 +63,5 @@ def _entry(fields: Mapping[str, Any], source: str) -> tuple[int, dict[str, dict[
     for part, numbers in parts.items():
         if set(numbers) != set(STATISTICS) or not all(map(is_measurement, numbers.values())):
             raise ValueError(f"{source}: {part} must have the numbers {', '.join(STATISTICS)}")
-    found = {part: {name: float(numbers[name]) for name in STATISTICS} for part, numbers in parts.items()}
-    return integer(fields, "iteration", 0, f"{source}: "), found
+    statistics = {part: {name: float(numbers[name]) for name in STATISTICS} for part, numbers in parts.items()}
+    return integer(fields, "iteration", 0, f"{source}: "), statistics

@@ -105,7 +105,7 @@ def _template(name: str) -> str:
 def _header(controller: PortableController, sizes: Mapping[str, Any]) -> str:
     space = controller.space
     settings = controller.settings
-    statuses = {**{each.name: each.value for each in StepStatus}, "UNCORRECTED": UNCORRECTED}
+    statuses = {**{status.name: status.value for status in StepStatus}, "UNCORRECTED": UNCORRECTED}
     noise = ", ".join(
         f"{quantity.name} {std:.3g} {quantity.unit}"
         for quantity, std in zip(space.state, controller.map.noise_std, strict=True)
@@ -134,7 +134,7 @@ def _header(controller: PortableController, sizes: Mapping[str, Any]) -> str:
         "statuses": ",\n".join(f"    PREFIX_{name} = {value}" for name, value in statuses.items()),
         "stack": _stack(controller, sizes),
     }
-    return re.sub("@([a-z]+)@", lambda found: str(fields[found[1]]), _template("controller.h.txt"))
+    return re.sub("@([a-z]+)@", lambda match: str(fields[match[1]]), _template("controller.h.txt"))
 
 
 def _quantities(quantities: Iterable[Quantity], what: str) -> str:
@@ -182,7 +182,7 @@ def _features(document: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: Those of the residual are others.
     """
-    parts = [each["features"] for each in document["residual"]["regressions"] if each["kind"] == "posterior"]
+    parts = [part["features"] for part in document["residual"]["regressions"] if part["kind"] == "posterior"]
     if document["beliefs"] is not None:
         parts.insert(0, document["beliefs"]["features"])
     if any(part != parts[0] and part["shifts"] for part in parts):
@@ -211,7 +211,7 @@ def _sizes(
     """
     n = len(document["state"])
     m = len(document["command"])
-    known = controller.beliefs
+    known_beliefs = controller.beliefs
     regressions = document["residual"]["regressions"]
     evaluations = document["control"]["evaluations"]
     waves = len(features["shifts"])
@@ -225,9 +225,9 @@ def _sizes(
            for name, value in document["control"].items()},
         "FEATURES": count,
         "WEIGHTS": count + 2 + n + m,
-        "BELIEFS": 1 if known is None else max(len(known.beliefs), beliefs.MOST) + beliefs.YOUNG + 3,
-        "BELIEVES": int(known is not None),
-        "START_COUNT": len(known.beliefs) if known else 0,
+        "BELIEFS": 1 if known_beliefs is None else max(len(known_beliefs.beliefs), beliefs.MOST) + beliefs.YOUNG + 3,
+        "BELIEVES": int(known_beliefs is not None),
+        "START_COUNT": len(known_beliefs.beliefs) if known_beliefs else 0,
         "CURRENT": KINDS.index("current"),
         "FEATURE_DEGREE": features["degree"],
         "WAVES": waves,
@@ -265,8 +265,8 @@ def _space(controller: PortableController) -> list[str]:
 
 def _beliefs(controller: PortableController) -> list[str]:
     """What is believed at the start."""
-    known = controller.beliefs
-    if known is None:
+    start_beliefs = controller.beliefs
+    if start_beliefs is None:
         return [
             _array("probe_features", []),
             _array("change", []),
@@ -274,12 +274,12 @@ def _beliefs(controller: PortableController) -> list[str]:
             "#define WRONG_ENDS 0",
             "#define RIGHT_ENDS 0",
         ]
-    upper = np.triu_indices(known.change.shape[1])
-    wrong, right = known.wrong_measurements
-    start = ",\n".join(_belief(each) for each in known.beliefs)
+    upper = np.triu_indices(start_beliefs.change.shape[1])
+    wrong, right = start_beliefs.wrong_measurements
+    start = ",\n".join(_belief(belief) for belief in start_beliefs.beliefs)
     return [
-        _array("probe_features", known.features(known.probes)),
-        _array("change", known.change[:, *upper]),
+        _array("probe_features", start_beliefs.features(start_beliefs.probes)),
+        _array("change", start_beliefs.change[:, *upper]),
         f"static const PREFIX_belief start[START_COUNT] = {{\n{start}\n}};",
         f"#define WRONG_ENDS {_literal(float(wrong))}",
         f"#define RIGHT_ENDS {_literal(float(right))}",
@@ -335,7 +335,7 @@ def _residual(regressions: Sequence[Mapping[str, Any]]) -> list[str]:
             if isinstance(value, np.ndarray):
                 arrays.append(_array(f"residual_{number}_{key}", value))
                 fields[key] = f"residual_{number}_{key}"
-        texts = [each if isinstance(each, str) else _literal(each) for each in fields.values()]
+        texts = [value if isinstance(value, str) else _literal(value) for value in fields.values()]
         rows.append(f"    {{{', '.join(texts)}}}")
     table = ",\n".join(rows)
     return [*arrays, f"static const regression residual[N] = {{\n{table}\n}};"]
@@ -389,7 +389,7 @@ def _literal(value: float) -> str:
 def _numbers(values: ArrayLike, kind: str = "double") -> str:
     """The initial value of an array."""
     numbers = np.ravel(values).tolist()
-    texts = [repr(float(each)) if kind == "double" else str(int(each)) for each in numbers]
+    texts = [repr(float(value)) if kind == "double" else str(int(value)) for value in numbers]
     lines = [", ".join(texts[start : start + PER_LINE]) for start in range(0, len(texts), PER_LINE)]
     return "{\n    " + ",\n    ".join(lines) + "\n}"
 

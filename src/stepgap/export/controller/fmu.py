@@ -78,7 +78,7 @@ def fmu_file(space: StepSpace, sources: Mapping[str, str]) -> bytes:
 
 
 def _header(space: StepSpace, token: str) -> str:
-    state, command = (", ".join(map(repr, each.tolist())) for each in (space.state_centre, space.command_centre))
+    state, command = (", ".join(map(repr, centre.tolist())) for centre in (space.state_centre, space.command_centre))
     return f"""/* Sizes and names of this controller. */
 #define STATES {len(space.state)}
 #define COMMANDS {len(space.command)}
@@ -92,8 +92,8 @@ def _header(space: StepSpace, token: str) -> str:
 def _platform() -> tuple[str, str]:
     key = (platform.system(), platform.machine())
     if key not in PLATFORMS:
-        known = ", ".join(" on ".join(each) for each in PLATFORMS)
-        raise InputError(f"--to fmu: cannot compile for {key[0]} on {key[1]}, only for {known}; use --to c")
+        platforms = ", ".join(" on ".join(pair) for pair in PLATFORMS)
+        raise InputError(f"--to fmu: cannot compile for {key[0]} on {key[1]}, only for {platforms}; use --to c")
     return PLATFORMS[key]
 
 
@@ -157,15 +157,15 @@ def _variables(space: StepSpace) -> list[_Variable]:
     def group(name: str, quantities: Iterable[Quantity], causality: str, meaning: str, zero: bool) -> list[_Variable]:
         return [
             _Variable(
-                f"{name}_{each.name}",
+                f"{name}_{quantity.name}",
                 "Float64",
                 causality,
                 "discrete",
-                f"{meaning}: {each.name}",
-                "0.0" if zero else repr((each.lower + each.upper) / 2),
-                each.unit,
+                f"{meaning}: {quantity.name}",
+                "0.0" if zero else repr((quantity.lower + quantity.upper) / 2),
+                quantity.unit,
             )
-            for each in quantities
+            for quantity in quantities
         ]
 
     phase = f"Phase of {space.periodic.name}" if space.periodic else "Phase of a periodic context"
@@ -200,16 +200,16 @@ def _model_description(space: StepSpace, token: str) -> bytes:
     abilities = ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState")
     ET.SubElement(root, "CoSimulation", {"modelIdentifier": IDENTIFIER, **dict.fromkeys(abilities, "true")})
     units = ET.SubElement(root, "UnitDefinitions")
-    for unit in dict.fromkeys(each.unit for each in variables if each.unit):
+    for unit in dict.fromkeys(variable.unit for variable in variables if variable.unit):
         ET.SubElement(units, "Unit", name=unit)
     ET.SubElement(root, "DefaultExperiment", startTime="0", stepSize="1")
     listed = ET.SubElement(root, "ModelVariables")
-    for reference, each in enumerate(variables):
-        ET.SubElement(listed, each.kind, {"valueReference": str(reference), **each.attributes})
+    for reference, variable in enumerate(variables):
+        ET.SubElement(listed, variable.kind, {"valueReference": str(reference), **variable.attributes})
     # No output depends on an input before the next step.
     structure = ET.SubElement(root, "ModelStructure")
-    for reference, each in enumerate(variables):
-        if each.causality == "output":
+    for reference, variable in enumerate(variables):
+        if variable.causality == "output":
             ET.SubElement(structure, "Output", valueReference=str(reference))
     return ET.tostring(root, "utf-8", xml_declaration=True)
 

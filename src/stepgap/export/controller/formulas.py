@@ -63,7 +63,7 @@ def nominal_state(algebra: Algebra, nominal: Mapping[str, Any], point: Value) ->
     scaled = scaled_point(algebra, nominal, point)
     inside = algebra.clipped(scaled, -1.0, 1.0)
     degrees = np.array(nominal["degrees"]).T
-    pairs = [_legendre(algebra, _column(algebra, inside, axis), each) for axis, each in enumerate(degrees)]
+    pairs = [_legendre(algebra, _column(algebra, inside, axis), exponents) for axis, exponents in enumerate(degrees)]
     factors = [value for value, _ in pairs]
     basis = reduce(mul, factors)
     for axis, (_, derivative) in enumerate(pairs):
@@ -108,10 +108,10 @@ def corrections(
         believed: Those of what is believed of its remaining error; none if there are no beliefs.
         point: Rows of states and commands.
     """
-    parts = [regression(algebra, each, point) for each in fitted]
+    parts = [regression(algebra, part, point) for part in fitted]
     if not believed:
         return parts
-    others = [regression(algebra, each, point) for each in believed]
+    others = [regression(algebra, part, point) for part in believed]
     return [
         (mean + added, algebra.sqrt(std * std + more * more))
         for (mean, std), (added, more) in zip(parts, others, strict=True)

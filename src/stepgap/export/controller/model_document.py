@@ -58,12 +58,12 @@ def model_document(controller: PortableController) -> dict[str, Any]:
         "schema": MODEL_SCHEMA,
         "stepgap": version("stepgap"),
         "passport": dict(controller.passport),
-        "state": [{**_quantity(each), "weight": each.weight} for each in controller.space.state],
-        "command": [_quantity(each) for each in controller.space.command],
+        "state": [{**_quantity(quantity), "weight": quantity.weight} for quantity in controller.space.state],
+        "command": [_quantity(quantity) for quantity in controller.space.command],
         "nominal": _nominal(controller.nominal),
         "residual": {
             "kind": residual.kind,
-            "regressions": [_regression(each) for each in residual.regressions],
+            "regressions": [_regression(regression) for regression in residual.regressions],
         },
         "beliefs": None if controller.beliefs is None else _beliefs(controller, controller.beliefs),
         "control": {
@@ -93,7 +93,7 @@ def believed_regressions(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     if document["beliefs"] is None:
         return []
     space = document["state"] + document["command"]
-    lower, upper = (np.array([each[key] for each in space]) for key in ("lower", "upper"))
+    lower, upper = (np.array([quantity[key] for quantity in space]) for key in ("lower", "upper"))
     sizes = len(document["state"]), len(document["command"])
     beliefs = beliefs_from_dict(document["beliefs"], sizes)
     mixture = beliefs.mixture(nan)
@@ -124,14 +124,14 @@ def _nominal(nominal: StepMap) -> dict[str, Any]:
     if isinstance(nominal, SurrogateMap):
         names = ("centre", "scale", "weights", "error")
         degrees = exponents_of(len(nominal.centre), nominal.degree)
-        found = nominal.samples.status != StepStatus.OK
+        failed = nominal.samples.status != StepStatus.OK
         samples = {"points": nominal.samples.points.tolist(), "status": nominal.samples.status.tolist()}
         return {
             "kind": "legendre",
             "degrees": degrees.tolist(),
             **{name: getattr(nominal, name).tolist() for name in names},
             "neighbours": NEIGHBOURS,
-            "samples": samples if found.any() else {"points": [], "status": []},
+            "samples": samples if failed.any() else {"points": [], "status": []},
         }
     raise TypeError(f"{type(nominal).__name__} is not portable")
 
@@ -190,8 +190,8 @@ def _polynomial(polynomial: Polynomial) -> dict[str, Any]:
 def _gaussian_process(process: SparseGaussianProcess) -> dict[str, Any]:
     covariance, (weights, slopes) = process.covariance, process.weights
     if process.kernel not in (MATERN_52, SQUARED_EXPONENTIAL):
-        known = f"{MATERN_52.name} or {SQUARED_EXPONENTIAL.name}"
-        raise InputError(f"kernel {process.kernel.name}: cannot be exported; it must be {known}")
+        exported = f"{MATERN_52.name} or {SQUARED_EXPONENTIAL.name}"
+        raise InputError(f"kernel {process.kernel.name}: cannot be exported; it must be {exported}")
     return {
         "kernel": process.kernel.name,
         "length_scale": covariance.length_scale.tolist(),

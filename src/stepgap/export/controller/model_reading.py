@@ -101,13 +101,13 @@ def _passport(saved: Any) -> dict[str, Any]:
 def _quantities(saved: Mapping[str, Any], key: str) -> tuple[Quantity, ...]:
     return tuple(
         Quantity(
-            name=str(each["name"]),
-            unit=str(each["unit"]),
-            lower=number(each, "lower"),
-            upper=number(each, "upper"),
-            weight=number(each, "weight") if key == "state" else 1.0,
+            name=str(quantity["name"]),
+            unit=str(quantity["unit"]),
+            lower=number(quantity, "lower"),
+            upper=number(quantity, "upper"),
+            weight=number(quantity, "weight") if key == "state" else 1.0,
         )
-        for each in objects(saved, key, "quantities")
+        for quantity in objects(saved, key, "quantities")
     )
 
 
@@ -141,7 +141,7 @@ def _nominal(space: StepSpace, saved: Mapping[str, Any]) -> StepMap:
 def _samples(saved: Mapping[str, Any], n: int, d: int) -> Samples:
     """The sampled steps; their next states are not in the file, since only those that failed matter."""
     status = np.array(saved["status"], np.int64)
-    if not np.isin(status, [int(each) for each in StepStatus]).all():
+    if not np.isin(status, [int(status) for status in StepStatus]).all():
         raise ValueError("nominal.samples.status must be status codes")
     return Samples(_points(saved, "points", len(status), d), np.full((len(status), n), np.nan), status)
 

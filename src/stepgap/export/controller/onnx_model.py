@@ -90,8 +90,8 @@ class _Graph:
     def op(self, kind: str, *inputs: _Operand, outputs: int = 1, **attributes: Any) -> _Value:
         """The last output of an operation."""
         names = [f"{kind}_{next(self.numbers)}" for _ in range(outputs)]
-        values = [each if isinstance(each, _Value) else self.constant(each) for each in inputs]
-        self.nodes.append(self.onnx.helper.make_node(kind, [each.name for each in values], names, **attributes))
+        values = [operand if isinstance(operand, _Value) else self.constant(operand) for operand in inputs]
+        self.nodes.append(self.onnx.helper.make_node(kind, [value.name for value in values], names, **attributes))
         return _Value(self, names[-1])
 
     def constant(self, numbers: ArrayLike) -> _Value:
@@ -131,7 +131,7 @@ class _Graph:
 def _status(graph: _Graph, nominal: Mapping[str, Any], point: _Value) -> _Value:
     """Status codes (B,): of the nearest samples if most of them failed, or that the point is not finite."""
     total = graph.op("ReduceSum", point * 0.0, [-1], keepdims=0)  # zero times another number is not zero
-    found: _Value | int = 0
+    status: _Value | int = 0
     if nominal["kind"] != "affine" and nominal["samples"]["status"]:
         samples = nominal["samples"]
         neighbours = nominal["neighbours"]
@@ -140,8 +140,8 @@ def _status(graph: _Graph, nominal: Mapping[str, Any], point: _Value) -> _Value:
         near = graph.op("Gather", samples["status"], nearest, axis=0)
         bad = graph.op("Cast", graph.op("Greater", near, 0), to=graph.onnx.TensorProto.INT64)
         most = graph.op("Greater", graph.op("ReduceSum", bad, [-1], keepdims=0), neighbours // 2)
-        found = graph.op("Where", most, graph.op("ReduceMax", near, axes=[-1], keepdims=0), 0)
-    return graph.op("Where", graph.op("Equal", total, 0.0), found, int(StepStatus.INVALID))
+        status = graph.op("Where", most, graph.op("ReduceMax", near, axes=[-1], keepdims=0), 0)
+    return graph.op("Where", graph.op("Equal", total, 0.0), status, int(StepStatus.INVALID))
 
 
 def _saved(onnx: Any, graph: _Graph, document: Mapping[str, Any]) -> bytes:

@@ -58,9 +58,9 @@ def passport_lines(passport: Mapping[str, Any]) -> list[str]:
         return []
     name = f" '{passport['name']}'" if passport["name"] else ""
     errors = [
-        f"{each['state']} {each['before']:.3g} to {each['after']:.3g} {each['unit']}"
-        for each in passport["errors"]
-        if each["before"] is not None and each["after"] is not None
+        f"{error['state']} {error['before']:.3g} to {error['after']:.3g} {error['unit']}"
+        for error in passport["errors"]
+        if error["before"] is not None and error["after"] is not None
     ]
     return [
         f"Robot {passport['robot']}{name}, plant {passport['plant']}, until {passport['date']}: learned from "
@@ -79,14 +79,14 @@ def _errors(run: Run) -> list[dict[str, Any]]:
     ends = std_interval_95(last.rmse, max(last.steps, 1))
     return [
         {
-            "state": each.name,
-            "unit": each.unit,
+            "state": quantity.name,
+            "unit": quantity.unit,
             "before": _number(first.rmse[row]),
             "after": _number(last.rmse[row]),
             "after_interval": [_number(end) for end in ends[:, row]],
         }
-        for row, each in enumerate(run.space.state)
-        if each.weight
+        for row, quantity in enumerate(run.space.state)
+        if quantity.weight
     ]
 
 

@@ -152,19 +152,19 @@ def portable_controller(
     noise = learner.step_map().noise_std / space.state_scale
     nominal, replaced = _portable_nominal(learner.nominal, noise, rng)
     points = _random_points(space, rng)
-    found = [
+    replacements = [
         _portable_regression(regression, name, scale, points)
         for regression, name, scale in zip(residual.regressions, space.state_names, space.state_scale, strict=True)
     ]
     own_steps = beliefs is not None and residual.kind == "none"
     return PortableController(
         nominal,
-        replace(residual, regressions=tuple(regression for regression, _ in found)),
+        replace(residual, regressions=tuple(regression for regression, _ in replacements)),
         beliefs,
         learner.failures,
         replace(settings.control, table=0),
         observe(learner.known.planned(), learner.nominal) if own_steps else None,
-        approximations=(*replaced, *(loss for _, loss in found if loss)),
+        approximations=(*replaced, *(loss for _, loss in replacements if loss)),
         notes=_notes(space, settings.control, learner),
         passport=passport_of(run, deployment, name),
     )
@@ -172,8 +172,8 @@ def portable_controller(
 
 def _check_inputs(learner: Learner) -> None:
     """Raises InputError if what is learned depends on more than state, command and the step before."""
-    found = learner.beliefs is not None and learner.nominal.space.context_inputs
-    if found or learner.residual.history_inputs != HistoryInputs():
+    by_touchdown = learner.beliefs is not None and learner.nominal.space.context_inputs
+    if by_touchdown or learner.residual.history_inputs != HistoryInputs():
         raise InputError(
             f"residual '{learner.residual.kind}': inputs that a touchdown finds and a forgetting time cannot be "
             "exported; run with learning.forgetting_time = inf and, on uneven ground, ground.inputs = false"
@@ -182,12 +182,13 @@ def _check_inputs(learner: Learner) -> None:
 
 def _notes(space: StepSpace, control: ControlSettings, learner: Learner) -> tuple[str, ...]:
     notes = [
-        f"{each.name} is that above the {each.above} of the step: subtract what your robot finds, and plan at touchdown"
-        for each in space.state
-        if each.above
+        f"{quantity.name} is that above the {quantity.above} of the step: subtract what your robot finds, and plan at "
+        "touchdown"
+        for quantity in space.state
+        if quantity.above
     ]
     if not space.tracked.all():
-        untracked = ", ".join(each.name for each in space.state if not each.weight)
+        untracked = ", ".join(quantity.name for quantity in space.state if not quantity.weight)
         notes.append(
             f"{untracked}: the errors of the planned steps count alone in C and FMU; a run and Python, where states "
             "are not tracked, count those of all later steps, too"
@@ -222,10 +223,10 @@ def _portable_nominal(
     surrogate = _with_small_samples(fit_surrogate(nominal, rng, good_enough=SURROGATE_ERROR))
     points = _random_points(nominal.space, rng)
     n = len(nominal.space.state)
-    expected, found = (each.evaluate(points[:, :n], points[:, n:]) for each in (nominal, surrogate))
-    both = (expected.status == StepStatus.OK) & (found.status == StepStatus.OK)
-    error = (found.next_state - expected.next_state)[both] / nominal.space.state_scale
-    wrong = np.mean((expected.status == StepStatus.OK) != (found.status == StepStatus.OK))
+    expected, replaced = (step_map.evaluate(points[:, :n], points[:, n:]) for step_map in (nominal, surrogate))
+    both = (expected.status == StepStatus.OK) & (replaced.status == StepStatus.OK)
+    error = (replaced.next_state - expected.next_state)[both] / nominal.space.state_scale
+    wrong = np.mean((expected.status == StepStatus.OK) != (replaced.status == StepStatus.OK))
     replacement = (
         f"polynomial of degree {surrogate.degree}, which misjudges whether a step fails at {wrong:.2%} of points"
     )
@@ -290,8 +291,8 @@ def _smallest_sparse(regression: GaussianProcessRegression, points: Array) -> tu
 
     def compared(count: int) -> tuple[SparseGaussianProcess, Array]:
         sparse = _sparse(regression.process, count)
-        found = GaussianProcessRegression(sparse, regression.plug_in)
-        return sparse, np.abs(np.stack([found.mean(points), found.std(points)]) - expected).max(axis=0)
+        approximated = GaussianProcessRegression(sparse, regression.plug_in)
+        return sparse, np.abs(np.stack([approximated.mean(points), approximated.std(points)]) - expected).max(axis=0)
 
     most = min(EXPORTED_SIZES[-1], len(regression.values))
     for count in (size for size in EXPORTED_SIZES if size < most):
@@ -303,6 +304,6 @@ def _smallest_sparse(regression: GaussianProcessRegression, points: Array) -> tu
 
 def _sparse(process: GaussianProcess, count: int) -> SparseGaussianProcess:
     """The process, approximated by a number of inducing points."""
-    known = process.points, process.values, process.input_scale, process.hyper_parameters
+    data = process.points, process.values, process.input_scale, process.hyper_parameters
     inducing = spread_points(process.points, process.input_scale, process.hyper_parameters, count, process.kernel)
-    return condition_sparse(*known, inducing, process.kernel)
+    return condition_sparse(*data, inducing, process.kernel)

@@ -90,8 +90,14 @@ def python_source(controller: PortableController) -> str:
         "",
         f"Written by StepGap {versions_here()['stepgap']}; the code is part of it (MIT licence). It needs NumPy alone.",
         "",
-        *(f"State: {each.name} [{each.unit}], range of use {each.lower:g} to {each.upper:g}" for each in space.state),
-        *(f"Command: {each.name} [{each.unit}], bounds {each.lower:g} to {each.upper:g}" for each in space.command),
+        *(
+            f"State: {quantity.name} [{quantity.unit}], range of use {quantity.lower:g} to {quantity.upper:g}"
+            for quantity in space.state
+        ),
+        *(
+            f"Command: {quantity.name} [{quantity.unit}], bounds {quantity.lower:g} to {quantity.upper:g}"
+            for quantity in space.command
+        ),
         USE,
         *(f"- {note}" for note in notes),
     ]
@@ -118,25 +124,25 @@ def one_file(roots: list[Place], instead: Mapping[Place, Place]) -> str:
     imports = set[str]()
     origins = dict[str, str]()
 
-    def add(wanted: Place) -> None:
-        if wanted.name in origins:
-            if origins[wanted.name] != wanted.module:
-                raise ValueError(f"{wanted.name} is a name in {origins[wanted.name]} and in {wanted.module}")
+    def add(place: Place) -> None:
+        if place.name in origins:
+            if origins[place.name] != place.module:
+                raise ValueError(f"{place.name} is a name in {origins[place.name]} and in {place.module}")
             return
-        origins[wanted.name] = wanted.module
-        if wanted in instead:
-            add(instead[wanted])
-            parts[f"{wanted.name} = {instead[wanted].name}"] = None
+        origins[place.name] = place.module
+        if place in instead:
+            add(instead[place])
+            parts[f"{place.name} = {instead[place].name}"] = None
             return
-        if wanted.module not in modules:
-            modules[wanted.module] = _read(wanted.module)
-        module = modules[wanted.module]
-        text, needs = module.definitions[wanted.name]
+        if place.module not in modules:
+            modules[place.module] = _read(place.module)
+        module = modules[place.module]
+        text, needs = module.definitions[place.name]
         for name in needs:
             if name in module.copied:
                 add(module.copied[name])
             elif name in module.definitions:
-                add(Place(wanted.module, name))
+                add(Place(place.module, name))
             elif name in module.imports:
                 imports.add(module.imports[name])
         parts[text] = None
@@ -166,22 +172,22 @@ def _read(name: str) -> _Module:
         after = body[number + 1] if number + 1 < len(body) else None
         last = after if isinstance(after, ast.Expr) and isinstance(node, ast.Assign | ast.AnnAssign) else node
         decorators = getattr(node, "decorator_list", [])
-        first = min([node.lineno, *(each.lineno for each in decorators)])
+        first = min([node.lineno, *(decorator.lineno for decorator in decorators)])
         written = "\n".join(lines[first - 1 : last.end_lineno])
         module.definitions.update(dict.fromkeys(_defined(node), (written, list(dict.fromkeys(_names(node))))))
     return module
 
 
 def _note_imports(node: ast.Import | ast.ImportFrom, module: _Module) -> None:
-    for each in node.names:
-        name = each.asname or each.name
-        renamed = f" as {each.asname}" if each.asname else ""
+    for alias in node.names:
+        name = alias.asname or alias.name
+        renamed = f" as {alias.asname}" if alias.asname else ""
         if isinstance(node, ast.Import):
-            module.imports[name] = f"import {each.name}{renamed}"
+            module.imports[name] = f"import {alias.name}{renamed}"
         elif (node.module or "").split(".")[0] == COPIED_PACKAGE:
-            module.copied[name] = Place(node.module or "", each.name)
+            module.copied[name] = Place(node.module or "", alias.name)
         else:
-            module.imports[name] = f"from {node.module} import {each.name}{renamed}"
+            module.imports[name] = f"from {node.module} import {alias.name}{renamed}"
 
 
 def _defined(node: ast.stmt) -> Iterator[str]:

@@ -106,8 +106,8 @@ class StepFilter:
         target = as_vector("target", target, n)
         before = None if previous is None else as_vector("previous", previous, m)
         later = np.reshape(np.asarray(ahead, float), (-1, n))[: self._settings.horizon - 1]
-        known = before is None or bool(np.isfinite(before).all())
-        usable = known and not np.isinf(target).any() and not np.isinf(later).any()
+        finite = before is None or bool(np.isfinite(before).all())
+        usable = finite and not np.isinf(target).any() and not np.isinf(later).any()
         status = UNCORRECTED if usable else StepStatus.INVALID
         if status == UNCORRECTED and np.isfinite(state).all():
             residual = cast("Residual", self._residual)
@@ -119,7 +119,7 @@ class StepFilter:
             except StepFailed as failure:
                 status = failure.status
         unknown = np.full(n, np.nan)
-        return FilterPlan(int(status), self._uncorrected(target, before if known else None), unknown, unknown)
+        return FilterPlan(int(status), self._uncorrected(target, before if finite else None), unknown, unknown)
 
     def update(
         self, state: ArrayLike | None, command: ArrayLike, next_state: ArrayLike | None, phase: float = np.nan
@@ -137,7 +137,7 @@ class StepFilter:
         """
         unknown = np.full(len(self.space.state), np.nan)
         start, end = (
-            as_vector("state", unknown if each is None else each, len(unknown)) for each in (state, next_state)
+            as_vector("state", unknown if values is None else values, len(unknown)) for values in (state, next_state)
         )
         command = as_vector("command", command, len(self.space.command))
         record = StepRecord(start, command, command, end, StepStatus.OK)
@@ -174,7 +174,7 @@ class FormulaMap(StepMap):
     """
 
     def __init__(self, model: Mapping[str, Any]):
-        state = [replace(_quantity(each), weight=float(each["weight"])) for each in model["state"]]
+        state = [replace(_quantity(quantity), weight=float(quantity["weight"])) for quantity in model["state"]]
         self._space = StepSpace(tuple(state), tuple(map(_quantity, model["command"])))
         self._nominal = _arrays(model["nominal"])
 
@@ -189,8 +189,8 @@ class FormulaMap(StepMap):
         n = len(self._space.state)
         rows = points.reshape(-1, points.shape[-1])
         status = self._status(rows)
-        found = nominal_state(NUMBERS, self._nominal, np.where(np.isfinite(rows), rows, 0.0))
-        moved = np.where((status == StepStatus.OK)[:, None], found, np.nan)
+        ends = nominal_state(NUMBERS, self._nominal, np.where(np.isfinite(rows), rows, 0.0))
+        moved = np.where((status == StepStatus.OK)[:, None], ends, np.nan)
         return Outcome(moved.reshape(*points.shape[:-1], n), status.reshape(points.shape[:-1]))
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
@@ -206,9 +206,9 @@ class FormulaMap(StepMap):
             if affine
             else (nominal["centre"] - nominal["scale"], nominal["centre"] + nominal["scale"])
         )
-        found = _derivatives(lambda rows: nominal_state(NUMBERS, nominal, rows), np.clip(points, *ends))
+        derivatives = _derivatives(lambda rows: nominal_state(NUMBERS, nominal, rows), np.clip(points, *ends))
         failed = (self._status(points.reshape(-1, points.shape[-1])) != StepStatus.OK).reshape(points.shape[:-1])
-        return np.where(failed[..., None, None], np.nan, found)
+        return np.where(failed[..., None, None], np.nan, derivatives)
 
     def _status(self, rows: Array) -> Codes:
         """Status codes (B,): of the nearest samples if most of them failed, or that the point is not finite."""
@@ -216,11 +216,11 @@ class FormulaMap(StepMap):
         if self._nominal["kind"] != "affine" and len(self._nominal["samples"]["status"]):
             neighbours = int(self._nominal["neighbours"])
             samples = self._nominal["samples"]
-            known = np.flatnonzero(status == StepStatus.OK)
-            squared = NUMBERS.squared_distances(scaled_point(NUMBERS, self._nominal, rows[known]), samples["points"])
+            finite = np.flatnonzero(status == StepStatus.OK)
+            squared = NUMBERS.squared_distances(scaled_point(NUMBERS, self._nominal, rows[finite]), samples["points"])
             near = samples["status"][np.argsort(squared, axis=1, kind="stable")[:, :neighbours]].astype(int)
             failed = np.count_nonzero(near, axis=1) > neighbours // 2
-            status[known] = np.where(failed, near.max(axis=1), int(StepStatus.OK))
+            status[finite] = np.where(failed, near.max(axis=1), int(StepStatus.OK))
         return status
 
 
@@ -236,8 +236,8 @@ class FormulaResidual:
         self.kind = str(model["residual"]["kind"])
         self.sizes = len(model["state"]), len(model["command"])
         self.history_inputs = HistoryInputs()
-        self.regressions = [FormulaRegression(each) for each in model["residual"]["regressions"]]
-        self.noise_std = np.array([each.noise_std for each in self.regressions])
+        self.regressions = [FormulaRegression(part) for part in model["residual"]["regressions"]]
+        self.noise_std = np.array([regression.noise_std for regression in self.regressions])
 
     def conditioned_on(self, history: Array) -> "FormulaResidual":
         """The residual, which depends on state and command alone."""
@@ -246,19 +246,19 @@ class FormulaResidual:
 
     def mean(self, points: Array) -> Array:
         """Expected residual; (…, n + m) to (…, n) [units of the state]."""
-        return np.stack([each.mean(points) for each in self.regressions], axis=-1)
+        return np.stack([regression.mean(points) for regression in self.regressions], axis=-1)
 
     def std(self, points: Array) -> Array:
         """Its standard deviation, without the noise of a step; (…, n + m) to (…, n) [units of the state]."""
-        return np.stack([each.std(points) for each in self.regressions], axis=-1)
+        return np.stack([regression.std(points) for regression in self.regressions], axis=-1)
 
     def mean_gradient(self, points: Array) -> Array:
         """∂mean/∂(state, command); (…, n + m) to (…, n, n + m)."""
-        return np.stack([each.mean_gradient(points) for each in self.regressions], axis=-2)
+        return np.stack([regression.mean_gradient(points) for regression in self.regressions], axis=-2)
 
     def std_gradient(self, points: Array) -> Array:
         """∂std/∂(state, command), zero where there is no deviation; (…, n + m) to (…, n, n + m)."""
-        return np.stack([each.std_gradient(points) for each in self.regressions], axis=-2)
+        return np.stack([regression.std_gradient(points) for regression in self.regressions], axis=-2)
 
 
 @final
@@ -355,8 +355,8 @@ def _derivatives(function: Any, points: Array) -> Array:
     """Derivatives of a function from rows (B, d) to rows (B, n), at points (…, d); shape (…, n, d)."""
     size = points.shape[-1]
     moved = points[..., None, :] + TINY * 1j * np.eye(size)
-    found = function(moved.reshape(-1, size)).imag / TINY
-    return np.swapaxes(found.reshape(*points.shape[:-1], size, -1), -1, -2)
+    imaginary = function(moved.reshape(-1, size)).imag / TINY
+    return np.swapaxes(imaginary.reshape(*points.shape[:-1], size, -1), -1, -2)
 
 
 def _arrays(part: Any) -> Any:

@@ -51,7 +51,7 @@ def _value(value: Any) -> Any:
     if isinstance(value, Mapping):
         return _struct(value)
     if isinstance(value, list):
-        return np.array([_value(each) for each in value] + [None], dtype=object)[:-1]
+        return np.array([_value(item) for item in value] + [None], dtype=object)[:-1]
     if isinstance(value, bool | float):
         return value
     return float(value) if isinstance(value, int) and abs(value) < LARGEST_INTEGER else str(value)
@@ -61,19 +61,22 @@ def _summary(summary: Summary, names: Sequence[str]) -> dict[str, Any]:
     """Errors of the finished deployments as columns, with one number per deployment."""
     done = summary.deployments
     counts = {
-        "iteration": [each.iteration for each in done],
-        "steps": [each.steps for each in done],
-        "falls": [each.failed_steps for each in done],
-        "cut": [each.cut for each in done],
+        "iteration": [deployment.iteration for deployment in done],
+        "steps": [deployment.steps for deployment in done],
+        "falls": [deployment.failed_steps for deployment in done],
+        "cut": [deployment.cut for deployment in done],
     }
     errors = {
-        measure: {name: np.array([each.errors[measure][i] for each in done], float) for i, name in enumerate(names)}
+        measure: {
+            name: np.array([deployment.errors[measure][i] for deployment in done], float)
+            for i, name in enumerate(names)
+        }
         for measure in MEASURES
     }
     floor = summary.noise_floor or NoiseFloor.unknown(len(names))
     return {
         **{name: _column(np.array(numbers)) for name, numbers in counts.items()},
-        "residual": np.array([each.residual for each in done], dtype=object),
+        "residual": np.array([deployment.residual for deployment in done], dtype=object),
         **errors,
         "repeatability": dict(zip(names, floor.any_phase.tolist(), strict=True)),
         "repeatability_same_yaw": dict(zip(names, floor.same_phase.tolist(), strict=True)),

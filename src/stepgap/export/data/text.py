@@ -15,7 +15,7 @@ def steps_text(columns: Sequence[Column]) -> str:
 
 def columns_text(columns: Sequence[Column]) -> str:
     """Table with name, unit and meaning of each column, one line per column."""
-    return _text([["column", "unit", "meaning"], *([each.name, each.unit, each.meaning] for each in columns)])
+    return _text([["column", "unit", "meaning"], *([column.name, column.unit, column.meaning] for column in columns)])
 
 
 def _text(rows: Iterable[Iterable[object]]) -> str:
