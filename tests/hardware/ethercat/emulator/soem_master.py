@@ -9,7 +9,7 @@ import pytest
 
 from tests.hardware.ethercat.emulator.bench import DRIVE_INPUT, DRIVE_OUTPUT, DRIVES, LENGTHS
 
-PREOP, SAFEOP, OP, ERROR = 2, 4, 8, 0x10
+SAFEOP, OP, ERROR = 4, 8, 0x10
 LONGEST_RUN = 100_000
 TIMEOUT = 50_000
 """Longest wait for a frame [µs]; a lost one costs it."""

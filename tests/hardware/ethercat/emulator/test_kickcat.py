@@ -13,8 +13,8 @@ from tests.hardware.ethercat.ring_process import INTERFACE, live_ring
 BEFORE = 2
 """Frames with outputs until OP."""
 
-A_WHILE, FOR_A_FRAME = 0.05, 0.25
-"""Time that KickCAT waits for an answer that it does not recognise, and for a frame that does not come [s]."""
+FOR_A_FRAME = 0.25
+"""Time that KickCAT waits for a frame that does not come [s]."""
 
 
 def test_kickcat_finds_the_slaves_and_brings_them_to_op():
