@@ -81,7 +81,7 @@ def test_every_difference_has_a_meaning_and_refuses_what_makes_no_sense(gap: Gap
 )
 def test_limits_of_the_twin_are_named(name: str, value: float, rule: str) -> None:
     with pytest.raises(ValueError, match=f"{name} = {value}, but it must {rule}"):
-        RealityGap(**{name: value})
+        replace(RealityGap(), **{name: value})
 
 
 def test_no_gap_differs_from_a_real_machine_in_every_field_that_matters() -> None:

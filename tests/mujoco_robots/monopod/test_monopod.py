@@ -2,8 +2,6 @@
 
 # pyright: reportAttributeAccessIssue=false
 
-from dataclasses import replace
-
 import mujoco
 import numpy as np
 import pytest
@@ -139,8 +137,3 @@ def test_the_linear_map_is_the_model_near_a_hop_in_place() -> None:
         np.testing.assert_allclose(
             (linear(state, command) - simulate(state, command)) / MONOPOD_SPACE.state_scale, 0, atol=0.08
         )
-
-
-def test_gains_that_cannot_work_are_refused() -> None:
-    with pytest.raises(ValueError, match="stiffness"):
-        replace(HoppingGains(), stiffness=0.0)

@@ -174,10 +174,3 @@ def test_it_pronks_with_random_commands(gap: MjcfGap) -> None:
     records = [plant.take_step(rng.uniform(-0.7, 0.7, 2) * SPACE.command_scale) for _ in range(30)]
     assert {record.status for record in records} == {StepStatus.OK}
     assert 0.0 < records[-1].next_state[0] < 1.0
-
-
-def test_its_names_in_settings_are_checked() -> None:
-    with pytest.raises(ValueError, match=r"rest_length = 0\.6, but it must lie between"):
-        PronkGains(rest_length=0.6)
-    with pytest.raises(ValueError, match="stiffness = -1, but it must be positive"):
-        PronkGains(stiffness=-1)

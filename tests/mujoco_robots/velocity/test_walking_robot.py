@@ -2,7 +2,9 @@
 
 # pyright: reportAttributeAccessIssue=false
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import mujoco
@@ -10,7 +12,9 @@ import numpy as np
 import pytest
 
 from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfPlant
-from stepgap.mujoco_robots.velocity.robot import TrottingRobot
+from stepgap.mujoco_robots.monopod.robot import HoppingGains
+from stepgap.mujoco_robots.quadruped.pronk import PronkGains
+from stepgap.mujoco_robots.velocity.robot import TrotGains, TrottingRobot
 from stepgap.mujoco_robots.velocity.walking_robot import VelocityRange, Walk, WalkingGap, walks
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.ticks.stream import OnTicks
@@ -123,11 +127,20 @@ def test_the_reference_stands_walks_slowly_and_stays_in_the_ranges_of_use() -> N
 
 
 @pytest.mark.parametrize(
-    ("wrong", "key"),
-    [({"seconds": 0.0}, "seconds"), ({"time_constant": -1.0}, "time_constant"), ({"fall_tilt": 4.0}, "fall_tilt")],
+    ("kind", "key", "value"),
+    [
+        (HoppingGains, "stiffness", 0.0),
+        (PronkGains, "rest_length", 0.6),
+        (PronkGains, "stiffness", -1.0),
+        (TrotGains, "period", 0.0),
+        (TrotGains, "stance", 1.0),
+        (TrotGains, "height", 0.5),
+        (Walk, "seconds", 0.0),
+        (Walk, "time_constant", -1.0),
+        (Walk, "fall_tilt", 4.0),
+        (partial(VelocityRange, 0.0, 1.0, command_upper=1.0), "command_lower", 2.0),
+    ],
 )
-def test_settings_out_of_range_are_named(wrong: dict[str, float], key: str) -> None:
-    with pytest.raises(ValueError, match=key):
-        Walk(**wrong)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(ValueError, match="command_lower"):
-        VelocityRange(0.0, 1.0, 2.0, 1.0)
+def test_settings_out_of_range_are_named(kind: Callable[..., object], key: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"{key} = {value}, but it must"):
+        kind(**{key: value})

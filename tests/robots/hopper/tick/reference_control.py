@@ -1,7 +1,8 @@
 """The hopper's control in plain Python: the slow and independent reference for the compiled tick.
 
 It is the code before the compiled tick: lists of samples, `np.polyfit`, and an object whose methods are called one by
-one in every tick. Only the torque laws and the leg's geometry are those of the package.
+one in every tick. Torque laws, leg, phases, rates and safety function are those of the package, which have their own
+tests.
 """
 
 from math import inf, isfinite, isnan, nan, sin, sqrt, tau
@@ -9,17 +10,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stepgap.base.compiled_record import as_record
 from stepgap.rigs.rig import HEALTHY, Health, RigFault
 from stepgap.robots.hopper.model.dynamics import leg_inertia, masses_of
 from stepgap.robots.hopper.model.joint_control import flight_torque, joint_law, stance_torque
 from stepgap.robots.hopper.model.leg import foot, four_bar
 from stepgap.robots.hopper.model.reduced import uprightness
 from stepgap.robots.hopper.parameters import Gains, RobotParameters
-from stepgap.robots.hopper.tick.estimator import ACCELERATION, APEX_DROP, SPEED_DELAY
+from stepgap.robots.hopper.tick.estimator import ACCELERATION, APEX_DROP, SPEED_DELAY, JointRates, with_reading
 from stepgap.robots.hopper.tick.limits import SafetyLimits
-from stepgap.robots.hopper.tick.phases import Phase
-from stepgap.robots.hopper.tick.safety import BRAKE_GROWTH, BRAKED, JointMotion, Limited
+from stepgap.robots.hopper.tick.phases import Phase, next_phase
+from stepgap.robots.hopper.tick.safety import Checked, JointMotion, Limited, Watch, brakes, check_torque
 from stepgap.robots.hopper.tick.sensors import HopperReading, HopperSensorModel
+from stepgap.robots.hopper.tick.stage import Stage
 from stepgap.step import Array, StepStatus
 
 STEP_TIMEOUT, LANDING_DAMPING = 4.0, 0.5
@@ -84,195 +87,6 @@ class FlightFit:
         equations = np.vstack([np.vander(times, 3) / error, [2 / ACCELERATION, 0, 0]])
         parabola = np.linalg.lstsq(equations, np.array([*self._xs, 0]) / error, rcond=None)[0]
         return float(np.polyval(np.polyder(parabola), apex)), float(level - slope**2 / (4 * curvature))
-
-
-class JointRates:
-    """Rates of the leg angles from motor counts: differences over the last `span` readings.
-
-    Without a new reading the rates stay as they are. For accelerations up to a, their error is at most a times the age
-    of the oldest of these readings, plus the effect of rounding to counts.
-    """
-
-    def __init__(self, span: int = 2):
-        self._past: list[tuple[float, float, float]] = []
-        self._span, self._rates = span, (0.0, 0.0)
-
-    def update(self, time: float, alpha_1: float, alpha_2: float) -> tuple[float, float]:
-        """Adds a reading's time [s] and angles [rad]; returns (α̇₁, α̇₂) [rad/s], zero until there are enough."""
-        past = self._past
-        if past and time <= past[-1][0]:
-            return self._rates
-        past.append((time, alpha_1, alpha_2))
-        if len(past) > self._span:
-            before, old_1, old_2 = past.pop(0)
-            took = round(time - before, 12)  # so that the last digits do not depend on the time since the start
-            self._rates = (alpha_1 - old_1) / took, (alpha_2 - old_2) / took
-        return self._rates
-
-
-def next_phase(
-    phase: Phase,
-    *,
-    apex_passed: bool,
-    contact_force: float,
-    touchdown_force: float,
-    leg_length: float,
-    takeoff_length: float,
-    hip_rate: float,
-) -> Phase:
-    """Phase at this tick, from the phase at the previous one.
-
-    If the hip descends while the foot is still on the ground, the robot has not taken off, and the phase is THRUST.
-
-    Args:
-        phase: Previous phase.
-        apex_passed: Whether the apex of the present flight has been passed.
-        contact_force: Ground force on the foot [N].
-        touchdown_force: Force above which the foot is on the ground [N] (Sec. 3.3).
-        leg_length: ℓ [m].
-        takeoff_length: ℓ at which the leg leaves the ground [m] (Sec. 3.4).
-        hip_rate: ẏ [m/s].
-    """
-    if phase == Phase.ASCENT and apex_passed:
-        return Phase.THRUST if contact_force > touchdown_force else Phase.DESCENT
-    if phase == Phase.ASCENT:
-        return phase
-    if phase == Phase.DESCENT:
-        return Phase.COMPRESSION if contact_force > touchdown_force else phase
-    if phase == Phase.COMPRESSION:
-        return Phase.THRUST if hip_rate > 0 else phase
-    airborne = leg_length >= takeoff_length or contact_force <= 0
-    return Phase.ASCENT if airborne else phase
-
-
-class Watch(NamedTuple):
-    """State of the check; a new one starts with limp motors.
-
-    Attributes:
-        torque_1: Last torque of motor 1 [N·m].
-        torque_2: Last torque of motor 2 [N·m].
-        lost: Frames lost in a row.
-        stale: Stale readings in a row.
-        late: Ticks missed in a row.
-        stopped: Reasons why the motors brake or stay off.
-        braked: Number of ticks since the stop.
-        slowest: Smallest joint speed since the stop [rad/s].
-    """
-
-    torque_1: float = 0.0
-    torque_2: float = 0.0
-    lost: int = 0
-    stale: int = 0
-    late: int = 0
-    stopped: Limited = Limited.NOTHING
-    braked: int = 0
-    slowest: float = inf
-
-
-class Checked(NamedTuple):
-    """Torques that may be written [N·m], why they differ from the requested ones, and the watch for the next tick."""
-
-    torque_1: float
-    torque_2: float
-    limited: Limited
-    watch: Watch
-
-
-def check_torque(
-    limits: SafetyLimits, watch: Watch, motion: JointMotion, health: Health, torque_1: float, torque_2: float
-) -> Checked:
-    """Limits the torques; after a fault they brake for a while and then stay zero.
-
-    Args:
-        limits: Limits.
-        watch: Watch of the previous tick.
-        motion: JointMotion at this tick.
-        health: Health at this tick.
-        torque_1: Torque requested of motor 1 [N·m].
-        torque_2: Torque requested of motor 2 [N·m].
-    """
-    lost = stale = late = 0
-    stopped = watch.stopped
-    if health is not HEALTHY:
-        lost = watch.lost + 1 if health.frame_lost else 0
-        stale = watch.stale + 1 if health.stale else 0
-        late = watch.late + health.late if health.late else 0
-        stopped |= _unhealthy(limits, health, lost, stale, late)
-    if beyond := _out_of_range(limits, motion, torque_1 + torque_2):
-        stopped |= beyond
-    if stopped:
-        speed = abs(motion.rate_1) + abs(motion.rate_2)
-        if speed > min(watch.slowest, speed) + BRAKE_GROWTH:
-            stopped |= Limited.SPEED_GREW
-        after = Watch(0.0, 0.0, lost, stale, late, stopped, watch.braked + 1, min(watch.slowest, speed))
-        torque_1, torque_2 = _brake(limits, watch, motion) if brakes(limits, after) else (0.0, 0.0)
-        return Checked(torque_1, torque_2, stopped, after._replace(torque_1=torque_1, torque_2=torque_2))
-
-    limited = Limited.NOTHING
-    if motion.alpha_2 < limits.stretch_angle and torque_1 < torque_2:
-        torque_1 = torque_2 = 0.5 * (torque_1 + torque_2)
-        limited |= Limited.STRETCH
-    most = limits.torque
-    if abs(torque_1) > most or abs(torque_2) > most:
-        torque_1, torque_2 = _within(most, torque_1), _within(most, torque_2)
-        limited |= Limited.TORQUE
-    step = limits.torque_step
-    if abs(torque_1 - watch.torque_1) > step or abs(torque_2 - watch.torque_2) > step:
-        torque_1, torque_2 = _within(step, torque_1, watch.torque_1), _within(step, torque_2, watch.torque_2)
-        limited |= Limited.TORQUE_STEP
-    return Checked(torque_1, torque_2, limited, Watch(torque_1, torque_2, lost, stale, late))
-
-
-def brakes(limits: SafetyLimits, watch: Watch) -> bool:
-    """Whether the motors of a stopped robot still brake."""
-    return bool(watch.stopped) and not watch.stopped & ~BRAKED and watch.braked <= limits.brake_ticks
-
-
-def _brake(limits: SafetyLimits, watch: Watch, motion: JointMotion) -> tuple[float, float]:
-    """Torques against the rotation, within limits [N·m]; driving torque stops immediately; braking torque grows."""
-    speed_1, speed_2 = motion.rate_1 + motion.rate_2, motion.rate_1 - motion.rate_2
-    return _brake_motor(limits, watch.torque_1, speed_1), _brake_motor(limits, watch.torque_2, speed_2)
-
-
-def _brake_motor(limits: SafetyLimits, before: float, speed: float) -> float:
-    brake = _within(min(limits.torque, limits.brake_torque), -limits.brake_damping * speed)
-    return _within(abs(brake), _within(limits.torque_step, brake, before if before * brake > 0 else 0.0))
-
-
-def _within(most: float, value: float, centre: float = 0.0) -> float:
-    """The value, limited to a distance of `most` from the centre."""
-    return min(centre + most, max(centre - most, value))
-
-
-def _out_of_range(limits: SafetyLimits, motion: JointMotion, torques: float) -> Limited:
-    """Reasons why the motion or the torques, given as their sum, are not allowed."""
-    alpha_1, alpha_2, rate_1, rate_2, leg_length, hip_height = motion
-    if not isfinite(torques + alpha_1 + alpha_2 + rate_1 + rate_2 + leg_length + hip_height):
-        return Limited.NOT_FINITE
-    reason = Limited.NOTHING
-    if abs(rate_1) + abs(rate_2) > limits.joint_speed:
-        reason |= Limited.JOINT_SPEED
-    if abs(alpha_1) > limits.lean_angle or alpha_2 > limits.fold_angle:
-        reason |= Limited.JOINT_ANGLE
-    if not limits.shortest_leg <= leg_length <= limits.longest_leg:
-        reason |= Limited.LEG_LENGTH
-    if not limits.lowest_hip <= hip_height <= limits.highest_hip:
-        reason |= Limited.HIP_HEIGHT
-    return reason
-
-
-def _unhealthy(limits: SafetyLimits, health: Health, lost: int, stale: int, late: int) -> Limited:
-    """Reasons why the health, with its numbers of bad ticks in a row, is not allowed."""
-    reason = Limited.NOTHING
-    if lost > limits.lost_frames:
-        reason |= Limited.LOST_FRAMES
-    if stale > limits.stale_ticks:
-        reason |= Limited.STALE
-    if late > limits.late_ticks:
-        reason |= Limited.LATE
-    if health.emergency_stop:
-        reason |= Limited.EMERGENCY_STOP
-    return reason
 
 
 class LegState(NamedTuple):
@@ -344,12 +158,13 @@ class ReferenceControl:
     """
 
     def __init__(self, sensors: HopperSensorModel, robot: RobotParameters, gains: Gains, limits: SafetyLimits):
-        self._sensors, self._limits = sensors, limits
+        self._sensors, self._stage = sensors, Stage(limits.torque, limits.joint_speed)
         self._law, self._masses = joint_law(robot, gains), masses_of(robot)
         self._time = self._due = self._sampled = 0.0
         self._phase, self._phase_start = Phase.DESCENT, 0.0
         self._speed, self._x_start, self._yaw = 0.0, 0.0, 0.0
         self._fit, self._rates = FlightFit(), JointRates()
+        self._record = as_record(limits)[0]
         self._watch, self._reason = Watch(), StepStatus.OK
         self._begin_hop()
 
@@ -381,7 +196,7 @@ class ReferenceControl:
     @property
     def brakes(self) -> bool:
         """Whether the safety function has stopped the robot and its motors still brake."""
-        return brakes(self._limits, self._watch)
+        return brakes(self._record, self._watch.stopped, self._watch.braked)
 
     @property
     def reason(self) -> StepStatus:
@@ -417,7 +232,8 @@ class ReferenceControl:
         phi_1 = reading.motor_1 * tau / sensors.motor_counts
         phi_2 = reading.motor_2 * tau / sensors.motor_counts
         alpha_1, alpha_2 = 0.5 * (phi_1 + phi_2), 0.5 * (phi_1 - phi_2)
-        rate_1, rate_2 = self._rates.update(self._sampled, alpha_1, alpha_2)
+        self._rates = with_reading(self._rates, self._sampled, alpha_1, alpha_2)
+        rate_1, rate_2 = self._rates.rate_1, self._rates.rate_2
         self._yaw = reading.boom_horizontal * tau / sensors.boom_counts_horizontal
         x = sensors.boom_length * self._yaw
         y = sensors.pivot_height + sensors.boom_length * sin(reading.boom_vertical * tau / sensors.boom_counts_vertical)
@@ -461,7 +277,7 @@ class ReferenceControl:
 
     def check(self, asked: Torques, health: Health = HEALTHY) -> Checked:
         """Limits the torques to those that may be written [N·m]."""
-        checked = check_torque(self._limits, self._watch, self._motion, health, asked[0], asked[1])
+        checked = check_torque(self._record, self._stage, self._watch, self._motion, health, 0, asked[0], asked[1])
         self._watch = checked.watch
         return checked
 
@@ -470,7 +286,7 @@ class ReferenceControl:
         motion = self._motion
         if self._phase == Phase.THRUST:
             self._count_loss(asked[0] - applied[0], asked[1] - applied[1])
-        if checked.limited and checked.limited.stops:
+        if Limited(checked.limited).stops:
             self._reason = StepStatus.STOPPED
         elif uprightness(self._law.leg, motion.hip_height, motion.alpha_1, motion.alpha_2) < 0:
             self._reason = StepStatus.FELL
@@ -505,15 +321,12 @@ class ReferenceControl:
     def _update_phase(self, contact_force: float, x: float) -> None:
         """Updates the phase."""
         leg, sensors = self._leg, self._sensors
-        phase = next_phase(
-            self._phase,
-            apex_passed=self._fit.apex_passed,
-            contact_force=contact_force,
-            touchdown_force=sensors.touchdown_force,
-            leg_length=leg.length,
-            takeoff_length=sensors.takeoff_length,
-            hip_rate=leg.hip_rate,
-        )
+        phase = Phase(
+            next_phase(
+                int(self._phase), self._fit.apex_passed, contact_force, sensors.touchdown_force, leg.length,
+                sensors.takeoff_length, leg.hip_rate,
+            )
+        )  # fmt: skip
         if phase == Phase.COMPRESSION != self._phase:
             self._deadline = min(self._deadline, self._time + STEP_TIMEOUT)
         if phase == Phase.ASCENT != self._phase:

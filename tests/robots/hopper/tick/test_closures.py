@@ -89,12 +89,12 @@ def stuck(sensor, bit, value):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        *((scaled(YAW, factor), "yaw") for factor in (-1.0, 0.5, 0.8, 0.9, 1.1, 1.25, 2.0)),
-        *((drifting(speed), "yaw against leg") for speed in (-1.0, -0.03, 0.03, 0.2)),
+        *((scaled(YAW, factor), "yaw") for factor in (-1.0, 0.9, 1.1, 2.0)),
+        *((drifting(speed), "yaw against leg") for speed in (-0.03, 0.03)),
         *((stuck(YAW, bit, bit % 2), "yaw noisy") for bit in (0, 1)),
-        *((scaled(PITCH, factor), "") for factor in (-1.0, 0.8, 0.9, 1.1, 1.25)),
+        *((scaled(PITCH, factor), "") for factor in (-1.0, 0.9, 1.1)),
         *((noisy(PITCH, counts), "pitch") for counts in (1.0, 2.0)),
-        *((stuck(PITCH, bit, bit % 2), "pitch") for bit in range(5)),
+        *((stuck(PITCH, bit, bit % 2), "pitch") for bit in (0, 4)),
     ],
 )
 def test_a_wrong_size_of_yaw_or_pitch_stops_the_robot(change, reason):

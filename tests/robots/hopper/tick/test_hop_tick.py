@@ -89,12 +89,13 @@ class Both:
         reference.close_tick(asked, self.applied, checked)
         assert_near((torque_1, torque_2), (checked.torque_1, checked.torque_2))
         self._compare(asked, checked)
-        self.seen.add((order.mode, Phase(reference.phase), StepStatus(reference.reason), checked.limited))
-        if order.mode == Mode.STEP and not checked.limited.stops:
+        limited = Limited(checked.limited)
+        self.seen.add((order.mode, Phase(reference.phase), StepStatus(reference.reason), limited))
+        if order.mode == Mode.STEP and not limited.stops:
             self._compare_end(flags)
         assert bool(flags & TickFlag.FAILED) == (reference.reason != StepStatus.OK)
-        assert bool(flags & TickFlag.STOPPED) == checked.limited.stops
-        assert bool(flags & TickFlag.BRAKES) == (checked.limited.stops and reference.brakes)
+        assert bool(flags & TickFlag.STOPPED) == limited.stops
+        assert bool(flags & TickFlag.BRAKES) == (limited.stops and reference.brakes)
         assert bool(flags & TickFlag.TAKES_COMMAND) == reference.takes_command
         return reference.reason == StepStatus.OK
 
@@ -159,7 +160,7 @@ def random_reading(rng, number):
     return HopperReading(*values)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_random_sequences_give_the_results_of_the_reference(seed):
     rng, both = np.random.default_rng(seed), Both(SENSORS, TIGHT if seed % 2 else LOOSE)
     mode = Mode.STEP

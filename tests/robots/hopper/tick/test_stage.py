@@ -17,6 +17,7 @@ from stepgap.plants.tick_control import Mode
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.tick.hop_control import HopControl
 from stepgap.robots.hopper.tick.limits import SafetyLimits
+from stepgap.robots.hopper.tick.sensors import hopper_sensors
 from stepgap.robots.hopper.tick.stage import Stage, stage_of
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from tests.hardware.hopper.test_jog import COUNTS, HangingTwin, Wiring
@@ -69,7 +70,8 @@ def test_a_simulated_robot_has_its_full_limits_in_every_stage(mode: int, share: 
 def test_an_inverted_motor_is_stopped_while_the_robot_takes_its_posture(motor: int):
     """Such a motor drives its link away from the posture; with the full limits it reached 83 rad/s and 69°."""
     limits = replace(read_rig_settings(EXAMPLE).limits, late_ticks=40, sample_jitter=0.1)
-    control = HopControl(HangingTwin(Wiring(), RealityGap(), 0).sensor_model, RobotParameters(), Gains(), limits)
+    sensors = hopper_sensors(HangingTwin(Wiring(), RealityGap(), 0).sensor_model)
+    control = HopControl(sensors, RobotParameters(), Gains(), limits)
     board, rows = Board.create(2, 2, 1), []
     wiring = Wiring(lambda torque_1, torque_2: (-torque_1, torque_2) if motor == 1 else (torque_1, -torque_2))
     with HangingTwin(wiring, RealityGap(joint_damping=0.05), seed=motor) as rig:
