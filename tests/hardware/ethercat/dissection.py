@@ -9,6 +9,12 @@ from typing import NamedTuple
 import pytest
 
 
+needs_tshark = pytest.mark.skipif(
+    shutil.which("tshark") is None,
+    reason="no tshark on this machine (Debian: apt install tshark), so frames are not dissected",
+)
+
+
 class Dissected(NamedTuple):
     """What Wireshark found in a frame; of several datagrams or messages all, with commas between them.
 
@@ -46,12 +52,9 @@ _FIELDS = (
 
 
 def dissected(frames: Path) -> list[Dissected]:
-    """Dissects a recording; skips the test where tshark is missing."""
-    program = shutil.which("tshark")
-    if program is None:
-        pytest.skip("no tshark on this machine (Debian: apt install tshark), so frames are not dissected")
+    """Dissects a recording."""
     fields = [argument for field in _FIELDS for argument in ("-e", field)]
-    command = [program, "-n", "-r", str(frames), "-T", "fields", *fields]
+    command = ["tshark", "-n", "-r", str(frames), "-T", "fields", *fields]
     environment = os.environ | {"HOME": str(frames.parent)}  # without a user's preferences
     output = subprocess.run(command, check=True, capture_output=True, text=True, env=environment).stdout
     return [Dissected(*line.split("\t")) for line in output.splitlines()]

@@ -5,12 +5,14 @@ from typing import Any
 import pytest
 
 from stepgap.hardware.ethercat.emulator.faults import Fault
-from tests.hardware.ethercat.dissection import Dissected, dissected
+from tests.hardware.ethercat.dissection import Dissected, dissected, needs_tshark
 from tests.hardware.ethercat.emulator.bench import DRIVES
 from tests.hardware.ethercat.emulator.kickcat_master import KickcatMaster
 from tests.hardware.ethercat.emulator.soem_master import cycle, enabled, pysoem, soem_master
 from tests.hardware.ethercat.recording import recording
 from tests.hardware.ethercat.ring_process import INTERFACE, live_ring
+
+pytestmark = needs_tshark
 
 FAULTS = (
     Fault("lost frames", 10, cycles=2),
