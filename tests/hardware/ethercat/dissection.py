@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import pytest
 
-
 needs_tshark = pytest.mark.skipif(
     shutil.which("tshark") is None,
     reason="no tshark on this machine (Debian: apt install tshark), so frames are not dissected",
