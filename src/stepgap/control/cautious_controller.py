@@ -126,7 +126,8 @@ class CautiousController:
         commands = np.array([exact.command, *nominal, *searching._local_minima(state, goal, [exact.command, *nominal])])
         best = checking._best(state, goal, commands)
         if best is None:
-            best = checking._best(state, goal, self._searched_commands())
+            everywhere = box_points(searched_commands(self.settings), len(self.bounds.command))
+            best = checking._best(state, goal, self.bounds.command_at(everywhere))
         command = exact.command if best is None else best
         return CautiousPlan(command, self.step_map(state, command), self.step_std(state, command))
 
@@ -139,10 +140,6 @@ class CautiousController:
         budget = EvaluationBudget(self.settings.evaluations // 2)
         return replace(self, step_map=BudgetedMap(self.step_map, budget), nominal=BudgetedMap(self.nominal, budget))
 
-    def _searched_commands(self) -> Array:
-        """Commands all over the bounds; shape (k, m)."""
-        return self.bounds.command_at(box_points(searched_commands(self.settings), len(self.bounds.command)))
-
     def _is_certain(self, state: Array, command: Array) -> bool:
         """Whether the map's error is smaller than the scatter of a measured step.
 
@@ -152,7 +149,6 @@ class CautiousController:
         return not self.settings.cautious or bool(certain[self.step_map.space.tracked].all())
 
     def _nominal_commands(self, state: Array, goal: Goal, start: Array) -> list[Array]:
-        """The command of the nominal map, if it has one."""
         try:
             return [StepController(self.change.limited(self.nominal)).towards(state, goal, start).command]
         except StepFailed:

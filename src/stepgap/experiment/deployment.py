@@ -331,7 +331,6 @@ def _taken(
 
 
 def _explored(controller: DeploymentController, reference: Reference, state: Array) -> CautiousPlan:
-    """Plan of an exploratory step."""
     step_controller = controller.step_controller
     goals = goals_of(reference, step_controller.step_map)
     plan = exploration_plan(step_controller, controller.learner.conditioned_residual, state, goals)

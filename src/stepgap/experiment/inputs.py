@@ -224,7 +224,6 @@ def write_experiment(
 
 
 def _text_of(path: Path, name: str) -> str:
-    """Text of the file that a setting names."""
     try:
         return read_bounded_text(path, LARGEST_NOMINAL_FILE)
     except (OSError, ValueError) as error:

@@ -89,7 +89,6 @@ def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] 
 
 
 def _load_map(settings: Experiment, on_samples: Callable[[int, Array], None]) -> Nominal:
-    """The nominal map of an experiment as it is."""
     kind = settings.nominal.kind
     file = settings.nominal.file
     robot = settings.robot
@@ -127,7 +126,6 @@ def _differenced(kind: str, nominal: StepMap) -> Nominal:
 
 
 def _weighted(nominal: StepMap, settings: Experiment) -> StepMap:
-    """A map of the robot with the weights of the experiment."""
     return with_space(nominal, weighted_space(nominal.space, settings.weights))
 
 

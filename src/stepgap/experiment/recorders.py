@@ -58,7 +58,6 @@ class TickRecorder:
         return replace(observer, on_step=on_step, on_deployment=on_deployment)
 
     def _begin(self) -> None:
-        """Prepares for a new deployment."""
         rows = self._rows = list[Array]()
 
         def keep(kept: Rows, step: int) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import inf, log
 from operator import attrgetter
 from pathlib import Path
@@ -154,10 +154,6 @@ class NominalSettings:
     linear: bool = False
 
 
-def _hopper() -> Robot:
-    return load_robot(DEFAULT_ROBOT)
-
-
 @dataclass(frozen=True)
 class Experiment:
     """All settings of an experiment; the names are those of the TOML file.
@@ -186,7 +182,7 @@ class Experiment:
         process: Longest times to wait for the program of the plant `process`.
     """
 
-    robot: Robot = field(default_factory=_hopper, metadata={IS_KEY: False})
+    robot: Robot = field(default_factory=partial(load_robot, DEFAULT_ROBOT), metadata={IS_KEY: False})
     seed: int = 0
     reference: str = ""
     plant: str = ""
@@ -403,13 +399,11 @@ def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: 
 
 
 def _gone(table: Mapping[str, Any]) -> list[str]:
-    """Dotted names of the settings of a table that are gone."""
     tables = {key: part for key, part in table.items() if isinstance(part, Mapping)}
     return [name for key, part in tables.items() for inner in part if (name := f"{key}.{inner}") in GONE]
 
 
 def _without_gone(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The table without the settings that are gone."""
     kept = dict(table)
     for name in _gone(table):
         key, _, gone = name.partition(".")

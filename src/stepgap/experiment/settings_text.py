@@ -53,7 +53,7 @@ def experiment_toml(experiment: Experiment) -> str:
             table = f"{name}."
         elif key:
             name = table + key[1]
-        lines += [*_comment(texts.get(name, "")), line]
+        lines += [*(f"# {part}" for part in wrap(texts.get(name, ""), COMMENT_WIDTH)), line]
     return "\n".join([*lines, ""])
 
 
@@ -93,7 +93,6 @@ This page is written by `./go python docs/settings_page.py`.
 
 
 def _tables(experiment: Experiment, names: set[str]) -> list[str]:
-    """The wanted settings as tables in Markdown, one for each table of the file."""
     tables: dict[str, list[str]] = {}
     heads: dict[str, str] = {}
     for name, text, value in described_settings(experiment):
@@ -131,7 +130,3 @@ def _described(settings: Any, prefix: str) -> Iterator[tuple[str, str, Any]]:
 
 def _in_toml(value: Any) -> str:
     return tomli_w.dumps({"x": value})[4:].strip() if value != {} else "{}"
-
-
-def _comment(text: str) -> list[str]:
-    return [f"# {line}" for line in wrap(text, COMMENT_WIDTH)]

@@ -11,11 +11,16 @@ import numpy as np
 from scipy.spatial.distance import pdist
 from scipy.special import wrightomega
 
-from stepgap.gauss.cholesky import factorise, inverse_triangle, solve_transposed
 from stepgap.gauss.covariance import covariance_matrix, evidence_gradient
 from stepgap.gauss.gaussian_process import HyperParameters
 from stepgap.gauss.kernel import MATERN_52, Kernel
-from stepgap.gauss.least_squares import LeastSquares, fit_least_squares
+from stepgap.gauss.least_squares import (
+    LeastSquares,
+    factorise,
+    fit_least_squares,
+    inverse_triangle,
+    solve_transposed,
+)
 from stepgap.step import Array
 
 PRIOR_LENGTH_SCALE, PRIOR_NOISE_RATIO, PRIOR_SLOPE_RATIO = 3.0, 0.5, 1.0

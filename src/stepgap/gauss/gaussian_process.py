@@ -27,10 +27,9 @@ from numpy.typing import ArrayLike
 
 from stepgap.base.json_data import number, numbers
 from stepgap.base.ranges import require
-from stepgap.gauss.cholesky import factorise, solve, solve_transposed
 from stepgap.gauss.covariance import Covariance, covariance_matrix
 from stepgap.gauss.kernel import MATERN_52, Kernel
-from stepgap.gauss.least_squares import LeastSquares, fit_least_squares
+from stepgap.gauss.least_squares import LeastSquares, factorise, fit_least_squares, solve, solve_transposed
 from stepgap.step import Array
 
 LARGEST_SAVED = 6000
@@ -220,7 +219,7 @@ class GaussianProcess(ABC):
         """Covariance of queries and the centres."""
         return self.hyper_parameters.covariance(self.kernel, self._centres, self.input_scale)
 
-    @property
+    @cached_property
     @abstractmethod
     def weights(self) -> tuple[Array, Array]:
         """Weights in the mean: of the covariances with the centres (M,) and of the linear features (d,).
@@ -256,13 +255,8 @@ class ExactGaussianProcess(GaussianProcess):
         """β by generalised least squares [unit of the values]."""
         return self.least_squares.coefficient
 
-    @property
-    def weights(self) -> tuple[Array, Array]:
-        """Weights in the mean: of the covariances with the points and of the linear features."""
-        return self._weights
-
     @cached_property
-    def _weights(self) -> tuple[Array, Array]:
+    def weights(self) -> tuple[Array, Array]:
         """Weights in the mean: of the covariances with the points (N,) and of the linear features (d,)."""
         weights = self.least_squares.weights
         return weights, self.covariance.centre_features.T @ weights
@@ -353,13 +347,8 @@ class SparseGaussianProcess(GaussianProcess):
         """β [unit of the values]."""
         return float(self.weight_mean[-1])
 
-    @property
-    def weights(self) -> tuple[Array, Array]:
-        """Weights in the mean: of the covariances with the points and of the linear features."""
-        return self._weights
-
     @cached_property
-    def _weights(self) -> tuple[Array, Array]:
+    def weights(self) -> tuple[Array, Array]:
         """Weights in the mean: of the covariances with the inducing points (M,) and of the linear features (d,)."""
         size = len(self.inducing)
         return solve_transposed(self.inducing_factor, self.weight_mean[:size]), self.weight_mean[size:-1]

@@ -261,7 +261,6 @@ def _starts(inputs: int, basis: Basis) -> list[LogParameters]:
 
 
 def _search(evidence: Evidence, starts: Sequence[LogParameters]) -> LogParameters:
-    """Searches the log parameters of least loss."""
     with one_blas_thread():
         if len(starts) > 1 and len(evidence.values) > COLD_START_SIZE:
             some = np.linspace(0, len(evidence.values) - 1, COLD_START_SIZE).astype(int)

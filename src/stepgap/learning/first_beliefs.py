@@ -108,7 +108,6 @@ def unknown(features: Features, coordinates: int, stds: tuple[float, float] = UN
 def _belief(
     kind: Kind, family: Family, log_weight: float, rate: float, features: Features, sizes: tuple[int, int]
 ) -> Belief:
-    """A belief before the first step."""
     n, m = sizes
     count = features.monomials
     size = features.count + 2 + n + m

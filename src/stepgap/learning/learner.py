@@ -27,7 +27,7 @@ from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.settings import AUTO, LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps, runs_before
-from stepgap.step import Array, StepMap, StepRecord, StepSpace, StepStatus
+from stepgap.step import Array, StepMap, StepStatus
 
 NO_FAILURE: Final = (StepStatus.OK, StepStatus.DOUBTFUL)
 """Statuses of steps that a controller need not avoid: a doubtful sensor is not due to the command."""
@@ -129,9 +129,10 @@ class Learner:
     def phase(self) -> float:
         """Phase of the periodic context quantity at which the next step starts [rad], NaN if it is unknown."""
         last = self.known.last
-        if last is None or last.iteration != self.iteration:
+        periodic = self.nominal.space.periodic
+        if last is None or last.iteration != self.iteration or periodic is None:
             return nan
-        return _phase_after(last.record, self.nominal.space)
+        return periodic.phase(last.record.context.get(periodic.name, nan))
 
     @property
     def conditioned_residual(self) -> Residual:
@@ -203,12 +204,6 @@ class Learner:
         last = self.known.rows[-1]
         residual = self.residual.conditioned_on(history).append(join_points(last["state"], last["requested"]), error)
         return replace(self, residual=residual)
-
-
-def _phase_after(record: StepRecord, space: StepSpace) -> float:
-    """Phase of the periodic context quantity at the end of a step [rad], NaN if it is unknown."""
-    periodic = space.periodic
-    return nan if periodic is None else periodic.phase(record.context.get(periodic.name, nan))
 
 
 def _believes(settings: LearningSettings, known: Steps, iteration: int) -> bool:

@@ -145,17 +145,12 @@ def _one_or_nan(point: ArrayLike) -> Array:
     return np.where(np.isfinite(point).all(axis=-1, keepdims=True), 1.0, np.nan)
 
 
-def _fit(data: TrainingData, degree: int) -> Polynomial:
-    return Polynomial(data, degree)
-
-
 def _from_dict(saved: Mapping[str, Any], degree: int) -> Polynomial:
     return Polynomial(TrainingData.from_dict(saved), degree)
 
 
 def _model(name: str, degree: int, description: str) -> ResidualModel:
-    """Creates the residual model of a degree."""
-    fit = partial(_fit, degree=degree)
+    fit = partial(Polynomial, degree=degree)
     from_dict = partial(_from_dict, degree=degree)
     description = f"{description}, fitted by Bayesian linear regression"
     return ResidualModel(name, description, fit, from_dict, candidate=True, complexity=degree + 1)

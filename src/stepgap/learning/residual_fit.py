@@ -114,7 +114,6 @@ def residual_from_dict(data: Mapping[str, Any]) -> Residual:
 
 
 def _fit(model: ResidualModel, history_inputs: HistoryInputs, observations: Observations) -> Residual:
-    """Fits a residual of one model; what it returns is checked."""
     n = len(observations.space.state)
     m = len(observations.space.command)
     data = [observations.training_data(history_inputs, coordinate) for coordinate in range(n)]

@@ -76,6 +76,5 @@ class LearningSettings:
 
 
 def _require_name(setting: str, name: str, names: tuple[str, ...]) -> None:
-    """Raises ValueError unless a setting has one of the known names."""
     meant = suggestion(name, names)
     require(name in names, setting, name, f"be one of {', '.join(names)}{'; ' if meant else ''}{meant}")

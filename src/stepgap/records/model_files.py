@@ -191,7 +191,6 @@ def _json_in(text: str) -> Any:
 
 
 def _check_sizes(path: Path, residual: Residual, space: StepSpace) -> None:
-    """Raises ValueError if state or command have another size."""
     expected = (len(space.state), len(space.command))
     if residual.sizes != expected:
         raise ValueError(
@@ -216,7 +215,6 @@ def _names_in(pairs: Any) -> list[str]:
 
 
 def _check_units(path: Path, data: Mapping[str, Any], space: StepSpace) -> None:
-    """Raises ValueError if a coordinate has another known unit."""
     for pair, quantity in zip([*data["state"], *data["command"]], (*space.state, *space.command), strict=True):
         unit = pair[1] if len(pair) == 2 else None
         if not isinstance(unit, str):
@@ -229,7 +227,6 @@ def _check_units(path: Path, data: Mapping[str, Any], space: StepSpace) -> None:
 
 
 def _check_source(path: Path, data: Mapping[str, Any], source: str) -> None:
-    """Raises ValueError if the nominal next states are from another source."""
     recorded = data.get("nominal", MAP)
     if recorded != source:
         raise ValueError(

@@ -1,7 +1,5 @@
 """Motion files `replay/deployment_K.npz`: the motion of a robot in a deployment."""
 
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from io import BytesIO
@@ -10,13 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from stepgap.base.files import write_whole
+from stepgap.base.files import read_bounded, write_whole
+from stepgap.base.numpy_file import arrays_in
 from stepgap.robots.scene import GroundPieces, Motion, Scene
 
 INTERVAL: Final = 0.01
 """Time between two frames of a replay [s]; the nearest multiple of the time between two ticks is used."""
 
-LARGEST_MOTION: Final = 2**27  # Largest motion file that is read [bytes]
+LARGEST_MOTION: Final = 2**27  # Largest motion that is read, compressed or not [bytes]
 ORIGIN: Final = "origin"  # Entry that identifies the data from which a motion was computed
 
 
@@ -64,14 +63,12 @@ def read_motion(path: Path, scene: Scene, origin: str) -> Motion | None:
         origin: Identifies the data from which the motion must have been computed.
     """
     try:
-        if path.stat().st_size > LARGEST_MOTION:
+        kept = arrays_in(read_bounded(path, LARGEST_MOTION), LARGEST_MOTION)
+        if str(kept[ORIGIN]) != origin:
             return None
-        with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as kept:
-            if str(kept[ORIGIN]) != origin:
-                return None
-            motion = Motion(**{field.name: kept[field.name].astype(float) for field in fields(Motion)})
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, RuntimeError):
-        return None  # RuntimeError: a damaged header may mark an entry as encrypted or give an unknown compression
+        motion = Motion(**{field.name: kept[field.name].astype(float) for field in fields(Motion)})
+    except (OSError, ValueError, KeyError):
+        return None
     frames = len(motion.time)
     points = len(scene.points)
     feet = len(scene.feet)

@@ -8,7 +8,15 @@ import numpy as np
 from mcap.writer import MCAP0_MAGIC
 
 from stepgap.base.errors import InputError, message_of
-from stepgap.base.files import create, new_file, new_folder, read_bounded_text, write_whole
+from stepgap.base.files import (
+    create,
+    new_file,
+    new_folder,
+    open_regular,
+    read_bounded,
+    read_bounded_text,
+    write_whole,
+)
 from stepgap.base.json_data import parse_json
 from stepgap.base.output_files import EXISTING_IS_COMPLETE
 from stepgap.base.settings_file import read_toml
@@ -61,7 +69,7 @@ def recover_file(path: Path, out: Path) -> list[str]:
 
 
 def _is_tick_log(path: Path) -> bool:
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         return path.suffix == ".mcap" or file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
 
 
@@ -87,7 +95,7 @@ def _copy_inputs(folder: Path, out: Path, space: StepSpace) -> list[str]:
         path for name in ("experiment.toml", *INPUT_FILES) for path in sorted(folder.glob(name)) if path.is_file()
     ]
     for path in inputs:
-        write_whole(out / path.relative_to(folder), path.read_bytes())
+        write_whole(out / path.relative_to(folder), read_bounded(path, LARGEST_STEPS_FILE))
     return [f"{fault}; copied as it is" for path in inputs if (fault := _input_fault(path, space))]
 
 

@@ -64,8 +64,6 @@ def step_columns(recorded: Steps, iteration: int | None = None) -> list[Column]:
 
 
 def _legend(space: StepSpace) -> dict[str, tuple[str, str]]:
-    """Unit and meaning of each column."""
-
     def of(quantities: Sequence[Quantity], meanings: dict[str, str]) -> dict[str, tuple[str, str]]:
         return {
             prefix + quantity.name: (quantity.unit, meaning)

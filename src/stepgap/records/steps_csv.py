@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.base.errors import InputError
-from stepgap.base.files import naming
+from stepgap.base.files import naming, open_own, open_regular, read_bounded
 from stepgap.base.names import is_name
 from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.step import ContextQuantity, Quantity, StepRecord, StepSpace, StepStatus
@@ -165,7 +165,7 @@ def space_of_header(path: Path) -> StepSpace:
         ValueError: The first line is not a header of a step log.
         OSError: The file cannot be read.
     """
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         header = file.readline(LONGEST_HEADER).decode("utf-8-sig", "replace").rstrip("\r\n").split(",")
     if header == [""]:
         raise ValueError(f"{path}: no step yet; it must have a header and at least one row below it")
@@ -241,7 +241,7 @@ def ends_with_whole_row(path: Path) -> bool:
     Raises:
         OSError: The file cannot be read.
     """
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         file.seek(max(0, file.seek(0, os.SEEK_END) - 1))
         return file.read() == b"\n"
 
@@ -275,9 +275,10 @@ def recover_steps(path: Path, space: StepSpace) -> tuple[Steps, str]:
 
 
 def _read_content(path: Path) -> bytes:
-    """Reads the bytes of a file; of a file that is too large, one byte more than allowed."""
-    with path.open("rb") as file:
-        return file.read(LARGEST_STEPS_FILE + 1)
+    try:
+        return read_bounded(path, LARGEST_STEPS_FILE)
+    except InputError as error:
+        raise RecordError(str(error)) from None
 
 
 def _readable(content: bytes) -> int:
@@ -300,8 +301,6 @@ def _lines_in(content: bytes, path: Path) -> list[str]:
 
     Spreadsheets write a byte-order mark, which is left out.
     """
-    if len(content) > LARGEST_STEPS_FILE:
-        raise RecordError(f"{path}: larger than {LARGEST_STEPS_FILE} bytes, so it is not read")
     content = content.removeprefix(BOM_UTF8)
     try:
         return content[: content.rfind(b"\n") + 1 or None].decode().replace("\r\n", "\n").split("\n")
@@ -366,11 +365,10 @@ class StepWriter:
         check_names(space)
         self._declared = space.context_names
         self._path = path
-        self._file = path.open("a+b")
+        self._file = open_own(path)
         try:
             self._lock(path)
-            self._file.seek(0)
-            content = self._file.read(LARGEST_STEPS_FILE + 1)
+            content = _read_content(path)
             self.recorded = _read_steps(content, path, space)
         except BaseException:
             self._file.close()

@@ -58,7 +58,6 @@ def read_times(folder: Path) -> Times | Missing:
 
 
 def _entry(fields: Mapping[str, Any], source: str) -> tuple[int, dict[str, dict[str, float]]]:
-    """Number and statistics of a deployment."""
     parts = {part: as_object(fields[part], f"{source}: {part}") for part in TIMED_PARTS if part in fields}
     for part, numbers in parts.items():
         if set(numbers) != set(STATISTICS) or not all(map(is_measurement, numbers.values())):

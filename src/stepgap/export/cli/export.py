@@ -205,7 +205,6 @@ def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None
 
 
 def _settings_of(folder: Path) -> "Experiment":
-    """Settings of the run in a folder."""
     from stepgap.experiment.run import Run
 
     run = Run(folder)

@@ -264,7 +264,6 @@ def _space(controller: PortableController) -> list[str]:
 
 
 def _beliefs(controller: PortableController) -> list[str]:
-    """What is believed at the start."""
     start_beliefs = controller.beliefs
     if start_beliefs is None:
         return [

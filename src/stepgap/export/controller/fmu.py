@@ -98,7 +98,6 @@ def _platform() -> tuple[str, str]:
 
 
 def _compiled(texts: Mapping[str, str], suffix: str) -> bytes:
-    """The shared library of the sources."""
     compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
     if compiler is None:
         raise InputError(f"--to fmu needs a C compiler, one of {', '.join(COMPILERS)}; install one, or use --to c")

@@ -177,7 +177,6 @@ def _inverse(part: Mapping[str, Any], key: str) -> NDArray[np.float64]:
 
 
 def _kernel(algebra: Algebra, name: str, squared: Value) -> Value:
-    """Covariance of f at squared distances."""
     if name == "squared exponential":
         return algebra.exp(squared * -0.5)
     r = algebra.sqrt(squared * 5.0 + SMALLEST_SQUARE)

@@ -145,7 +145,6 @@ def _status(graph: _Graph, nominal: Mapping[str, Any], point: _Value) -> _Value:
 
 
 def _saved(onnx: Any, graph: _Graph, document: Mapping[str, Any]) -> bytes:
-    """The finished model, checked by ONNX."""
     double = onnx.TensorProto.DOUBLE
     integer = onnx.TensorProto.INT64
     n = len(document["state"])

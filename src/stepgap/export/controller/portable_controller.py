@@ -303,7 +303,6 @@ def _smallest_sparse(regression: GaussianProcessRegression, points: Array) -> tu
 
 
 def _sparse(process: GaussianProcess, count: int) -> SparseGaussianProcess:
-    """The process, approximated by a number of inducing points."""
     data = process.points, process.values, process.input_scale, process.hyper_parameters
     inducing = spread_points(process.points, process.input_scale, process.hyper_parameters, count, process.kernel)
     return condition_sparse(*data, inducing, process.kernel)

@@ -157,7 +157,6 @@ def one_file(roots: list[Place], instead: Mapping[Place, Place]) -> str:
 
 
 def _read(name: str) -> _Module:
-    """The definitions and imports of a module."""
     spec = find_spec(name)
     module = _Module({}, {}, {})
     if spec is None or spec.origin is None:

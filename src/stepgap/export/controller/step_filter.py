@@ -270,7 +270,10 @@ class FormulaRegression:
     """
 
     def __init__(self, part: Mapping[str, Any]):
-        self._part = _with_inverses(_arrays(part))
+        arrays = _arrays(part)
+        # The inverses of the factors are needed at every point.
+        inverses = {INVERSE + key: np.linalg.inv(arrays[key]) for key in arrays if key.endswith("_factor")}
+        self._part = {**arrays, **inverses}
         self.noise_std = float(part["noise_std"])
 
     def mean(self, point: Array) -> Array:
@@ -364,12 +367,6 @@ def _arrays(part: Any) -> Any:
     if isinstance(part, Mapping):
         return {key: _arrays(value) for key, value in part.items() if key != "data"}
     return np.array(part) if isinstance(part, list) else part
-
-
-def _with_inverses(part: Mapping[str, Any]) -> dict[str, Any]:
-    """A regression with the inverses of its factors, which are needed at every point."""
-    factors = [key for key in part if key.endswith("_factor")]
-    return {**part, **{INVERSE + key: np.linalg.inv(part[key]) for key in factors}}
 
 
 def _quantity(saved: Mapping[str, Any]) -> Quantity:

@@ -28,7 +28,7 @@ def matlab_file(run: Run, columns: Sequence[Column]) -> bytes:
         "steps": {column.name: _column(column.values) for column in columns},
         "units": {column.name: column.unit for column in columns},
         "meanings": {column.name: column.meaning for column in columns},
-        "settings": _struct({} if isinstance(run.settings_file, Missing) else run.settings_file.table),
+        "settings": _value({} if isinstance(run.settings_file, Missing) else run.settings_file.table),
         "summary": _summary(run.summary, run.space.state_names),
     }
     _check_names(variables)
@@ -42,14 +42,10 @@ def _column(values: np.ndarray) -> np.ndarray:
     return values.astype(object if values.dtype.kind == "U" else float)
 
 
-def _struct(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Converts TOML tables to structs, and lists (which no experiment has) to cell arrays."""
-    return {name: _value(value) for name, value in table.items()}
-
-
 def _value(value: Any) -> Any:
+    """Converts TOML tables to structs, and lists (which no experiment has) to cell arrays."""
     if isinstance(value, Mapping):
-        return _struct(value)
+        return {name: _value(entry) for name, entry in value.items()}
     if isinstance(value, list):
         return np.array([_value(item) for item in value] + [None], dtype=object)[:-1]
     if isinstance(value, bool | float):
@@ -81,7 +77,7 @@ def _summary(summary: Summary, names: Sequence[str]) -> dict[str, Any]:
         "repeatability": dict(zip(names, floor.any_phase.tolist(), strict=True)),
         "repeatability_same_yaw": dict(zip(names, floor.same_phase.tolist(), strict=True)),
         "seed": np.nan if summary.seed is None else float(summary.seed),
-        "versions": _struct(dict(summary.versions)),
+        "versions": _value(dict(summary.versions)),
     }
 
 
