@@ -1,14 +1,15 @@
 """A file has the old or the new content, and an error of writing names it."""
 
 import errno
+import os
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from stepgap.base.errors import InputError
-from stepgap.base.files import create, naming, new_file, new_folder, read_bounded_text, write_whole
-from stepgap.base.output_files import write_together
+from stepgap.base.files import create, naming, new_file, new_folder, open_own, read_bounded_text, write_whole
+from stepgap.base.output_files import free_name, write_together
 from tests.full_disk import FILE_TOO_LARGE, largest_file
 
 
@@ -105,8 +106,33 @@ def test_only_errors_without_a_file_name_get_one(tmp_path: Path) -> None:
         raise ValueError("no file")
 
 
-def test_a_device_is_not_read_without_end(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="/dev/zero: larger than 1000 bytes, so it is not read"):
-        read_bounded_text(Path("/dev/zero"), 1000)
+def test_neither_a_pipe_nor_a_device_is_read(tmp_path: Path) -> None:
+    """Opening a pipe waits for its other end, and /dev/zero has no end."""
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero")):
+        with pytest.raises(InputError, match=f"{path}: a pipe or a device, so it is not read"):
+            read_bounded_text(path, 1000)
+    with pytest.raises(IsADirectoryError):
+        read_bounded_text(tmp_path, 1000)
     (tmp_path / "short.csv").write_text("height\r\n", encoding="utf-8-sig", newline="")
     assert read_bounded_text(tmp_path / "short.csv", 11) == "height\r\n"
+    with pytest.raises(InputError, match=r"short\.csv: larger than 10 bytes, so it is not read"):
+        read_bounded_text(tmp_path / "short.csv", 10)
+
+
+def test_nothing_is_written_through_a_link(tmp_path: Path) -> None:
+    """A folder from somebody else may have one that leads to a file of the user."""
+    precious = tmp_path / "precious"
+    precious.write_text("mine")
+    for name in ("model.json", "steps.csv", "lost"):
+        (tmp_path / name).symlink_to(precious if name != "lost" else tmp_path / "nowhere")
+    write_whole(tmp_path / "model.json", "new")
+    assert not (tmp_path / "model.json").is_symlink()
+    for name in ("steps.csv", "lost"):
+        with pytest.raises(InputError, match=rf"{name}: a link, through which nothing is written"):
+            open_own(tmp_path / name)
+        with pytest.raises(FileExistsError):
+            create(tmp_path / name, "new")
+    assert free_name(tmp_path / "lost") == tmp_path / "lost_2"
+    assert precious.read_text() == "mine"
+    assert not (tmp_path / "nowhere").exists()

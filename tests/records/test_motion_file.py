@@ -1,5 +1,8 @@
 """The motion file of a deployment: it is read back as written, or not at all."""
 
+import os
+import tracemalloc
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,6 +52,28 @@ def test_a_damaged_motion_is_none(tmp_path: Path) -> None:
         assert found is None or len(found.time) == 50
     np.savez(path, origin=np.array("origin"), step=np.array([{}], object))
     assert read_motion(path, SCENE, "origin") is None
+
+
+def test_what_is_no_motion_file_takes_neither_memory_nor_time(tmp_path: Path) -> None:
+    """One of 3 MB may claim, or hold, gigabytes."""
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    bomb = b"\x93NUMPY\x01\x00v\x00" + b"{'descr': '<f4', 'fortran_order': False, 'shape': (99999999999,), }".ljust(117)
+    members = {
+        "decompressed": [("time.npy", bytes(2**28))],
+        "claimed": [("time.npy", bomb + b"\n" + bytes(100))],
+        "members": [(f"{number}.npy", b"") for number in range(5000)],
+    }
+    for name, entries in members.items():
+        with zipfile.ZipFile(tmp_path / f"{name}.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+            for entry, content in entries:
+                archive.writestr(entry, content)
+    (tmp_path / "array.npy").rename(tmp_path / "array.npz")
+    os.mkfifo(tmp_path / "pipe.npz")
+    tracemalloc.start()
+    for path in tmp_path.glob("*.npz"):
+        assert read_motion(path, SCENE, "origin") is None
+    assert tracemalloc.get_traced_memory()[1] < 2**24
+    tracemalloc.stop()
 
 
 @pytest.mark.parametrize(

@@ -3,9 +3,11 @@
 import errno
 import os
 import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from stepgap.base.errors import InputError
 
@@ -25,15 +27,54 @@ def naming(path: Path) -> Iterator[None]:
         raise
 
 
-def read_bounded(path: Path, largest: int) -> bytes:
-    """Reads a file; no more than `largest` bytes are read, also of a device or a pipe, which have no size.
+def open_regular(path: Path) -> BinaryIO:
+    """Opens a file for reading, but no pipe, for whose other end one would wait, and no device, which has no end.
 
     Raises:
-        InputError: The file is larger than `largest` bytes.
+        InputError: It is no regular file.
+        OSError: It cannot be opened.
+    """
+    return _regular(open(path, "rb", opener=_without_waiting), path)
+
+
+def open_own(path: Path) -> BinaryIO:
+    """Opens a file that the program itself keeps, for reading and for writing at its end; made if there is none.
+
+    A link with this name, which may lead to any file of the user, is not followed.
+
+    Raises:
+        InputError: It is a link, or no regular file.
+        OSError: It cannot be opened.
+    """
+    if path.is_symlink():
+        raise InputError(f"{path}: a link, through which nothing is written; put the file itself here")
+    return _regular(open(path, "a+b", opener=_without_following), path)
+
+
+def _without_waiting(name: str, flags: int) -> int:
+    return os.open(name, flags | os.O_NONBLOCK)
+
+
+def _without_following(name: str, flags: int) -> int:
+    return os.open(name, flags | os.O_NONBLOCK | os.O_NOFOLLOW, 0o666)
+
+
+def _regular(file: BinaryIO, path: Path) -> BinaryIO:
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise InputError(f"{path}: a pipe or a device, so it is not read; give a file")
+    return file
+
+
+def read_bounded(path: Path, largest: int) -> bytes:
+    """Reads a regular file of at most `largest` bytes.
+
+    Raises:
+        InputError: The file is larger, or it is a pipe or a device.
         OSError: It cannot be read.
     """
     content = bytearray()
-    with path.open("rb") as file:  # in parts, because read(n) takes memory for n bytes, however short the file is
+    with open_regular(path) as file:  # in parts, because read(n) takes memory for n bytes, however short the file is
         while len(content) <= largest and (part := file.read(min(2**16, largest + 1 - len(content)))):
             content += part
     if len(content) > largest:
@@ -45,7 +86,7 @@ def read_bounded_text(path: Path, largest: int) -> str:
     """Reads a text file in UTF-8, with or without the byte-order mark that some editors and spreadsheets write.
 
     Raises:
-        InputError: The file is larger than `largest` bytes.
+        InputError: The file is larger than `largest` bytes, or it is a pipe or a device.
         UnicodeDecodeError: It is not text in UTF-8.
         OSError: It cannot be read.
     """
@@ -82,8 +123,8 @@ def create(path: Path, content: str | bytes) -> None:
         FileExistsError: It exists already.
         OSError: It cannot be written.
     """
-    with new_file(path) as partial:
-        partial.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+    with new_file(path) as partial, partial.open("xb") as file:
+        file.write(content.encode("utf-8") if isinstance(content, str) else content)
 
 
 @contextmanager

@@ -27,7 +27,7 @@ def format_by_name(path: Path, formats: Collection[str] = PICTURE_FORMATS) -> st
 
 def check_new(path: Path, option: str) -> None:
     """Raises InputError where a file would be overwritten or cannot be written."""
-    if path.exists():
+    if os.path.lexists(path):
         raise InputError(f"{path}: exists already; choose another {option}{EXISTING_IS_COMPLETE}")
     if not path.parent.is_dir():
         raise InputError(f"{path}: cannot be written: no folder to write in; choose another {option}")
@@ -64,7 +64,7 @@ def free_name(path: Path) -> Path:
     """The first of NAME.SUFFIX, NAME_2.SUFFIX, … that does not exist."""
     free = path
     number = 1
-    while free.exists():
+    while os.path.lexists(free):  # also a link to nothing takes its name
         number += 1
         free = path.with_stem(f"{path.stem}_{number}")
     return free

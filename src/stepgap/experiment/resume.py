@@ -2,16 +2,17 @@
 
 from collections import deque
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from shutil import copyfile
 from typing import Self
 
+from stepgap.base.files import create, read_bounded
 from stepgap.experiment.deployment import ExecutedSteps
 from stepgap.learning.learner import Learner
 from stepgap.learning.steps import Steps
 from stepgap.records.model_files import Model, read_model, write_model
-from stepgap.records.steps_csv import RecordError, StepWriter, digest
+from stepgap.records.steps_csv import LARGEST_STEPS_FILE, RecordError, StepWriter, digest
 from stepgap.records.summary import Deployment, NoiseFloor, OtherSchema, Summary, WarmStart, read_summary, write_summary
 from stepgap.step import StepSpace
 
@@ -76,9 +77,8 @@ class Recording:
             return
         if self._recorded and self._recorded[-1].iteration > iteration:
             # Finished deployments are taken again, since the summary that counted them is lost: their rows are kept.
-            kept = self._path.with_name("steps.csv.before")
-            if not kept.exists():
-                copyfile(self._path, kept)
+            with suppress(FileExistsError):
+                create(self._path.with_name("steps.csv.before"), read_bounded(self._path, LARGEST_STEPS_FILE))
         self._writer.cut(len(self._writer.recorded) - len(self._recorded))
         self._recorded.clear()
         with closing(execute()) as executed:

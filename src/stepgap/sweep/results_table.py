@@ -1,10 +1,11 @@
 """The table `results.csv` of a sweep: one row per deployment of each case, in the order of the cases."""
 
 import csv
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from io import StringIO
+from io import StringIO, TextIOWrapper
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stepgap.base.files import open_regular
 from stepgap.records.step_columns import Column
 from stepgap.records.summary import MEASURES, parse_deployment
 from stepgap.step import StepSpace
@@ -121,10 +123,10 @@ def read_results(path: Path) -> ResultsTable:
         ValueError: The file is not such a table; the message names file and line.
         OSError: It cannot be read.
     """
-    if path.stat().st_size > LARGEST_RESULTS:
-        raise ValueError(f"{path}: larger than {LARGEST_RESULTS} bytes, so it is not read")
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with TextIOWrapper(open_regular(path), encoding="utf-8", newline="") as file:
+            if os.fstat(file.fileno()).st_size > LARGEST_RESULTS:
+                raise ValueError(f"{path}: larger than {LARGEST_RESULTS} bytes, so it is not read")
             reader = csv.reader(file)
             header = next(reader, [])
             settings = _settings_of(header, path)
@@ -165,7 +167,6 @@ def _by_column(
 
 
 def _column(cells: Sequence[str], name: str, text: bool) -> NDArray[Any]:
-    """A column as texts or as numbers."""
     if text:
         shared: dict[str, str] = {}
         return np.array([shared.setdefault(cell, cell) for cell in cells], dtype=object)  # few texts, many rows

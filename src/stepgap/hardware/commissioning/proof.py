@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from stepgap.base.errors import InputError
-from stepgap.base.files import write_whole
+from stepgap.base.files import read_bounded, write_whole
 from stepgap.base.settings_file import LARGEST_SETTINGS_FILE
 
 JOG = "jog"  # Verb of `stepgap rig`, and folder of its logs
@@ -99,8 +99,7 @@ def _is_recent(date: object) -> bool:
 def _read(file: Path) -> dict[str, Any]:
     """Reads the content of a result; empty if there is none."""
     try:
-        with file.open("rb") as stream:
-            content = json.loads(stream.read(LARGEST_SETTINGS_FILE))
+        content = json.loads(read_bounded(file, LARGEST_SETTINGS_FILE))
     except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}

@@ -13,9 +13,10 @@ from hashlib import sha256
 from pathlib import Path, PurePosixPath
 
 from stepgap.base.errors import InputError
-from stepgap.base.files import read_bounded, write_whole
+from stepgap.base.files import open_own, read_bounded, write_whole
 from stepgap.sweep.cases.plan import CaseResult, Plan
 
+LARGEST_PLAN_FILE = 2**28  # Largest file of a plan that is read [bytes]
 LARGEST_RESULT = 2**26  # Largest result of a case that is read [bytes]
 LOCK = "lock"  # Empty file that a process locks while it writes files that all share
 _IN_A_FOLDER = 1000  # Number of results in one folder, since file systems become slow with many more
@@ -64,7 +65,7 @@ class CaseFolder:
     @contextmanager
     def alone(self) -> Iterator[None]:
         """Excludes the other processes that use the folder, for changes of files that all share."""
-        with (self.path / LOCK).open("w") as file:  # closing it unlocks, so a killed process leaves no lock behind
+        with open_own(self.path / LOCK) as file:  # closing it unlocks, so a killed process leaves no lock behind
             with suppress(OSError):  # a file system without locks
                 fcntl.flock(file, fcntl.LOCK_EX)
             yield
@@ -141,7 +142,7 @@ def checked_name(name: str) -> str:
 def _text_of(path: Path) -> str | None:
     """Text of a file; None if it does not exist, and a text that is not in any plan if it is not UTF-8."""
     try:
-        return path.read_text(encoding="utf-8")
+        return read_bounded(path, LARGEST_PLAN_FILE).decode()
     except (FileNotFoundError, NotADirectoryError):
         return None
     except UnicodeDecodeError:

@@ -14,6 +14,7 @@ from types import MappingProxyType
 from xml.parsers import expat
 
 from stepgap.base.errors import InputError, StepGapError
+from stepgap.base.files import read_bounded
 
 LARGEST_ESI_FILE = 2**26  # Largest file that is read [bytes]; those of large terminal families have some 20 MB
 
@@ -103,12 +104,9 @@ def read_tree(path: Path) -> Element:
         InputError: The file cannot be read, is not XML, is too large, or has a document type; the message is one line.
     """
     try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST_ESI_FILE + 1)
+        content = read_bounded(path, LARGEST_ESI_FILE)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; give an existing ESI file") from None
-    if len(content) > LARGEST_ESI_FILE:
-        raise InputError(f"{path}: larger than {LARGEST_ESI_FILE} bytes, so it is not an ESI file that is read here")
     try:
         return parse_tree(content)
     except ValueError as error:
