@@ -4,7 +4,6 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import closing, suppress
 from pathlib import Path
-from shutil import copyfile
 from typing import Self
 
 from stepgap.base.files import create, read_bounded
