@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from stepgap.control.box_points import box_grid, box_points, composite_design, irrational_steps
+from stepgap.control.box_points import box_grid, box_points, composite_design
 
 
 @pytest.mark.parametrize(("count", "k", "side"), [(81, 2, 9), (25, 2, 5), (1089, 2, 33), (81, 1, 81), (5, 2, 3)])
@@ -45,10 +45,3 @@ def test_scattered_points_are_spread_better_than_random_ones(k: int) -> None:
     scattered = (box_points(1000, k)[len(composite_design(k)) :] + 1) / 2
     random = np.random.default_rng(0).random(scattered.shape)
     assert qmc.discrepancy(scattered) < qmc.discrepancy(random) / 1.5
-
-
-@pytest.mark.parametrize("k", [1, 2, 5, 12])
-def test_the_steps_are_powers_of_the_root(k: int) -> None:
-    root = 1 / irrational_steps(k)[0]
-    assert root ** (k + 1) == pytest.approx(root + 1, rel=1e-14)
-    np.testing.assert_allclose(irrational_steps(k), [root**-power for power in range(1, k + 1)], rtol=1e-12)

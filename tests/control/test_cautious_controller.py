@@ -11,7 +11,7 @@ from stepgap.control.command_table import build_table
 from stepgap.control.goal import CAUTION
 from stepgap.control.settings import ControlSettings
 from stepgap.control.step_controller import StepController
-from stepgap.step import Array, Codes, StepMap, StepStatus, difference_jacobian
+from stepgap.step import Array, Codes, StepMap, StepStatus
 from tests.control.maps import ClosedFormMap, LossyHopper
 
 NONE = np.empty((0, 4))
@@ -69,13 +69,6 @@ def test_a_certain_map_gets_the_exact_command() -> None:
     cautious = CautiousController(sure, sure, NONE)(STATE, TARGET)
     np.testing.assert_array_equal(cautious.command, StepController(sure)(STATE, TARGET).command)
     np.testing.assert_allclose(cautious.predicted, TARGET, atol=1e-6)
-
-
-def test_the_gradient_of_the_test_map() -> None:
-    guessed, command, d = Guessed(), np.array([3.0, -7.0]), 1e-6
-    numeric = [(guessed.std(STATE, command + e) - guessed.std(STATE, command - e)) / (2 * d) for e in d * np.eye(2)]
-    np.testing.assert_allclose(guessed.std_gradient(STATE, command)[:, 2:], np.transpose(numeric), rtol=1e-6)
-    assert difference_jacobian(guessed, STATE, command).shape == (2, 4)
 
 
 @pytest.mark.parametrize("seed", range(20))

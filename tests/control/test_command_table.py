@@ -91,12 +91,6 @@ def test_nodes_with_unreachable_targets_are_marked() -> None:
     np.testing.assert_array_equal(table.reached[0, 0], distance < 1e-6)
 
 
-def test_progress_counts_every_node() -> None:
-    calls = list[tuple[int, int]]()
-    build_table(LossyHopper(), 4, lambda done, total: calls.append((done, total)))
-    assert calls == [(16 * row, 256) for row in range(1, 17)]
-
-
 def test_bad_arguments_are_refused(table: CommandTable) -> None:
     with pytest.raises(ValueError, match="points = 1"):
         build_table(LossyHopper(), 1)

@@ -183,14 +183,6 @@ def test_bad_arguments_are_refused(arguments, message):
         StepController(LossyHopper())(*arguments)
 
 
-def test_the_same_arguments_give_the_same_result():
-    controller = StepController(StumblingHopper())
-    for target in ([0.2, 0.58], [0.4, 0.7]):
-        first, second = (controller([0.1, 0.56], target) for _ in range(2))
-        assert np.array_equal(first.command, second.command)
-        assert first.distance == second.distance
-
-
 def test_redundant_commands_stay_near_the_guess():
     step_map = RedundantMap()
     state, guess = np.array([0.2, 0.58]), np.array([3.0, -4.0, 0.1])

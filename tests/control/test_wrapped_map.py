@@ -84,13 +84,6 @@ def test_where_no_command_makes_a_step_the_limit_is_kept() -> None:
     np.testing.assert_allclose(plan.command, previous - 2 * SHARE * SPACE.command_scale)
 
 
-def test_without_a_limit_nothing_is_narrowed() -> None:
-    assert CommandChange(1.0, SPACE.command_upper).bounds(SPACE) is SPACE
-    assert CommandChange(SHARE).bounds(SPACE) is SPACE
-    assert CommandChange(0.3, SPACE.command_centre).bounds(SPACE, 4) is SPACE
-    assert CommandChange(1.0, SPACE.command_upper).limited(ROBOT) is ROBOT
-
-
 @pytest.mark.parametrize("share", [0.0, -1.0, 1.1, np.nan])
 def test_a_limit_is_a_share(share: float) -> None:
     with pytest.raises(ValueError, match=r"largest_change = .*, but it must lie between 0\.001 and 1, the whole range"):

@@ -12,7 +12,6 @@ from stepgap.experiment.settings import Experiment, SettingsFile
 from stepgap.learning.settings import LearningSettings
 from stepgap.records import steps_csv
 from stepgap.records.steps_csv import StepWriter, column_names, digest, space_of_header
-from stepgap.records.summary import parse_summary
 from stepgap.step import ContextQuantity, Quantity, StepSpace, StepStatus
 from tests.report.runs import logged, write_run, write_summary
 
@@ -263,11 +262,6 @@ def test_byte_order_marks_of_steps_and_summary_do_no_harm(folder: Path) -> None:
         assert len(writer.recorded) == len(before.steps)
 
 
-def test_a_byte_order_mark_in_the_settings_does_no_harm(folder: Path) -> None:
-    (folder / "experiment.toml").write_text("seed = 3\n", encoding="utf-8-sig")
-    assert Run(folder).settings_file == SettingsFile("seed = 3\n", {"seed": 3})
-
-
 def test_settings_that_are_gone_are_ignored_and_shown(folder: Path) -> None:
     (folder / "experiment.toml").write_text('[learning]\niterations = 2\nfeature_map = "identity"\n')
     run = Run(folder).checked()
@@ -311,11 +305,6 @@ def test_every_fall_counts(tmp_path: Path) -> None:
         writer.append(logged(0, 1, np.zeros(1), np.ones(1)))
         writer.append(logged(0, 2, np.zeros(1), np.ones(1), StepStatus.FELL))
     assert Run(tmp_path).checked().steps.failed_steps == 1
-
-
-def test_source_of_a_text_is_named() -> None:
-    with pytest.raises(ValueError, match=r"^upload: not JSON"):
-        parse_summary("", ("x",), "upload")
 
 
 def test_an_unknown_part_is_refused(folder: Path) -> None:

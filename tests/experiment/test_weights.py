@@ -16,7 +16,7 @@ from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.weighted_map import with_space
 from stepgap.sweep.sweep_file import read_sweep
 from tests.cli.command_line import Command, refused
-from tests.control.maps import LossyHopper, PitchingHopper
+from tests.control.maps import PitchingHopper
 from tests.robots.plug_in import WEIGHTS_TOML
 
 ROBOT = PitchingHopper()
@@ -109,9 +109,3 @@ def test_they_decide_the_reward_of_an_environment(package: Path) -> None:
     height = rewards[0.0] - rewards[1.0]
     assert height > 0.01
     assert rewards[0.0] - rewards[4.0] == pytest.approx(4 * height)
-
-
-def test_without_weights_the_map_of_the_robot_is_used_as_it_is(package: Path) -> None:
-    assert type(load_nominal(Experiment(load_robot("pitching"))).map) is PitchingHopper
-    assert Experiment().space == Experiment().robot.space
-    assert LossyHopper().space.error_scale.tolist() == LossyHopper().space.state_scale.tolist()

@@ -39,12 +39,6 @@ def test_the_gradient_is_the_derivative(inputs: int, degree: int, waves: int) ->
         np.testing.assert_allclose(gradient[..., column], difference, atol=1e-8)
 
 
-def test_the_same_numbers_are_drawn_from_the_same_seed() -> None:
-    one, other = drawn(4, 2, 30), drawn(4, 2, 30)
-    np.testing.assert_array_equal(one.frequencies, other.frequencies)
-    np.testing.assert_array_equal(one.shifts, other.shifts)
-
-
 @pytest.mark.parametrize(("inputs", "length"), [(1, 2.0), (4, 2.0), (4, 0.7)])
 def test_many_waves_are_a_gaussian_process_with_a_matern_kernel(inputs: int, length: float) -> None:
     """The covariance of two points is the sum of the products of their waves; that of r waves scatters by √(1 / r)."""

@@ -100,18 +100,6 @@ def test_leave_out_is_the_prediction_without_the_block(hyper_parameters) -> None
 
 
 @BOTH
-def test_leave_one_out_is_the_prediction_without_the_point(hyper_parameters) -> None:
-    points, values = sample(30)
-    inducing, _ = sample(8, seed=2)
-    mean, std, kriging_std = condition_sparse(points, values, SCALE, hyper_parameters, inducing).leave_out(singles(30))
-    for i, rest in enumerate(~np.eye(30, dtype=bool)):
-        process = condition_sparse(points[rest], values[rest], SCALE, hyper_parameters, inducing)
-        assert mean[i] == pytest.approx(process.mean(points[i]), rel=1e-8)
-        assert std[i] == pytest.approx(process.std(points[i], include_noise=True), rel=1e-8)
-        assert kriging_std[i] == pytest.approx(process.kriging_std(points[i], include_noise=True), rel=1e-8)
-
-
-@BOTH
 def test_append_is_the_same_as_conditioning_on_all(hyper_parameters) -> None:
     points, values = sample(60)
     inducing, _ = sample(12, seed=2)

@@ -109,11 +109,6 @@ def test_a_random_walk_adds_its_variance_on_the_diagonal(places: list[int]) -> N
     check_triangular(found)
 
 
-def test_a_walk_of_no_variance_changes_nothing() -> None:
-    weights = prior(np.random.default_rng(5))
-    np.testing.assert_allclose(weights.walked([0, 3], np.zeros(VALUES)).root, weights.root, rtol=1e-15)
-
-
 def test_widened_weights_have_the_sum_of_the_covariances() -> None:
     rng = np.random.default_rng(6)
     weights, covariance = prior(rng), covariances(rng)
@@ -134,17 +129,6 @@ def test_restarted_weights_are_independent_of_the_others_which_stay() -> None:
         np.testing.assert_allclose(covariance[np.ix_(places, places)], np.diag(variance[n]), atol=1e-14)
         np.testing.assert_allclose(covariance[np.ix_(places, others)], 0.0, atol=1e-14)
         np.testing.assert_allclose(covariance[np.ix_(others, others)], weights.covariance[n][np.ix_(others, others)])
-
-
-def test_they_are_immutable() -> None:
-    rng = np.random.default_rng(8)
-    weights = prior(rng)
-    mean, root = weights.mean.copy(), weights.root.copy()
-    weights.learned(rng.normal(size=SIZE), np.zeros(VALUES), np.ones(VALUES))
-    weights.walked([0, 1], np.ones(VALUES))
-    weights.restarted([2], np.ones((VALUES, 1)))
-    np.testing.assert_array_equal(weights.mean, mean)
-    np.testing.assert_array_equal(weights.root, root)
 
 
 @given(st.integers(1, 12), st.floats(-6, 6), st.floats(-8, 4), st.integers(0, 2**32 - 1))

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal, multivariate_t
 
 from stepgap.gauss.weights import Weights
-from stepgap.learning import beliefs as module
 from stepgap.learning.belief import Belief
 from stepgap.learning.beliefs import (
     CHANGED_PART,
@@ -360,17 +359,6 @@ def test_a_change_after_a_false_alarm_is_found(seed: int) -> None:
     beliefs, robot = settled(seed)
     robot.weights = changed(robot.weights)
     assert steps_until_found(siblings(beliefs), robot) <= 3
-
-
-def test_siblings_that_are_not_joined_would_hide_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """So the test above is one of joining and of the protection of the young."""
-    for protected, hidden in ((YOUNG, False), (-1, True)):
-        beliefs, robot = settled(0)
-        robot.weights = changed(robot.weights)
-        monkeypatch.setattr(module, "_agree", lambda *_: False)
-        monkeypatch.setattr(module, "YOUNG", protected)
-        assert (steps_until_found(siblings(beliefs), robot) == 12) == hidden
-        monkeypatch.undo()
 
 
 def largest_row(robot: Robot, beliefs: Beliefs, wanted: float, steps: int) -> int:

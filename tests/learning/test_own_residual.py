@@ -179,9 +179,3 @@ def test_a_model_that_cannot_be_used_gives_the_reason(packages: Path, code: str,
     with pytest.raises(InputError, match=re.escape(expected)):
         fit_residual("own", steps())
     LearningSettings("linear")  # others are not affected
-
-
-def test_links_have_targets() -> None:
-    docs = Path(__file__).parents[2] / "docs"
-    for target in re.findall(r"\]\(([^)#]+)\)", PAGE):
-        assert (docs / target).exists(), target

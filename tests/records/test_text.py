@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stepgap.records.text import decimals_of, in_scale, in_words, listed, trimmed
+from stepgap.records.text import in_scale, in_words, listed, trimmed
 from stepgap.step import Quantity
 
 SPEED, FOOT = Quantity("speed", "m/s", 0.0, 0.4), Quantity("foot_x", "rad", -0.004, 0.004)
@@ -25,12 +25,6 @@ SPEED, FOOT = Quantity("speed", "m/s", 0.0, 0.4), Quantity("foot_x", "rad", -0.0
 )
 def test_digits_are_those_of_the_range(quantity: Quantity, value: float, text: str) -> None:
     assert in_scale(value, quantity) == text
-
-
-def test_the_resolution_is_a_part_of_the_range() -> None:
-    for size in 10.0 ** np.arange(-8, 9):
-        quantity = Quantity("x", "m", -size, size)
-        assert 10.0 ** -decimals_of(quantity) <= max(1.0001e-3 * size, 1.0)
 
 
 def test_coordinates_are_named_and_lists_have_commas() -> None:
