@@ -9,15 +9,13 @@ A file that ends its reader, or never lets it end, ends this process only. This 
 # (MuJoCo ships no types for its compiled part.)
 
 import hashlib
-import json
-import signal
-import subprocess
 import sys
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final, NamedTuple
+
+from stepgap.base.trial_process import answer_of, print_answer
 
 _SECONDS: Final = 60  # longest time of a processor [s]
 _MEMORY: Final = 4 * 2**30  # largest memory [bytes]
@@ -103,21 +101,7 @@ def parts_of_network(network: Path) -> NetworkParts:
 
 def _tried(reader: str, file: Path, seconds: int, memory: int) -> dict[str, Any]:
     with TemporaryDirectory() as folder:  # MuJoCo writes a log into the current folder
-        command = [sys.executable, "-P", "-m", __name__, reader, str(file.resolve()), str(seconds), str(memory)]
-        try:
-            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=5 * seconds, check=False)
-        except subprocess.TimeoutExpired:
-            raise ValueError(f"{reader} does not load it within {5 * seconds} s") from None
-    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        raise ValueError(f"{reader} needs more than {seconds} s to load it")
-    try:
-        answer = json.loads(done.stdout)
-    except ValueError:
-        reason = " ".join(done.stderr.split())[-200:] or f"code {done.returncode}"
-        raise ValueError(f"{reader} ends while it loads it: {reason}") from None
-    if "error" in answer:
-        raise ValueError(f"{answer['error']:.300}")
-    return answer
+        return answer_of(__name__, [reader, str(file.resolve())], reader, seconds, memory, Path(folder))
 
 
 # ---- in the other process
@@ -205,22 +189,5 @@ def _digest(model: Any) -> str:
 _READERS: Mapping[str, Callable[[str], dict[str, Any]]] = {"MuJoCo": _model_parts, "onnxruntime": _network_parts}
 
 
-def _print_parts(reader: str, path: str, seconds: int, memory: int) -> None:
-    """Sets the limits, and prints what is in the file, or under `error` why that is not known."""
-    import resource  # not available on Windows
-
-    for kind, limit in ((resource.RLIMIT_CPU, seconds), (resource.RLIMIT_AS, memory)):
-        _, hard = resource.getrlimit(kind)
-        with suppress(OSError, ValueError):  # macOS has no limit of the memory
-            resource.setrlimit(kind, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
-    try:
-        answer = _READERS[reader](path)
-    except MemoryError:
-        answer = {"error": f"it needs more than {memory / 2**30:.0f} GiB of memory"}
-    except Exception as error:  # of any kind
-        answer = {"error": " ".join(str(error).split()) or type(error).__name__}
-    json.dump(answer, sys.stdout)
-
-
 if __name__ == "__main__":
-    _print_parts(sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4]))
+    print_answer(lambda: _READERS[sys.argv[1]](sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]))
