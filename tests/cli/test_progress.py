@@ -31,7 +31,7 @@ def logged(iteration: int, step: int) -> LoggedStep:
 def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
     """What a terminal of 120 columns receives."""
     text = io.StringIO()
-    monkeypatch.setattr(module, "Console", lambda **_: Console(file=text, force_terminal=True, width=120))
+    monkeypatch.setattr(module, "screen", lambda _: Console(file=text, force_terminal=True, width=120))
     return text
 
 

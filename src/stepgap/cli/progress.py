@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -19,6 +20,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from stepgap.cli.screen import screen
 from stepgap.cli.terminal import warn
 from stepgap.experiment.exploration import worthwhile
 from stepgap.experiment.loop import Observer, fails_no_later
@@ -34,7 +36,7 @@ from stepgap.step import StepSpace, StepStatus, ending_of
 @contextmanager
 def progress_bar(description: str, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
     """Shows a bar on a terminal, elsewhere nothing; yields the progress callback (done, total)."""
-    with _bars(Console(stderr=True, highlight=False), quiet) as bars:
+    with _bars(screen(sys.stderr), quiet) as bars:
         task = bars.add_task(description, total=None)
         yield lambda done, total: bars.update(task, completed=done, total=total)
 
@@ -42,7 +44,7 @@ def progress_bar(description: str, quiet: bool = False) -> Iterator[Callable[[in
 def _bars(console: Console, quiet: bool, *more: ProgressColumn) -> Progress:
     columns = TextColumn("{task.description}"), BarColumn(bar_width=30), MofNCompleteColumn(), TimeRemainingColumn()
     disabled = quiet or not console.is_terminal
-    return Progress(*columns, *more, console=console, disable=disabled, transient=True)
+    return Progress(*columns, *more, console=console, disable=disabled, transient=True, refresh_per_second=1)
 
 
 class RunProgress:
@@ -62,7 +64,7 @@ class RunProgress:
         self._steps = steps
         self._iterations = iterations
         self._quiet = quiet
-        self._console = Console(stderr=True, highlight=False)
+        self._console = screen(sys.stderr)
         self._bars = _bars(self._console, quiet, TextColumn("{task.fields[error]}"))
         self._task: TaskID | None = None
         self._description = ""

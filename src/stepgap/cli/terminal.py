@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from functools import wraps
 from io import TextIOWrapper
-from typing import Any, TypeGuard
+from typing import Any, TextIO, TypeGuard
 
 from stepgap.base.errors import InputError
 
@@ -46,6 +46,15 @@ def discard_output() -> None:
     os.close(nowhere)
 
 
+def is_watched(stream: TextIO) -> bool:
+    """Whether a person looks at a stream that can be drawn again: a terminal, but not that of a notebook.
+
+    A notebook runs programs in a terminal of its own and asks for colours by `FORCE_COLOR`, but it keeps every frame
+    of a bar as a further output.
+    """
+    return stream.isatty() and "JPY_PARENT_PID" not in os.environ and os.environ.get("TERM") != "dumb"
+
+
 def check_consent(asked_by: str) -> None:
     """Ensures that a person can consent to torque: standard input is a terminal, not a pipe or a file.
 
@@ -76,7 +85,7 @@ def announces_compilation(verb: Callable[..., None]) -> Callable[..., None]:
                 return
             if not functions:
                 warn("compiling for this machine, once; this takes about half a minute")
-            elif sys.stderr.isatty():
+            elif is_watched(sys.stderr):
                 warn(f"compiling: {functions} functions after {seconds:.0f} s")
 
         with naming_cache(), on_compilation(announce), signals_between_passes():

@@ -1,17 +1,18 @@
 """A deployment without torque: it displays sensor values and the torques that the control law would command."""
 
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from time import sleep
 
-from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
 from stepgap.base.errors import InputError
 from stepgap.base.signals import terminated_as_interrupted
+from stepgap.cli.screen import screen
 from stepgap.hardware.commissioning.limp import LastTick, describe_devices, ended, limp_setup
 from stepgap.hardware.realtime.session import Session
 from stepgap.plants.tick_control import RobotControl
@@ -123,7 +124,7 @@ def _display(every: int) -> Iterator[Callable[[DisplayedTick, int | None], None]
 
     The last tick before a fault, which has no number, is always displayed.
     """
-    console = Console(stderr=True, highlight=False)
+    console = screen(sys.stderr)
     if console.is_terminal:
         with Live(console=console, auto_refresh=False) as live:
             yield lambda tick, _: live.update(_table(tick), refresh=True)

@@ -7,10 +7,10 @@ from typing import Any, TextIO
 
 import numpy as np
 from rich.box import SIMPLE
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from stepgap.cli.screen import screen
 from stepgap.gauss.gaussian_process_fit import EXACT_SIZE
 from stepgap.logs.fits.fit import FitData
 from stepgap.logs.fits.validation import Best, Folds, Reduction, Validation
@@ -86,7 +86,7 @@ def describe_fit_data(data: FitData, folds: Folds, test: FitData | None = None) 
 
 def show_validation(state: Sequence[Quantity], validation: Validation, stream: TextIO) -> None:
     """Prints a table for each state coordinate and one for all together: framed on a terminal, plain elsewhere."""
-    console = _console(stream)
+    console = screen(stream, plain_width=200)
     for index, quantity in enumerate(state):
         table = _table(console.is_terminal, with_unit(quantity), "RMSE", "within 95 %")
         for kind, held in validation.held_out.items():
@@ -97,12 +97,6 @@ def show_validation(state: Sequence[Quantity], validation: Validation, stream: T
     for kind, held in validation.held_out.items():
         table.add_row(kind, _format(held.seconds, ".2g"), _compared(validation, kind, range(len(state))))
     console.print(table)
-
-
-def _console(stream: TextIO) -> Console:
-    """Console of a stream; wide if it is no terminal."""
-    console = Console(file=stream, highlight=False)
-    return console if console.is_terminal else Console(file=stream, highlight=False, width=200)
 
 
 def _table(framed: bool, title: str, *scores: str) -> Table:

@@ -18,7 +18,7 @@ from stepgap.base.errors import InputError, message_of
 from stepgap.base.signals import terminated_as_interrupted
 from stepgap.base.start_method import usable_cores
 from stepgap.cli.options import Address, Flag, Integer
-from stepgap.cli.terminal import warn
+from stepgap.cli.terminal import is_watched, warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from concurrent.futures import Executor
@@ -165,7 +165,7 @@ def _progress(cases: int, quiet: bool) -> "Iterator[Callable[[int, CaseResult], 
                 return
             if result.failed and failed <= _FAILURES_SHOWN:
                 warn(f"case {number} failed: {result.failed}")
-            if not sys.stderr.isatty() and (done % lines_every == 0 or done == cases):
+            if not is_watched(sys.stderr) and (done % lines_every == 0 or done == cases):
                 minutes = (perf_counter() - begin) * (cases - done) / done / 60
                 print(f"{done} of {cases} cases, {failed} failed, {minutes:.0f} min remaining", file=sys.stderr)
 
