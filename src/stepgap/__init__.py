@@ -8,7 +8,7 @@ The flow, from the model to a robot that tracks:
 4. Every step becomes a `StepRecord`; `fit_residual` learns actual − nominal from them (Eq. 12).
 5. `CorrectedMap` is nominal + residual (Eq. 13), again a `StepMap`, so 2 to 4 repeat with it.
 
-`run_experiment` is that loop, and the command line `stepgap run` calls it.
+`run` makes the whole experiment in a folder, as the command `stepgap run` does; `run_experiment` is its loop.
 """
 
 import re
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from stepgap.base.errors import StepGapError as StepGapError
     from stepgap.base.json_data import number as number
     from stepgap.base.ranges import require as require
+    from stepgap.cli.python_door import run as run
     from stepgap.control.cautious_controller import CautiousController as CautiousController
     from stepgap.control.command_table import CommandTable as CommandTable
     from stepgap.control.command_table import build_table as build_table

@@ -248,8 +248,8 @@ def read_experiment(
     Raises:
         InputError: A setting is wrong; the message names file, key and rule.
     """
-    overrides = [(SHORT_OPTIONS.get(name, name).replace("-", "_"), _parse_value(value)) for name, value in overrides]
-    chosen = dict(overrides).get(ROBOT)
+    overrides = list(overrides)
+    chosen = dict(_parsed(overrides)).get(ROBOT)
     table = {} if path is None else read_toml(path, "an experiment")
     table = _without_gone(table) if recorded else table
 
@@ -262,9 +262,19 @@ def read_experiment(
         raise InputError(f"--{ROBOT} {chosen}: {path} is an experiment of robot = {format_value(table[ROBOT])}")
     if path is not None:
         experiment = with_absolute_paths(changed_experiment(experiment, table, locate), path.parent)
-    changes = nested((name, value) for name, value in overrides if name != ROBOT)
+    return with_settings(experiment, overrides)
+
+
+def with_settings(experiment: Experiment, overrides: Iterable[tuple[str, str]]) -> Experiment:
+    """The experiment with single settings other than its robot; `overrides` and errors as of `read_experiment`."""
+    changes = nested((name, value) for name, value in _parsed(overrides) if name != ROBOT)
     options = {setting: option for option, setting in SHORT_OPTIONS.items()}
     return changed_experiment(experiment, changes, lambda name: f"--{options.get(name, name)}")
+
+
+def _parsed(overrides: Iterable[tuple[str, str]]) -> list[tuple[str, Any]]:
+    """Dotted names of settings, and their values."""
+    return [(SHORT_OPTIONS.get(name, name).replace("-", "_"), _parse_value(value)) for name, value in overrides]
 
 
 def read_settings_file(path: Path) -> SettingsFile | Missing:
