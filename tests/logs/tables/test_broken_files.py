@@ -18,6 +18,7 @@ from mcap.writer import CompressionType, Writer
 from pyarrow import parquet
 from scipy.io import savemat
 
+from stepgap.logs.tables.foreign_files import READERS
 from stepgap.logs.tables.reading import chosen_table, read_log_tables
 from stepgap.records.steps_csv import RecordError
 from tests.logs.tables.test_formats import write_bag, write_mat_73, write_mcap_json
@@ -185,14 +186,15 @@ BROKEN: dict[str, tuple[bytes | Callable[[Path], None], str]] = {
     "unclosed quote": (b't,v\n0,"1\n', "line 2: unexpected end of data"),
     "NUL": (b"t,v\n0,\x001\n", "not a text file"),
     "UTF-16 without its mark": ("t,v\n0,1\n".encode("utf-16-le"), "not a text file"),
-    "odd UTF-16": (b"\xff\xfet\x00,", "not a text file in utf-16"),
+    "odd UTF-16": (b"\xff\xfet\x00\x00\xd8,\x00", "not a text file in utf-16"),
     "picture": (b"\x89PNG\r\n\x1a\n" + bytes(100), "not a text file"),
-    "truncated gzip": (gzip.compress(b"t,v\n" + os.urandom(99))[:60], "truncated gzip file"),
+    "truncated gzip": (gzip.compress(b"t,v\n" + os.urandom(99))[:12], "truncated gzip file"),
     "wrong gzip": (b"\x1f\x8b\x08" + bytes(60), "gzip file"),
     "gzip bomb": (gzip.compress(bytes(2**22 + 1), 1), "larger than 4194304 bytes"),
     "binary in gzip": (gzip.compress(npy(np.zeros(3))), "not a text file"),
     "JSON array": (b'{"t": 0, "v": 1}\n[1, 2]\n', "line 2: not an object"),
-    "truncated JSON": (b'{"t": 0, "v": 1}\n{"t": 0, "v"', "line 2: "),
+    "truncated JSON": (b'{"t": 0, "v"', "line 1: "),
+    "wrong JSON": (b'{"t": 0, "v": 1}\n{"t": 0, "v"\n', "line 2: "),
     "key twice": (b'{"t": 0, "v": 1, "v": 2}\n', "line 1: a key occurs twice"),
     "deep JSON": (b'{"t":' + b"[" * 200_000, "line 1: "),
     "huge JSON number": (b'{"t": 0, "v": 1e400}\n', "line 1, column 'v': 'inf'"),
@@ -228,7 +230,7 @@ BROKEN: dict[str, tuple[bytes | Callable[[Path], None], str]] = {
     ),
     "wide parts in HDF5": (
         hdf5(lambda file: file.create_dataset("t", (9,), float, maxshape=(None,), chunks=(2**20,))),
-        "nothing in it can be read: t (parts larger than 4194304 bytes)",
+        "parts larger than 4194304 bytes",
     ),
     "many objects in HDF5": (
         hdf5(lambda file: [file.create_group(str(number)) for number in range(101)]),
@@ -274,8 +276,23 @@ def _small_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stepgap.logs.tables.hdf5._MOST_OBJECTS", 100)
 
 
-def read_numbers(path: Path) -> None:
-    table = chosen_table(path, read_log_tables(path), WANTED)
+LIMITED = {
+    "huge MAT": "MAT",
+    "MAT bomb": "MAT",
+    "huge HDF5": "HDF5",
+    "long texts in HDF5": "HDF5",
+    "wide parts in HDF5": "HDF5",
+    "many objects in HDF5": "HDF5",
+}
+"""Kinds of the files that are read here instead of in another process, which would not have the small limits."""
+
+
+def read_numbers(name: str, path: Path) -> None:
+    unread = dict[str, str]()
+    tables = READERS[LIMITED[name]](path, unread) if name in LIMITED else read_log_tables(path)
+    if unread and not tables:
+        raise RecordError(f"{path}: {unread}")
+    table = chosen_table(path, tables, WANTED)
     for column in WANTED:
         table.numbers(column)
 
@@ -289,7 +306,7 @@ def test_broken_files_are_answered_by_one_line(name: str, tmp_path: Path) -> Non
     else:
         content(path)
     with pytest.raises(RecordError) as caught:
-        read_numbers(path)
+        read_numbers(name, path)
     line = str(caught.value)
     assert message in line
     assert line.startswith(str(path))

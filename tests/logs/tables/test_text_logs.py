@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from stepgap.base.errors import InputError, StepGapWarning
 from stepgap.logs.columns import read_columns
+from stepgap.logs.tables.hdf5 import read_hdf5
 from stepgap.logs.tables.log_table import LogTable
 from stepgap.logs.tables.reading import read_log_table, read_log_tables
 from stepgap.logs.tables.text import AS_FOUND, TextFormat
@@ -249,4 +250,4 @@ def test_a_package_that_is_not_installed_is_named(tmp_path: Path, monkeypatch: p
     (tmp_path / "log.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(RecordError, match=r"log\.h5: this format needs h5py: .*pip install 'stepgap\[logs\]'"):
-        read_log_tables(tmp_path / "log.h5")
+        read_hdf5(False, tmp_path / "log.h5", {})

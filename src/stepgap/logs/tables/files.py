@@ -1,13 +1,14 @@
 """The bytes of log files, with bounds on what is read and decompressed; errors of libraries become one line."""
 
 import bz2
+import warnings
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from stepgap.base.errors import InputError
+from stepgap.base.errors import InputError, StepGapWarning
 from stepgap.base.versions import optional_package
 from stepgap.records.steps_csv import RecordError
 
@@ -56,7 +57,10 @@ def check_file_size(path: Path) -> None:
 
 
 def _gunzipped(content: bytes, largest: int, path: Path) -> bytes:
-    """What a gzip file of one or several members holds, at most one byte more than `largest`."""
+    """What a gzip file of one or several members holds, at most one byte more than `largest`.
+
+    Of one that was cut off, it is what comes before the end, with a `StepGapWarning`.
+    """
     parts = []
     size = 0
     while content and size <= largest:
@@ -67,7 +71,10 @@ def _gunzipped(content: bytes, largest: int, path: Path) -> bytes:
             raise RecordError(f"{path}: damaged gzip file ({error})") from None
         size += len(parts[-1])
         if size <= largest and not member.eof:
-            raise RecordError(f"{path}: truncated gzip file")
+            if not size:
+                raise RecordError(f"{path}: truncated gzip file")
+            warnings.warn(f"{path}: truncated gzip file; what is before its end is read", StepGapWarning, stacklevel=2)
+            break
         content = member.unused_data.lstrip(b"\0")
     return b"".join(parts)
 

@@ -16,12 +16,12 @@ _MOST_OBJECTS = 10_000
 _DEEPEST = 20
 
 
-def read_hdf5(path: Path, matlab: bool, unread: dict[str, str]) -> dict[str, LogTable]:
+def read_hdf5(matlab: bool, path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
     """The datasets of a file, one table for each group.
 
     Args:
-        path: The file.
         matlab: Whether the conventions are those of MATLAB 7.3: dimensions reversed, structs as groups.
+        path: The file.
         unread: The datasets and links that cannot be read are added to it, with the reasons.
     """
     h5py = library("h5py", path)

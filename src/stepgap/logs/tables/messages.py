@@ -6,6 +6,7 @@ from typing import Any, final
 
 import numpy as np
 
+from stepgap.logs.tables.damaged_text import warn_of_cut
 from stepgap.logs.tables.files import cause_of
 from stepgap.logs.tables.log_table import MISSING, MOST_NUMBERS, LogColumn, LogTable, check_size
 from stepgap.records.steps_csv import RecordError
@@ -170,12 +171,16 @@ def read_json_lines(text: str, source: str) -> LogTable:
         RecordError: A line is no JSON object, or has a key twice.
     """
     rows = MessageRows(source)
-    for number, line in enumerate(text.split("\n"), 1):
+    lines = text.split("\n")
+    for number, line in enumerate(lines, 1):
         if not line.strip():
             continue
         try:
             value = json.loads(line, parse_constant=lambda _: None, object_pairs_hook=_unrepeated)
         except (ValueError, RecursionError) as error:
+            if 1 < number == len(lines) and isinstance(error, json.JSONDecodeError):
+                warn_of_cut(source, number, line)
+                break
             right = 'it must be one JSON object, such as {"v": 0.5}'
             raise RecordError(f"{source}, line {number}: {error!s:.100}; {right}") from None
         if not isinstance(value, dict):

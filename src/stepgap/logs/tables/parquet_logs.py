@@ -1,4 +1,4 @@
-"""Parquet files."""
+"""Files of Arrow: Parquet and Feather."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,6 +10,7 @@ from stepgap.logs.tables.log_table import MOST_NUMBERS, LogColumn, LogTable, che
 from stepgap.logs.tables.messages import MOST_ELEMENTS, too_long
 
 PARQUET_MAGIC = b"PAR1"
+FEATHER_MAGIC = b"ARROW1\0\0"
 
 _LARGEST_COLUMN = 16 * MOST_NUMBERS  # Largest column that is read, decompressed [bytes]
 
@@ -39,6 +40,26 @@ def read_parquet(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
                 if name not in repeated and name in table.column_names:
                     _add_columns(name, table.column(name), arrow, found, unread, str(path))
         return {"": LogTable(str(path), found, repeated=repeated)} if found or not unread else {}
+
+
+def read_feather(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
+    """The columns of a Feather file of version 2, as of `read_parquet`."""
+    arrow = library("pyarrow", path, "parquet")
+    ipc = library("pyarrow.ipc", path, "parquet")
+    library("pyarrow.compute", path, "parquet")
+    check_file_size(path)
+    columns: dict[str, LogColumn] = {}
+    with reading(path, "Feather"), arrow.OSFile(str(path)) as file:
+        table = ipc.open_file(file).read_all()
+        table.validate(full=True)
+        check_size(str(path), float(table.num_rows) * table.num_columns)
+        names = table.column_names
+        repeated = frozenset(name for name in names if names.count(name) > 1)
+        for name in names:
+            with leaving_out(name, unread):
+                if name not in repeated:
+                    _add_columns(name, table.column(name), arrow, columns, unread, str(path))
+        return {"": LogTable(str(path), columns, repeated=repeated)} if columns or not unread else {}
 
 
 def _check_bytes(name: str, chunks: Sequence[Any]) -> None:

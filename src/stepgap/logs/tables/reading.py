@@ -19,11 +19,12 @@ from stepgap.logs.tables.bags import (
     read_ros2_folder,
 )
 from stepgap.logs.tables.files import LARGEST_LOG, begin_of, content_of
-from stepgap.logs.tables.hdf5 import HDF5_MAGIC, read_hdf5
+from stepgap.logs.tables.foreign_files import read_foreign_file
+from stepgap.logs.tables.hdf5 import HDF5_MAGIC
 from stepgap.logs.tables.log_table import LogTable
-from stepgap.logs.tables.matlab import is_mat4, read_mat
+from stepgap.logs.tables.matlab import is_mat4
 from stepgap.logs.tables.messages import read_json_lines
-from stepgap.logs.tables.parquet_logs import PARQUET_MAGIC, read_parquet
+from stepgap.logs.tables.parquet_logs import FEATHER_MAGIC, PARQUET_MAGIC
 from stepgap.logs.tables.text import AS_FOUND, TextFormat, decoded, read_delimited_text
 from stepgap.records.steps_csv import RecordError
 
@@ -80,17 +81,26 @@ def _binary_tables(path: Path, begin: bytes, unread: dict[str, str]) -> Mapping[
         return read_ros1_bag(path, unread)
     if begin.startswith(SQLITE_MAGIC):
         return read_ros2_database(path, unread)
-    if begin.startswith(PARQUET_MAGIC):
-        return read_parquet(path, unread)
     if begin.startswith(NPY_MAGIC):
         return read_npy(path, unread)
     if begin.startswith(b"PK\x03\x04"):
         return read_npz(path, unread)
-    matlab = begin.startswith(b"MATLAB 7.3 MAT-file")
-    if matlab or HDF5_MAGIC in (begin[:8], begin[512:520]):
-        return read_hdf5(path, matlab, unread)
+    kind = _foreign_kind(begin)
+    return read_foreign_file(kind, path, unread) if kind else None
+
+
+def _foreign_kind(begin: bytes) -> str:
+    """The kind of a file that is read in another process; empty for others."""
+    if begin.startswith(PARQUET_MAGIC):
+        return "Parquet"
+    if begin.startswith(FEATHER_MAGIC):
+        return "Feather"
+    if begin.startswith(b"MATLAB 7.3 MAT-file"):
+        return "MAT 7.3"
+    if HDF5_MAGIC in (begin[:8], begin[512:520]):
+        return "HDF5"
     is_mat = begin[126:128] in (b"MI", b"IM") and b"\0" in begin
-    return read_mat(path, unread) if is_mat or is_mat4(begin) else None
+    return "MAT" if is_mat or is_mat4(begin) else ""
 
 
 def read_log_table(path: str | Path, wanted: Sequence[str], written: TextFormat = AS_FOUND) -> LogTable:

@@ -13,6 +13,14 @@ from typing import final
 import numpy as np
 
 from stepgap.base.errors import StepGapWarning
+from stepgap.logs.tables.damaged_text import (
+    Row,
+    aligned,
+    whole_characters,
+    without_cut_quote,
+    without_cut_row,
+    without_zeros,
+)
 from stepgap.logs.tables.log_table import LogTable, check_size, column_of_cells, number_in
 from stepgap.records.steps_csv import RecordError
 
@@ -74,14 +82,20 @@ AS_FOUND = TextFormat()  # Everything as found in the file
 def decoded(content: bytes, encoding: str, source: str) -> str:
     """The text of a file: by the given encoding, else by a byte-order mark, else UTF-8, else Latin-1.
 
+    Zeros in a damaged file, and what flash memory has where nothing was written, are left out.
+
     Raises:
         RecordError: The content is not text in this encoding, or holds characters that occur in binary files only.
     """
     mark = next((name for mark, name in _BYTE_ORDER_MARKS.items() if content.startswith(mark)), "")
+    if not (encoding or mark):
+        content = content.rstrip(b"\xff")
     try:
-        text = content.decode(encoding or mark or "utf-8").removeprefix("\ufeff")
+        text = whole_characters(content, encoding or mark or "utf-8").removeprefix("\ufeff")
     except UnicodeError:
-        text = "\0" if encoding or mark else content.decode("latin-1")
+        text = "\0,\0" if encoding or mark else content.decode("latin-1")
+    if "\0" in text and not _BINARY.search(text.replace("\0", "")):
+        text = without_zeros(text, source)
     if _BINARY.search(text):
         right = f"in {encoding or mark}" if encoding or mark else "in UTF-8, UTF-16 or Latin-1, else name its encoding"
         raise RecordError(f"{source}: not a text file {right}, nor any other known format of logs")
@@ -104,7 +118,8 @@ def delimiter_of(header: str, rows: Sequence[str], source: str) -> str:
         fits = [len(row.split()) == count for row in rows]
         is_split = count > 1 and 2 * sum(fits) >= len(fits)
         return " " if is_split else ""
-    fitting = [one for one in present if {_unquoted(row).count(one) for row in rows} == {_unquoted(header).count(one)}]
+    counts = {one: {_unquoted(row.rstrip().removesuffix(one)).count(one) for row in rows} for one in present}
+    fitting = [one for one in present if counts[one] == {_unquoted(header.rstrip().removesuffix(one)).count(one)}]
     if len(fitting) != 1:
         names = " and ".join(name for name, one in DELIMITERS.items() if one in present)
         raise RecordError(
@@ -161,9 +176,6 @@ NAMES_BELOW = "if its names are in another line, give its beginning as `header` 
 
 _STATED = re.compile('"?sep=([,;\t])"?')  # First line of some files: the separator, for spreadsheets
 
-_Row = tuple[int, list[str]]
-"""Number of a line, and its cells."""
-
 
 def read_delimited_text(text: str, written: TextFormat, source: str) -> LogTable:
     """The columns of a text with a line of column names, comments before it, and rows below it.
@@ -175,6 +187,9 @@ def read_delimited_text(text: str, written: TextFormat, source: str) -> LogTable
     if names is None:
         raise RecordError(f"{source}: empty; it must have a line of column names and rows below it")
     line, header = names
+    if not text.endswith(("\n", "\r")):
+        rows = without_cut_row(rows, len(header), source)
+    header, rows = aligned(header, rows)
     for number, cells in rows:
         if len(cells) != len(header):
             hint = "; a decimal comma needs another separator" if len(cells) > len(header) else ""
@@ -198,9 +213,9 @@ def _repeated(names: Sequence[str]) -> frozenset[str]:
     return frozenset(name for name, times in Counter(names).items() if times > 1)
 
 
-def _names_and_rows(text: str, written: TextFormat, source: str) -> tuple[_Row | None, list[_Row]]:
+def _names_and_rows(text: str, written: TextFormat, source: str) -> tuple[Row | None, list[Row]]:
     """The header and the rows below it, with decimal points."""
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = without_cut_quote(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), source)
     begin, comment = _beginning(lines, written)
     if stated := _STATED.fullmatch(lines[begin].strip(" ")) if begin < len(lines) else None:
         written = replace(written, delimiter=written.delimiter or stated[1])
@@ -247,7 +262,7 @@ def _beginning(lines: Sequence[str], written: TextFormat) -> tuple[int, int | No
     return len(lines), comment
 
 
-def _check_names(names: _Row, samples: Sequence[str], source: str) -> None:
+def _check_names(names: Row, samples: Sequence[str], source: str) -> None:
     """Raises RecordError if a single name stands above several columns, because it is a title or a statement."""
     for one in ",;\t" if not any(names[1][1:]) else "":
         counts = {line.count(one) for line in samples[len(samples) // 2 :]}
@@ -255,7 +270,7 @@ def _check_names(names: _Row, samples: Sequence[str], source: str) -> None:
             raise RecordError(f"{source}, line {names[0]}: one name, and more columns below it; {NAMES_BELOW}")
 
 
-def _without_units(rows: list[_Row], source: str) -> list[_Row]:
+def _without_units(rows: list[Row], source: str) -> list[Row]:
     """The rows without those under the header that hold no number, such as units, if all others do in some column."""
     begin = next((at for at, (_, cells) in enumerate(rows) if any(map(_is_measured, cells))), 0)
     above = [cells for _, cells in rows[:begin]]
@@ -279,7 +294,7 @@ def _looks_like_data(line: str) -> bool:
     return any(_is_measured(cell.strip().strip('"')) for cell in (cells if len(cells) > 1 else line.split()))
 
 
-def _cells(text: str, delimiter: str, first: int, source: str) -> Iterator[_Row]:
+def _cells(text: str, delimiter: str, first: int, source: str) -> Iterator[Row]:
     """Yields the rows that are not empty; `first` is the index of the first line."""
     if delimiter == " ":
         lines = enumerate(text.split("\n"), first + 1)
