@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from stepgap.control.box_points import box_grid
+from stepgap.export.controller.step_filter import UNCORRECTED
 from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.step import ADVICE, ContextQuantity, Quantity, StepFailed, StepSpace, StepStatus, ending_of
 
@@ -82,3 +83,11 @@ def test_a_name_is_an_identifier_and_a_unit_has_few_characters(name: str, unit: 
     for made in (lambda: Quantity(name, unit, 0.0, 1.0), lambda: ContextQuantity(name, unit)):
         with pytest.raises(ValueError, match="but it must"):
             made()
+
+
+def test_the_statuses_of_files_and_exported_controllers_stay() -> None:
+    labels = "ok fell no_take_off full_stretch foot_scuffed no_apex invalid stopped doubtful uncorrected unstable"
+    numbers = labels.split()
+    assert [status.label for status in StepStatus] == [name for name in numbers if name != "uncorrected"]
+    assert all(numbers[status] == status.label for status in StepStatus)
+    assert numbers[UNCORRECTED] == "uncorrected"

@@ -44,6 +44,8 @@ class StepStatus(IntEnum):
         INVALID: State or command are not finite numbers.
         STOPPED: A safety limit was exceeded, or the plant failed.
         DOUBTFUL: A sensor value was not plausible.
+        UNSTABLE: The simulation became unstable, or is not that of the model for another reason. (The number 9 is that
+            of a plan without a measurement in exported controllers.)
     """
 
     OK = 0
@@ -55,6 +57,7 @@ class StepStatus(IntEnum):
     INVALID = 6
     STOPPED = 7
     DOUBTFUL = 8
+    UNSTABLE = 10
 
     @property
     def label(self) -> str:
@@ -67,6 +70,7 @@ ENDINGS = {
     StepStatus.FELL: "fell",
     StepStatus.STOPPED: "was stopped",
     StepStatus.DOUBTFUL: "was stopped because of a doubtful sensor",
+    StepStatus.UNSTABLE: "ended because its simulation became unstable",
 }
 """How a deployment ended, by the status of its last step; other steps that fail have no next state."""
 
@@ -86,6 +90,8 @@ ADVICE: Mapping[StepStatus, str] = {
     StepStatus.INVALID: "state and command must be finite numbers",
     StepStatus.STOPPED: "a safety limit was exceeded, or the plant failed; check gains, command and limits",
     StepStatus.DOUBTFUL: "a sensor value was not plausible; check the sensors and their cables before going on",
+    StepStatus.UNSTABLE: "the simulation became unstable; "
+    "lower gains that are too high for a light joint, give it more armature, or make time step and tick shorter",
 }
 """Advice for any robot on each `StepStatus` other than OK; a `StepSpace` may have that of its robot."""
 

@@ -15,7 +15,7 @@ Labels = NDArray[np.intp]
 _OF_STATE = ("state", "target", "next_state", "true_next_state", "predicted", "std")
 _OF_COMMAND = ("command", "requested", "applied")
 _LEAST_ROOM = 64  # Least number of steps for which memory is reserved
-TAINTED = {StepStatus.DOUBTFUL: 30, StepStatus.FELL: 1}
+TAINTED = {StepStatus.DOUBTFUL: 30, StepStatus.FELL: 1, StepStatus.UNSTABLE: 1}
 """Number of steps before one with such a status whose states are doubtful, too: small faults are found late."""
 _Values = TypeVar("_Values", Array, Labels, Codes)
 

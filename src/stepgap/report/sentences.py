@@ -232,11 +232,13 @@ def _failures(run: Run) -> str:
     falls = counts[StepStatus.FELL]
     stops = counts[StepStatus.STOPPED]
     doubts = counts[StepStatus.DOUBTFUL]
-    others = run.steps.failed_steps - falls - stops - doubts
+    unstable = counts[StepStatus.UNSTABLE]
+    others = run.steps.failed_steps - falls - stops - doubts - unstable
     table = (
         (falls or not run.steps.failed_steps, _count(falls, "fall")),
         (stops, f"{_count(stops, 'step')} stopped by the plant"),
         (doubts, f"{_count(doubts, 'step')} stopped because of a doubtful sensor"),
+        (unstable, f"{_count(unstable, 'step')} in which the simulation became unstable"),
         (others, f"{_count(others, 'step')} without a next state for other reasons"),
     )
     return ", ".join(phrase for holds, phrase in table if holds)

@@ -21,8 +21,8 @@ def c_library() -> CDLL:
 def set_mujoco_callbacks() -> None:
     """Sets the callbacks; to be called before a model is stepped.
 
-    By default, MuJoCo writes warnings to `MUJOCO_LOG.TXT` in the current folder. They are left out: an unstable
-    simulation gives a state that is not finite or too large, which the plants report as a failed step.
+    By default, MuJoCo writes warnings to `MUJOCO_LOG.TXT` in the current folder. They are left out:
+    `mujoco_faults` says what they mean, and the plants report it as a failed step.
 
     MuJoCo's Python package installs a clock, which `mj_step` reads before and after each of its stages for
     `mjData.timer`. For models as small as the hopper's, that takes a sixth of a step. MuJoCo's C library starts without

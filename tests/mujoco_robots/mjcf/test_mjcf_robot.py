@@ -19,7 +19,8 @@ from stepgap.mujoco_robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfPlant, MjcfRobot, MjcfSimulator
 from stepgap.mujoco_robots.mjcf.section import Section, apex, next_foot, touchdown
 from stepgap.robots.entry_points import load_robot
-from stepgap.step import Array, Quantity, StepSpace, StepStatus
+from stepgap.robots.nominal_maps.simulator import SimulatorMap
+from stepgap.step import Array, Quantity, StepFailed, StepSpace, StepStatus
 from tests.cli.command_line import Command, CommandResult
 from tests.quick_runs import leave_out_report
 
@@ -294,3 +295,76 @@ def test_feet_that_swing_together_are_one() -> None:
     np.testing.assert_allclose(found, [0.35, 0.75, 1.15, 1.55], atol=0.005)
     with pytest.raises(ValueError, match="be at least two"):
         next_foot("left")
+
+
+WITH_ANTENNA = BALL.replace(
+    "</worldbody>",
+    "<body name='antenna' pos='0 1 1'><joint name='antenna' axis='0 1 0'/><geom type='capsule' size='0.002' "
+    "mass='0.002' fromto='0 0 0 0.05 0 0.1' contype='0' conaffinity='0'/></body></worldbody>",
+).replace("</actuator>", "<motor name='antenna' joint='antenna'/></actuator>")
+
+
+@dataclass(frozen=True)
+class Antenna(Ball):
+    """The ball, and beside it an antenna so light that a damper of its controller diverges."""
+
+    gap: MjcfGap = EXACT
+    damper: float = 0.0
+
+    def mjcf_model(self) -> Any:
+        return mujoco.MjModel.from_xml_string(WITH_ANTENNA)
+
+    def controller(self):
+        def control(model: Any, data: Any, command: Array) -> None:
+            data.ctrl[:] = command[0] / 3, -self.damper * data.joint("antenna").qvel[0]
+
+        return control
+
+
+def test_a_simulation_that_mujoco_would_reset_is_an_unstable_step() -> None:
+    sound = MjcfPlant(Antenna(damper=0.001), np.random.default_rng(0))
+    plant = MjcfPlant(Antenna(damper=0.1), np.random.default_rng(0))
+    height = sound.start()
+    assert sound.take_step(np.zeros(1)).status == StepStatus.OK
+    assert sound.fault == ""
+    for _ in range(2):  # a plant that is started again begins anew
+        plant.start()
+        assert plant.fault == ""
+        record = plant.take_step(np.zeros(1))
+        assert record.status == StepStatus.UNSTABLE
+        assert np.isnan([record.next_state, record.true_next_state]).all()
+        assert "unstable after 0.0" in plant.fault
+        assert "the acceleration of joint 'antenna' grew without bound" in plant.fault
+        assert "time step of 0.0005 s; lower gains" in plant.fault
+    model = SimulatorMap(Antenna().space, MjcfSimulator(Antenna(damper=0.1)))
+    assert model.evaluate(height, np.zeros(1)).status == StepStatus.UNSTABLE
+    with pytest.raises(StepFailed, match="unstable: the simulation became unstable; lower gains"):
+        model(height, np.zeros(1))
+
+
+def test_a_control_signal_that_mujoco_would_leave_out_is_no_step() -> None:
+    plant = MjcfPlant(Antenna(damper=np.nan), np.random.default_rng(0))
+    plant.start()
+    assert plant.take_step(np.zeros(1)).status == StepStatus.UNSTABLE
+    assert plant.fault.endswith("s the control signal of actuator 'antenna' was nan; correct the controller")
+
+
+@pytest.mark.parametrize(
+    ("memory", "words"), [("20K", "forces of contacts were left out"), ("30K", "MuJoCo cannot compute")]
+)
+def test_a_model_without_memory_for_its_contacts_takes_no_step(memory: str, words: str) -> None:
+    crate = "<body pos='{} 3 0.5'><freejoint/><geom type='box' size='.06 .06 .06'/></body>"
+    crates = "".join(crate.format(0.1 * number) for number in range(4))
+    text = BALL.replace("<worldbody>", f"<size memory='{memory}'/><worldbody>").replace(
+        "</worldbody>", f"{crates}</worldbody>"
+    )
+
+    class Crates(Ball):
+        def mjcf_model(self) -> Any:
+            return mujoco.MjModel.from_xml_string(text)
+
+    plant = MjcfPlant(Crates(gap=EXACT), np.random.default_rng(0))
+    plant.start()
+    assert plant.take_step(np.zeros(1)).status == StepStatus.UNSTABLE
+    assert words in plant.fault
+    assert "size memory" in plant.fault

@@ -23,7 +23,7 @@ from stepgap.learning.believed import believed_after, planning_map
 from stepgap.learning.residual import HistoryInputs, Residual, join_points
 from stepgap.step import Array, Codes, Outcome, Quantity, StepFailed, StepMap, StepRecord, StepSpace, StepStatus
 
-UNCORRECTED: Final = len(StepStatus)
+UNCORRECTED: Final = 9  # no `StepStatus` has this number
 """Status of a plan without a usable measurement: its command is that of the nominal map if the target is held."""
 
 TINY: Final = 1e-100  # Imaginary part of an input with which a formula is differentiated: no digit is lost

@@ -26,6 +26,7 @@ from stepgap.plants.ticks.stream import OnTicks
 from stepgap.rigs.rig import SensorModel
 from stepgap.robots.ground import FLAT_GROUND, Treads
 from stepgap.robots.mujoco_callbacks import set_mujoco_callbacks
+from stepgap.robots.mujoco_faults import keep_divergence, mujoco_fault
 from stepgap.robots.nominal_maps.simulator import SimulatorMap
 from stepgap.robots.robot import Robot, Simulation
 from stepgap.step import Array, StepMap, StepRecord, StepSpace, StepStatus
@@ -132,6 +133,7 @@ class MjcfStepper:
         self._ground = BoxGround(robot.mjcf_spec(), robot.feet, treads) if treads else None
         self._begin = 0.0
         self._model = gap.of(self._ground.model if self._ground else robot.mjcf_model())
+        keep_divergence(self._model)
         self._footholds = Footholds(self._model, robot.feet) if robot.ground.is_measured else None
         self._data = mujoco.MjData(self._model)
         self._section, self._substeps = robot.section(), max(1, round(robot.tick / self._model.opt.timestep))
@@ -146,7 +148,7 @@ class MjcfStepper:
         if self._ground:
             self._begin = self._rng.uniform(0, GROUND_LENGTH)
             self._ground.put(self._data, self._begin)
-        mujoco.mj_forward(self._model, self._data)
+        self._fault = self._fault_of(mujoco.mj_forward)
         self._control = self._robot.controller()
         self._late = deque([self._data.ctrl.copy()] * round(self._gap.delay / self._robot.tick))
         self._lagged = self._data.ctrl.copy()
@@ -160,6 +162,11 @@ class MjcfStepper:
     def state(self) -> Array:
         """True state; shape (n,)."""
         return np.asarray(self._robot.state(self._model, self._data), float)
+
+    @property
+    def fault(self) -> str:
+        """Why the simulation is not that of the model, since it was placed; empty if it is."""
+        return self._fault
 
     @property
     def tick_row(self) -> Sequence[float]:
@@ -185,14 +192,18 @@ class MjcfStepper:
             at_touchdown: Called with the command when the feet have found the ground, if it is measured; returns that
                 of the rest of the step.
         """
+        if self._fault:
+            return StepStatus.UNSTABLE
         if self._footholds:
             self._footholds.begin_step()
         for _ in range(self._most_ticks):
             self._tick(command)
+            if self._fault:
+                return StepStatus.UNSTABLE
             on_tick()
             if self._footholds and self._footholds.have_landed(self._data):
                 command = at_touchdown(command)
-            if not np.isfinite(self._data.qacc).all() or self._robot.failed(self._model, self._data):
+            if self._robot.failed(self._model, self._data):
                 return StepStatus.FELL
             if self._crosses():
                 return StepStatus.OK if np.isfinite(self.state).all() else StepStatus.FELL
@@ -215,9 +226,17 @@ class MjcfStepper:
         if self._gap.motor_lag:
             self._lagged += (data.ctrl - self._lagged) * self._robot.tick / (self._gap.motor_lag + self._robot.tick)
             data.ctrl[:] = self._lagged
-        mujoco.mj_step(self._model, data, self._substeps)
+        self._fault = self._fault_of(mujoco.mj_step, self._substeps)
         if self._ground:
             self._ground.put(data, self._begin)
+
+    def _fault_of(self, computes: Callable[..., None], *numbers: int) -> str:
+        """What MuJoCo finds wrong while it computes a motion; empty if nothing."""
+        try:
+            computes(self._model, self._data, *numbers)
+        except mujoco.FatalError as error:
+            return f"MuJoCo cannot compute the motion: {' '.join(str(error).split()):.300}"
+        return mujoco_fault(self._model, self._data)
 
     def _crosses(self) -> bool:
         """Whether a guard of the section, of several another one than the last, has just fallen through zero."""
@@ -282,6 +301,11 @@ class MjcfPlant(RepeatablePlant):
     def space(self) -> StepSpace:
         """Names, units and ranges of the robot."""
         return self._robot.space
+
+    @property
+    def fault(self) -> str:
+        """Time, joint and usual causes of a simulation that became unstable; empty if it did not."""
+        return self._stepper.fault
 
     def start(self) -> Array:
         """Puts the robot into its first state, and measures."""

@@ -96,7 +96,7 @@ class TrotGains:
 
     def __post_init__(self) -> None:
         for name in ("period", "lag", "stiffness"):
-            require(getattr(self, name) > 0, name, getattr(self, name), "be positive")
+            require(0 < getattr(self, name) < inf, name, getattr(self, name), "be positive and finite")
         require(0.3 <= self.stance <= 0.9, "stance", self.stance, "lie from 0.3 to 0.9")
         require(0.15 < self.height < 2 * LINK - 0.05, "height", self.height, f"lie between 0.15 and {2 * LINK - 0.05}")
 

@@ -168,6 +168,8 @@ class VelocityRange:
     command_upper: float
 
     def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            require(isfinite(value), name, value, "be finite")
         for name in ("lower", "command_lower"):
             upper = getattr(self, name.replace("lower", "upper"))
             require(getattr(self, name) < upper, name, getattr(self, name), f"be less than the upper end, {upper:g}")

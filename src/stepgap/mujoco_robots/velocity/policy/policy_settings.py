@@ -90,9 +90,10 @@ class PolicySettings:
 
     def __post_init__(self) -> None:
         require(0 < self.timestep <= 0.02, "timestep", self.timestep, "lie between 0 and 0.02")
+        require(0 < self.period <= 1, "period", self.period, "be positive, and at most 1")
         ticks = self.period / self.timestep
         whole = round(ticks) >= 1 and abs(ticks - round(ticks)) < 1e-6 * ticks
-        require(whole and self.period <= 1, "period", self.period, f"be a multiple of timestep = {self.timestep:g}")
+        require(whole, "period", self.period, f"be a multiple of timestep = {self.timestep:g}")
         require(0 < self.gait_period < inf, "gait_period", self.gait_period, "be positive")
         require(self.action_clip > 0, "action_clip", self.action_clip, "be positive")
         joints = len(self.joints)

@@ -38,6 +38,7 @@ from stepgap.robots.hopper.twin.true_apex import TrueApex, update_apex
 from stepgap.robots.hopper.twin.true_state import TrueState, true_state
 from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
 from stepgap.robots.mujoco_callbacks import set_mujoco_callbacks
+from stepgap.robots.mujoco_faults import mujoco_fault
 from stepgap.robots.scene import GroundPieces
 from stepgap.step import Array
 
@@ -266,7 +267,7 @@ class Twin(CompiledRig):
             raise RigFault("the twin is not connected")
         counts, outcome = read_counts(self._devices, self._views)
         if outcome != READ:
-            raise self._trip(MESSAGES[outcome])
+            raise self._trip(self._fault_of(outcome))
         return HopperReading(*counts)
 
     def write(self, torques: Torques) -> tuple[float, float]:
@@ -323,8 +324,8 @@ class Twin(CompiledRig):
         if outcome == NO_NUMBER:
             fault = f"a sensor value is not finite: {self.read()}"
             return TickRun(rows=rows[:done], time=time, applied=None, flags=0, fault=fault)
-        if outcome != READ:
-            return TickRun(rows=rows[:done], time=time, applied=None, flags=0, fault=str(self._trip(MESSAGES[outcome])))
+        if fault := self._fault_of(outcome):
+            return TickRun(rows=rows[:done], time=time, applied=None, flags=0, fault=str(self._trip(fault)))
         return TickRun(rows=rows[:done], time=time, applied=(applied_1, applied_2), flags=flags, fault="")
 
     def fork(self, rng: np.random.Generator, floor_yaw: float = 0.0) -> Self:
@@ -401,6 +402,10 @@ class Twin(CompiledRig):
     def _release(self) -> None:
         self._data.eq_active[1:] = 0
         self._data.qvel[0] = self._start_speed / (self._sensor_model.boom_length if self._gap.boom_arc else 1.0)
+
+    def _fault_of(self, outcome: int) -> str:
+        """What MuJoCo finds wrong in the motion, or the sensors in its last tick; empty if nothing."""
+        return mujoco_fault(self._model, self._data) or MESSAGES.get(outcome, "")
 
     def _trip(self, message: str) -> RigFault:
         """Switches torque off until the twin is connected again; returns the fault to raise."""
