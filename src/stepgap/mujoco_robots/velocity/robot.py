@@ -12,6 +12,7 @@ and loads change it.
 # (MuJoCo ships no types for its compiled part.)
 
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any, final
 
 import mujoco

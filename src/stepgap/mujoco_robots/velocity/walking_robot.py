@@ -9,7 +9,7 @@ Its MuJoCo model, its start posture and its `WalkingControl` make a walking robo
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from math import exp, radians
+from math import exp, isfinite, radians
 from typing import Any, Self, final
 
 import mujoco
