@@ -9,14 +9,27 @@ import json
 import re
 import sqlite3
 import struct
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
+from stepgap.base.errors import StepGapWarning
+from stepgap.logs.tables.bag_files import (
+    METADATA,
+    ZSTD_MAGIC,
+    messages_in,
+    metadata_in,
+    missing_parts,
+    opened_database,
+    other_parts,
+    parts_of,
+    release_in,
+    unpacked,
+)
 from stepgap.logs.tables.files import LARGEST_FILE, LARGEST_PART, check_file_size, decompress_part, library, reading
 from stepgap.logs.tables.log_table import LogTable
 from stepgap.logs.tables.messages import MOST_ELEMENTS, Decoder, TopicRows, unreadable
@@ -25,9 +38,6 @@ from stepgap.records.steps_csv import RecordError
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 ROS1_MAGIC = b"#ROSBAG V"
 SQLITE_MAGIC = b"SQLite format 3\0"
-
-_METADATA = "metadata.yaml"
-
 
 _NUMBERS = {
     "bool": "?",
@@ -52,21 +62,41 @@ _IDL_HEADER = re.compile(r"^(=+|IDL: .*)$", re.MULTILINE)
 _DEEPEST = 50
 
 
-def read_mcap(paths: Sequence[Path], unread: dict[str, str], release: str = "") -> dict[str, LogTable]:
+def read_mcap(
+    paths: Sequence[Path], unread: dict[str, str], release: str = "", messages: int = 0
+) -> dict[str, LogTable]:
     """One table for each topic, with `log_time` [s]; several files are parts of one log.
+
+    Of a file that was cut off, the messages before its end are read, with a `StepGapWarning`.
 
     Args:
         paths: The files.
         unread: The topics that cannot be read are added to it, with the reasons.
         release: Release of ROS 2 that recorded the log, if it is known.
+        messages: Number of messages in the log, if it is known.
     """
     topics = TopicRows(str(paths[0]))
     for path in paths:
-        check_file_size(path)
-        with reading(path, "MCAP"), path.open("rb") as file:
-            for topic, time, data, decoders in _messages(file, path, release):
-                topics.append(topic, time, data, decoders)
-    return topics.tables(unread)
+        before = topics.count
+        with reading(path, "MCAP"), unpacked(path) as whole, whole.open("rb") as file:
+            from mcap.exceptions import EndOfFile
+
+            try:
+                for topic, time, data, decoders in _messages(file, path, release):
+                    topics.append(topic, time, data, decoders)
+            except EndOfFile:
+                count = topics.count - before
+                if not count:
+                    raise ValueError("cut off before its first message") from None
+                warnings.warn(f"{path}: cut off; the {count} messages before its end are read", StepGapWarning, 2)
+    _check_count(paths[0].parent, topics.count, messages)
+    return {topic: _by_time(table) for topic, table in topics.tables(unread).items()}
+
+
+def _check_count(path: Path, count: int, expected: int) -> None:
+    if count < expected:
+        lost = f"{count} messages, but {METADATA} names {expected}; a part of the bag was lost, or is elsewhere"
+        warnings.warn(f"{path}: {lost}", StepGapWarning, stacklevel=2)
 
 
 def _messages(file: Any, path: Path, release: str) -> Iterator[tuple[str, int, bytes, Sequence[Decoder]]]:
@@ -91,7 +121,8 @@ def _records(file: Any) -> Iterator[Any]:
     from mcap.stream_reader import StreamReader, breakup_chunk
 
     size = 0
-    for record in StreamReader(file, emit_chunks=True, record_size_limit=LARGEST_PART).records:
+    whole: Any = _WholeReads(file)
+    for record in StreamReader(whole, emit_chunks=True, record_size_limit=LARGEST_PART).records:
         if isinstance(record, DataEnd):
             return
         if not isinstance(record, Chunk):
@@ -103,6 +134,22 @@ def _records(file: Any) -> Iterator[Any]:
         if size > LARGEST_FILE:
             raise ValueError(f"larger than {LARGEST_FILE} bytes when decompressed")
         yield from breakup_chunk(record, validate_crc=True)
+
+
+class _WholeReads:
+    """A file of which a read beyond its end is an error, so that no cut message counts as a short one."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+
+    def read(self, size: int) -> bytes:
+        """Reads this number of bytes, or raises EndOfFile."""
+        from mcap.exceptions import EndOfFile
+
+        content = self._file.read(size)
+        if len(content) < size:
+            raise EndOfFile
+        return content
 
 
 def _decoders(encoding: str, schema: Any, path: Path, release: str) -> list[Decoder]:
@@ -152,32 +199,35 @@ def _protobuf_tree(message: Any) -> Any:
 
 def is_ros2_folder(path: Path) -> bool:
     """Whether a folder is a ROS 2 bag: it has its metadata, or at least its parts."""
-    return path.is_dir() and ((path / _METADATA).is_file() or any(_parts(path)))
-
-
-def _parts(path: Path) -> tuple[list[Path], list[Path]]:
-    """The parts of a ROS 2 bag in MCAP and in SQLite."""
-    return sorted(path.glob("*.mcap")), sorted(path.glob("*.db3"))
+    return path.is_dir() and ((path / METADATA).is_file() or any(parts_of(path)))
 
 
 def read_ros2_folder(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
     """The topics of a ROS 2 bag: a folder with metadata.yaml and parts in MCAP or SQLite.
 
-    Topics that cannot be read are added to `unread`, with the reasons.
+    Topics that cannot be read are added to `unread`, with the reasons, and so are parts that are missing.
     """
-    mcaps, databases = _parts(path)
+    mcaps, databases = parts_of(path)
     if bool(mcaps) == bool(databases):
-        raise RecordError(
-            f"{path}: a ROS 2 bag must have .mcap or .db3 files, not both; compressed ones are to be unpacked before"
-        )
-    release = _release_in(path / _METADATA)
-    tables = read_mcap(mcaps, unread, release) if mcaps else _read_databases(path, databases, unread, release)
-    return {topic: _by_time(table) for topic, table in tables.items()}
+        raise RecordError(f"{path}: a ROS 2 bag must have .mcap or .db3 files, not both")
+    metadata = metadata_in(path)
+    unread.update(missing_parts(path, metadata))
+    messages = messages_in(metadata)
+    if mcaps:
+        return read_mcap(mcaps, unread, release_in(metadata), messages)
+    return _read_databases(path, databases, unread, release_in(metadata), messages)
+
+
+def read_part_in_mcap(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
+    """The topics of an MCAP file, which may be a part of a ROS 2 bag; `unread` as of `read_ros2_folder`."""
+    unread.update(other_parts(path))
+    return read_mcap([path], unread, release_in(metadata_in(path.parent)))
 
 
 def read_ros2_database(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
     """The topics of a .db3 file, which is a part of a ROS 2 bag; `unread` as of `read_ros2_folder`."""
-    return _read_databases(path, [path], unread, _release_in(path.parent / _METADATA))
+    unread.update(other_parts(path))
+    return _read_databases(path, [path], unread, release_in(metadata_in(path.parent)))
 
 
 def read_ros1_bag(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
@@ -209,24 +259,15 @@ def _bounded(chunk: Any) -> Any:
     return lambda data: decompress_part(data, compression)
 
 
-def _release_in(metadata: Path) -> str:
-    """Release of ROS 2 that recorded a bag, such as humble; empty if its metadata do not say it."""
-    try:
-        text = metadata.read_text("utf-8", "replace")[:LARGEST_PART]
-    except OSError:
-        return ""
-    found = re.search(r"^\s*ros_distro:\s*[\"']?(\w+)", text, re.MULTILINE)
-    return found[1] if found else ""
-
-
-def _read_databases(bag: Path, paths: Sequence[Path], unread: dict[str, str], release: str) -> dict[str, LogTable]:
+def _read_databases(
+    bag: Path, paths: Sequence[Path], unread: dict[str, str], release: str, messages: int = 0
+) -> dict[str, LogTable]:
     topics = TopicRows(str(bag))
     for path in paths:
-        check_file_size(path)
-        uri = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
-        with reading(path, "ROS 2 bag"), closing(sqlite3.connect(uri, uri=True)) as database:
+        with reading(path, "ROS 2 bag"), unpacked(path) as whole, opened_database(whole) as database:
             _read_database(database, path, topics, release)
-    return topics.tables(unread)
+    _check_count(bag, topics.count, messages)
+    return {topic: _by_time(table) for topic, table in topics.tables(unread).items()}
 
 
 def _read_database(database: sqlite3.Connection, path: Path, topics: TopicRows, release: str) -> None:
@@ -303,7 +344,12 @@ def _decoder(path: Path, name: str, types: Mapping[str, Any], cdr: bool = True) 
     """The function that decodes messages of a type, by definitions that rosbags parsed, in CDR or as of ROS 1."""
     node = library("rosbags.interfaces", path).Nodetype
     kind = node.NAME, library("rosbags.typesys.msg", path).normalize_msgtype(name)
-    return lambda data: _Message(data, types, node, cdr).whole(kind)
+    return lambda data: _Message(_unpacked_message(data), types, node, cdr).whole(kind)
+
+
+def _unpacked_message(data: bytes) -> bytes:
+    """The bytes of a message, which rosbag2 may have compressed by zstd; those in CDR begin with a zero."""
+    return decompress_part(data, "zstd") if data.startswith(ZSTD_MAGIC) else data
 
 
 class _Message:

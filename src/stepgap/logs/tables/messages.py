@@ -115,6 +115,7 @@ class TopicRows:
     """
 
     def __init__(self, source: str) -> None:
+        self.count = 0  # number of messages
         self._source = source
         self._rows: dict[str, MessageRows] = {}
         self._decoders: dict[str, Decoder] = {}
@@ -122,6 +123,7 @@ class TopicRows:
 
     def append(self, topic: str, time: int, data: bytes, decoders: Sequence[Decoder]) -> None:
         """Adds a message logged at a time [ns]; the topic has the first of the decoders that its first message fits."""
+        self.count += 1
         if topic in self._faults:
             return
         if topic not in self._decoders:

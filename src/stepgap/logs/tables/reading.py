@@ -8,12 +8,13 @@ from types import MappingProxyType
 
 from stepgap.base.errors import StepGapWarning
 from stepgap.logs.tables.arrays import NPY_MAGIC, read_npy, read_npz
+from stepgap.logs.tables.bag_files import ZSTD_MAGIC, begin_of_packed
 from stepgap.logs.tables.bags import (
     MCAP_MAGIC,
     ROS1_MAGIC,
     SQLITE_MAGIC,
     is_ros2_folder,
-    read_mcap,
+    read_part_in_mcap,
     read_ros1_bag,
     read_ros2_database,
     read_ros2_folder,
@@ -75,8 +76,12 @@ def read_log_tables(path: str | Path, written: TextFormat = AS_FOUND) -> Mapping
 
 def _binary_tables(path: Path, begin: bytes, unread: dict[str, str]) -> Mapping[str, LogTable] | None:
     """The tables of a file in a binary format, found from its first bytes; None for text."""
+    if begin.startswith(ZSTD_MAGIC):
+        begin = begin_of_packed(path)
+        if not begin.startswith((MCAP_MAGIC, SQLITE_MAGIC)):
+            raise RecordError(f"{path}: compressed by zstd; unpack it by `unzstd` before")
     if begin.startswith(MCAP_MAGIC):
-        return read_mcap([path], unread)
+        return read_part_in_mcap(path, unread)
     if begin.startswith(ROS1_MAGIC):
         return read_ros1_bag(path, unread)
     if begin.startswith(SQLITE_MAGIC):
