@@ -96,12 +96,12 @@ def parts_of_network(network: Path) -> NetworkParts:
     try:
         return NetworkParts(**_tried("onnxruntime", network, _SECONDS, _MEMORY))
     except ValueError as error:
-        raise ValueError(f"{network}: {str(error).removeprefix(f'{network.resolve()}: ')}") from None
+        raise ValueError(f"{network}: {str(error).removeprefix(f'{network.absolute()}: ')}") from None
 
 
 def _tried(reader: str, file: Path, seconds: int, memory: int) -> dict[str, Any]:
     with TemporaryDirectory() as folder:  # MuJoCo writes a log into the current folder
-        return answer_of(__name__, [reader, str(file.resolve())], reader, seconds, memory, Path(folder))
+        return answer_of(__name__, [reader, str(file.absolute())], reader, seconds, memory, Path(folder))
 
 
 # ---- in the other process

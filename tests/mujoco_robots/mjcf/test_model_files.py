@@ -1,5 +1,6 @@
 """A model is copied with all of its files, and one that would take all memory or time is refused by its text."""
 
+import os
 import shutil
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -83,6 +84,15 @@ FORMS = {
         "'package://my_robot/meshes/a.obj'/></geometry></collision></link></robot>",
         "my_robot/meshes/a.obj": MESH,
     },
+    "assets beside the folder of the model": {
+        "mjcf/m.xml": model("<mesh file='a.obj'/>", MESHED.format("a"), "<compiler meshdir='../meshes'/>"),
+        "meshes/a.obj": MESH,
+    },
+    "a ROS package": {
+        "r/models/deep/m.xml": model("<mesh file='../../bodies/a.obj'/>", MESHED.format("a")),
+        "r/bodies/a.obj": MESH,
+        "r/package.xml": "<package/>",
+    },
 }
 
 
@@ -101,6 +111,92 @@ def test_what_is_missing_is_named_with_where_it_would_be(tmp_path: Path) -> None
     with pytest.raises(
         InputError, match=r"m\.xml: <mesh hull>: there is no file 'a\.obj'; MuJoCo would look for .*x/a"
     ):
+        model_files(main)
+
+
+def asset(text: str) -> str:
+    return f"<mujoco><asset>{text}</asset>{BODY}</mujoco>"
+
+
+URDF = (
+    "<robot name='r'><link name='base'><collision><geometry><mesh filename='{}'/></geometry></collision></link></robot>"
+)
+SUBINCLUDE = "<mujoco><include file='../../home/id.obj'/></mujoco>"
+
+
+def placed(compiler: str) -> str:
+    return model("<mesh file='id.obj'/>", "", f"<compiler {compiler}/>")
+
+
+@pytest.mark.parametrize(
+    ("texts", "words"),
+    [
+        ({"m.xml": asset("<mesh name='a' file='../home/id.obj'/>")}, "<mesh a file='../home/id.obj'>: this is HOME"),
+        ({"m.xml": asset("<texture name='t' type='2d' file='HOME/id.obj'/>")}, "<texture t file='HOME/id.obj'>"),
+        ({"m.xml": asset("<texture name='t' type='cube' fileup='../home/id.obj'/>")}, "<texture t fileup="),
+        ({"m.xml": asset("<hfield file='../home/id.obj' size='1 1 1 1'/>")}, "<hfield file="),
+        ({"m.xml": asset("<texture type='2d' file='/proc/self/environ'/>")}, "this is /proc/"),
+        ({"m.xml": asset("<texture type='2d' file='/proc/kmsg'/>")}, "this is /proc/kmsg"),
+        ({"m.xml": asset("<model name='x' file='../home/id.obj'/>")}, "<model x file="),
+        ({"m.xml": placed("meshdir='../home'")}, "<mesh file='id.obj'>: this is HOME"),
+        ({"m.xml": placed("assetdir='HOME'")}, "this is HOME/id.obj"),
+        ({"m.xml": placed("texturedir='../home'").replace("<mesh", "<texture type='2d'")}, "this is HOME"),
+        ({"m.xml": f"<mujoco><include file='../home/id.obj'/>{BODY}</mujoco>"}, "<include file='../home/id.obj'>"),
+        (
+            {"m.xml": "<mujoco><include file='sub/n.xml'/></mujoco>", "sub/n.xml": SUBINCLUDE},
+            "<include file='../../home/id.obj'>: this is HOME/id.obj",
+        ),
+        ({"r.urdf": URDF.format("../home/id.obj")}, "<mesh filename='../home/id.obj'>"),
+        ({"r.urdf": URDF.format("package://home/id.obj")}, "<mesh filename='package://home/id.obj'>: this is HOME"),
+    ],
+)  # fmt: skip
+def test_a_file_that_does_not_lie_with_the_model_is_never_read(
+    texts: dict[str, str], words: str, tmp_path: Path
+) -> None:
+    home = written(tmp_path / "home", {"id.obj": "secret"}).parent
+    main = written(tmp_path / "model", {name: text.replace("HOME", str(home)) for name, text in texts.items()})
+    with pytest.raises(InputError) as caught:
+        model_files(main)
+    message = str(caught.value)
+    assert message.startswith(str(main))
+    assert words.replace("HOME", str(home)) in message
+    assert message.endswith(f"does not lie with the model, so it is not read; copy the file into {main.parent}")
+
+
+def test_a_link_is_where_it_leads_to(tmp_path: Path) -> None:
+    written(tmp_path / "home", {"id.obj": MESH})
+    main = written(tmp_path / "model", {"m.xml": asset("<mesh file='meshes/id.obj'/>")})
+    (main.parent / "meshes").symlink_to(tmp_path / "home")
+    with pytest.raises(InputError, match=r"<mesh file='meshes/id\.obj'>: this is .*home/id\.obj, which does not lie"):
+        model_files(main)
+    (main.parent / "meshes").unlink()
+    (tmp_path / "meshes").symlink_to(tmp_path / "home")
+    main.write_text(asset("<mesh file='../meshes/id.obj'/>"))
+    with pytest.raises(InputError, match="does not lie with the model"):
+        model_files(main)
+    shutil.copyfile(tmp_path / "home/id.obj", main.parent / "id.obj")
+    assert model_files(main)["assets/id.obj"] == main.parent / "id.obj", "the remedy of the message"
+
+
+def test_what_a_urdf_only_shows_is_left_out_where_it_lies_elsewhere(tmp_path: Path) -> None:
+    written(tmp_path / "home", {"id.obj": "secret"})
+    main = written(tmp_path / "model", {"r.urdf": URDF.format("../home/id.obj").replace("collision", "visual")})
+    assert "id.obj" not in "".join(map(str, model_files(main).values()))
+
+
+def test_a_pipe_is_no_file_of_a_model(tmp_path: Path) -> None:
+    main = written(tmp_path, {"m.xml": f"<mujoco><include file='n.xml'/>{BODY}</mujoco>"})
+    os.mkfifo(tmp_path / "n.xml")
+    with pytest.raises(InputError, match=r"there is no file 'n\.xml'"):
+        model_files(main)
+    with pytest.raises(InputError, match="a pipe or a device"):
+        model_files(tmp_path / "n.xml")
+
+
+def test_included_texts_are_bounded_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stepgap.mujoco_robots.mjcf.model_files.LARGEST_XML", 100)
+    main = written(tmp_path, {"m.xml": f"<mujoco>{include(1)}</mujoco>", "1.xml": f"<mujoco>{' ' * 60}</mujoco>"})
+    with pytest.raises(InputError, match=r"1\.xml: with it the XML files are larger than 100 bytes together"):
         model_files(main)
 
 
@@ -128,6 +224,7 @@ def geoms(count: int) -> str:
         ("nonsense", "syntax error: line 1, column 0; give a MuJoCo model"),
         ("", "no element found"),
         ("<mujoco><asset><mesh file='/dev/zero'/></asset></mujoco>", "there is no file '/dev/zero'"),
+        (f"<mujoco><asset><mesh file='{'a' * 5000}'/></asset></mujoco>", "there is no file 'aaa"),
     ],
 )
 def test_a_model_that_would_never_load_is_refused_by_its_text(text: str, message: str, tmp_path: Path) -> None:

@@ -1,9 +1,11 @@
 """A MuJoCo model with all of its files, as they can be copied: included files are part of the text, assets beside it.
 
-The files are read as XML, so that a model which would take all memory, or never end, is refused before MuJoCo reads it.
+The files are read as XML, so that a model which would take all memory, or never end, is refused before MuJoCo reads it,
+as is one that names files of somebody else: only what lies with the model belongs to it.
 """
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator
 from math import prod
 from pathlib import Path
 from typing import Final
@@ -73,7 +75,7 @@ def _begin(element: ET.Element) -> str:
     return f"<{element.tag}{attributes:.80}>"
 
 
-LARGEST_XML: Final = 2**24  # Largest XML file that is read [bytes]
+LARGEST_XML: Final = 2**24  # Largest total size of the XML files that are read [bytes]
 LARGEST_ASSETS: Final = 2**30  # Largest total size of the assets that are copied [bytes]
 MOST_FILES: Final = 10_000  # Largest number of included files and assets
 MODEL_FILE, ASSETS = "model.xml", "assets"  # Name of the copied model, and of the folder of its assets
@@ -83,6 +85,11 @@ NAMED_BY_FILE: Final = ("mesh", "hfield", "texture")
 """Assets that have the name of their file, where they are given no other one."""
 
 _PACKAGE: Final = "package://"  # Begins the path of a file in a URDF that is given by the package which has it
+
+_MANIFEST: Final = "package.xml"  # File of a ROS package, all of which belongs to the models in it
+
+_BESIDE: Final = ("assets", "materials", "mesh", "meshes", "textures")
+"""Folders beside that of a model, such as `urdf`, which belong to the model, too."""
 
 _HINT: Final = "give a MuJoCo model (MJCF) or a URDF"
 
@@ -94,7 +101,7 @@ def model_files(path: Path) -> dict[str, str | Path]:
         path: MJCF, or URDF without macros.
 
     Raises:
-        InputError: A file is missing or is no XML, or the model is too large.
+        InputError: A file is missing or is no XML, it does not lie with the model, or the model is too large.
     """
     found = _Found(path)
     found.files[MODEL_FILE] = found.text_of(path, f"{ASSETS}/")
@@ -111,8 +118,10 @@ class _Found:
     def __init__(self, main: Path):
         self.main = main
         self.files = dict[str, str | Path]()
+        self._own = _own_folders(main)
         self._read = 0
         self._bytes = 0
+        self._letters = 0
         self._names: dict[Path, str] = {}
 
     def text_of(self, path: Path, before: str) -> str:
@@ -130,11 +139,11 @@ class _Found:
             each.attrib.pop("strippath", "")
         urdf = root.tag == "robot"
         if urdf:
-            _discard_visuals(root, path.parent, folders)
+            _discard_visuals(root, lambda value: self._own_file(value, [path.parent], folders))
         for element in root.iter():
             for key in [key for key in element.attrib if key.startswith("file")]:
                 if value := element.attrib[key].strip():
-                    source = self._source(value, [path.parent, places[element]], folders, element)
+                    source = self._source(value, [path.parent, places[element]], folders, element, key)
                     if element.tag in NAMED_BY_FILE and not urdf:
                         element.attrib.setdefault("name", source.stem)
                     element.set(key, self._copied(source, element, "" if urdf else before))
@@ -157,7 +166,7 @@ class _Found:
             children: list[ET.Element] = []
             for child in parent:
                 if child.tag == "include":
-                    included = self._source(child.get("file", ""), [path.parent, home], [], child)
+                    included = self._source(child.get("file", ""), [path.parent, home], [], child, "file")
                     children += self._expanded(included, home, inside, places)
                 else:
                     waiting.append((child, depth + 1))
@@ -170,6 +179,9 @@ class _Found:
         self._count()
         try:
             text = read_bounded_text(path, LARGEST_XML)
+            self._letters += len(text)
+            if self._letters > LARGEST_XML:
+                raise ValueError(f"with it the XML files are larger than {LARGEST_XML} bytes together")
             if "<!ENTITY" in text:
                 raise ValueError("has entities, which MuJoCo does not read")
             return ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
@@ -177,14 +189,28 @@ class _Found:
             reason = message_of(error)
             raise InputError(f"{reason if str(path) in reason else f'{path}: {reason}'}; {_HINT}") from None
 
-    def _source(self, value: str, homes: list[Path], folders: list[str], element: ET.Element) -> Path:
+    def _source(self, value: str, homes: list[Path], folders: list[str], element: ET.Element, key: str) -> Path:
         """The file that an attribute names, in one of the folders in which MuJoCo looks."""
+        if source := self._own_file(value, homes, folders):
+            return source
+        where = f"{self.main}: " + f"<{element.tag} {element.get('name', ''):.80}".rstrip()
         paths = list(_candidates(value, homes, folders))
-        found = next((path for path in paths if path.is_file()), None)
-        if found is None:
-            where = f"{self.main}: <{element.tag} {element.get('name', '')}".rstrip()
-            raise InputError(f"{where}>: there is no file {value!r:.200}; MuJoCo would look for {paths[0]!s:.200}")
-        return found
+        if outside := next(filter(os.path.isfile, paths), None):
+            where = f"{where} {key}={value!r:.100}>: this is {outside.resolve()!s:.200}"
+            raise InputError(
+                f"{where}, which does not lie with the model, so it is not read; copy the file into {self._own[0]}"
+            )
+        raise InputError(f"{where}>: there is no file {value!r:.100}; MuJoCo would look for {paths[0]!s:.200}")
+
+    def _own_file(self, value: str, homes: list[Path], folders: list[str]) -> Path | None:
+        """The first file with this path or name that lies with the model, or in the ROS package that it names."""
+        package = value.removeprefix(_PACKAGE).partition("/")[0] if value.startswith(_PACKAGE) else ""
+        for path in filter(os.path.isfile, _candidates(value, homes, folders)):
+            real = path.resolve()  # a link is where it leads to
+            named = [folder for folder in real.parents if folder.name == package and (folder / _MANIFEST).is_file()]
+            if any(map(real.is_relative_to, (*self._own, *named))):
+                return path
+        return None
 
     def _copied(self, source: Path, element: ET.Element, before: str) -> str:
         """The name of a file in the new folder, where it will be copied once."""
@@ -211,6 +237,13 @@ class _Found:
             raise InputError(f"{self.main}: it has more than {MOST_FILES} files")
 
 
+def _own_folders(main: Path) -> list[Path]:
+    """Folders whose files belong to a model: its own, the ROS package in which it is, and those beside it."""
+    home = main.parent.resolve()
+    package = next((folder for folder in home.parents if (folder / _MANIFEST).is_file()), home)
+    return [home, package, *(home.parent / name for name in _BESIDE)]
+
+
 def _candidates(value: str, homes: list[Path], folders: list[str]) -> Iterator[Path]:
     """Where a file may be: by its path, or by its name alone as with `strippath`; for `package://`, also further up."""
     if value.startswith(_PACKAGE):
@@ -225,12 +258,12 @@ def _candidates(value: str, homes: list[Path], folders: list[str]) -> Iterator[P
             yield from (home / folder / text for folder in dict.fromkeys((*folders, "")))
 
 
-def _discard_visuals(root: ET.Element, home: Path, folders: list[str]) -> None:
-    """Removes from a URDF what is only seen and has no file here; MuJoCo does without it, too."""
+def _discard_visuals(root: ET.Element, own_file: Callable[[str], Path | None]) -> None:
+    """Removes from a URDF what is only seen and has no file with the model; MuJoCo does without it, too."""
     for link in root.iter("link"):
         for visual in link.findall("visual"):
             named = [text for each in visual.iter() if (text := each.get("filename", "").strip())]
-            if not all(any(map(Path.is_file, _candidates(text, [home], folders))) for text in named):
+            if not all(map(own_file, named)):
                 link.remove(visual)
 
 

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from stepgap.base.errors import InputError
+from stepgap.mujoco_robots.mjcf.model_files import model_files
 from stepgap.mujoco_robots.velocity.policy.policy_settings import PolicySettings
 
 _TURNING = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
@@ -50,6 +51,7 @@ def policy_spec(settings: PolicySettings, file: Path) -> Any:
 def _walking_spec(path: Path) -> Any:
     """The model in a file; raises ValueError if it cannot be loaded, or cannot walk."""
     try:
+        model_files(path)  # raises if it would read the files of somebody else, such as a device that never ends
         spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
         raise ValueError(f"{' '.join(str(error).split()):.300}") from None
