@@ -8,8 +8,9 @@ from typing import Final, final
 
 import numpy as np
 
+from stepgap.logs.sections.clocks import TIMES
 from stepgap.logs.sections.section_settings import SectionSettings
-from stepgap.logs.sections.signals import TIMES, Signal, SignalLog, divided
+from stepgap.logs.sections.signals import Signal, SignalLog, divided
 from stepgap.logs.tables.log_table import LogTable, number_in, unknown_column
 from stepgap.logs.tables.reading import read_log_tables, with_topic
 from stepgap.records.steps_csv import RecordError

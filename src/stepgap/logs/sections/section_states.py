@@ -263,7 +263,8 @@ def _agree(longer: SectionStates, shorter: SectionStates) -> bool:
         return False
     sure = np.array([not (a or b) for a, b in zip(longer.doubts, shorter.doubts, strict=True)])
     for i in range(longer.state.shape[1]):
-        differences = (longer.state - shorter.state)[sure, i] / shorter.std[sure, i]
+        with np.errstate(divide="ignore", invalid="ignore"):  # of a signal that is constant
+            differences = (longer.state - shorter.state)[sure, i] / shorter.std[sure, i]
         known = differences[np.isfinite(differences)]
         if len(known) and np.sqrt(np.mean(known**2)) > BIAS:
             return False

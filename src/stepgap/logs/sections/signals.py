@@ -9,14 +9,12 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from stepgap.logs.sections.clocks import LOGGED, TIMES, Clock, clock_of, rows_of
 from stepgap.logs.tables.log_table import LogColumn, LogTable, unknown_column
 from stepgap.logs.tables.reading import read_log_tables, with_topic
 from stepgap.logs.tables.text import AS_FOUND, TextFormat
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
-
-TIMES = ("time", "log_time", "t", "timestamp")
-"""Names of the column of the time, where none is given; the first one that a table has is used."""
 
 
 @final
@@ -70,12 +68,16 @@ class SignalLog:
         files: The tables of each file.
         factors: Factors by which columns are multiplied.
         deployment: The deployment whose rows these are; empty if the log is not divided.
+        clock: The column of the time, where messages have several clocks; otherwise empty.
+        untimed: Tables without a time.
     """
 
     source: str
     files: Sequence[Sequence[TimedTable]]
     factors: Mapping[str, float]
     deployment: str = ""
+    clock: str = ""
+    untimed: Sequence[LogTable] = ()
 
     @property
     def columns(self) -> list[str]:
@@ -110,6 +112,12 @@ class SignalLog:
                 raise RecordError(f"{sources:.300}: all have a column {column!r}; give it as TABLE:COLUMN")
             if having:
                 return having[0]
+        for table in self.untimed:
+            if not table.fault_of(column):
+                names = ", ".join(table.columns)
+                raise RecordError(
+                    f"{table.source}: its {column!r} has no time; name it by --time; there is {names:.300}"
+                )
         faults = (one.table.known_fault_of(column) for file in self.files for one in file)
         raise RecordError(f"{self.source}: {next(filter(None, faults), unknown_column(column, self.columns))}")
 
@@ -174,12 +182,7 @@ def divided(table: LogTable, column: str) -> dict[str, LogTable]:
     names, number = np.unique(_labels(table, column), return_inverse=True)
     rows = np.split(np.argsort(number, kind="stable"), np.cumsum(np.bincount(number))[:-1])
     parts = sorted(zip(names.tolist(), rows, strict=True), key=lambda part: int(part[1][0])) if len(number) else []
-    return {name: _rows_of(table, part) for name, part in parts if name}
-
-
-def _rows_of(table: LogTable, rows: NDArray[np.intp]) -> LogTable:
-    columns = {name: values[rows] for name, values in table.columns.items()}
-    return replace(table, columns=columns, lines=None if table.lines is None else table.lines[rows])
+    return {name: rows_of(table, part) for name, part in parts if name}
 
 
 def _labels(table: LogTable, column: str) -> NDArray[np.str_]:
@@ -208,44 +211,35 @@ def _signal_log(
     factors: Mapping[str, float],
     deployment: str = "",
 ) -> SignalLog:
+    clock = clock_of(text, [tables for _, tables in files], time, factors)
     timed: list[list[TimedTable]] = []
+    untimed: list[LogTable] = []
     for path, tables in files:
-        timed.append(_with_times(path, tables, time, factors, timed[0][0] if timed else None))
-    return SignalLog(f"{text}, {deployment}" if deployment else text, timed, factors, deployment)
+        timed.append(_with_times(path, tables, clock, timed[0][0] if timed else None, untimed))
+    source = f"{text}, {deployment}" if deployment else text
+    is_messages = any(LOGGED in one.table.columns for file in timed for one in file)
+    return SignalLog(source, timed, factors, deployment, clock.described if is_messages else "", untimed)
 
 
 def _with_times(
-    path: Path, tables: Mapping[str, LogTable], name: str, factors: Mapping[str, float], first: TimedTable | None
+    path: Path, tables: Mapping[str, LogTable], clock: Clock, first: TimedTable | None, untimed: list[LogTable]
 ) -> list[TimedTable]:
-    """The tables that have a time, or as many rows as the first one, whose time then counts."""
-    found: list[TimedTable] = []
+    """The tables that have a time, or as many rows as the first one, whose time then counts; others are `untimed`."""
+    having: list[TimedTable] = []
     for topic, table in tables.items():
-        column = next((one for one in ([name] if name else TIMES) if not table.fault_of(one)), None)
-        if column is not None:
-            time = _checked_times(table, column, factors.get(column, 1.0))
-        elif first is not None and len(first.time) == len(table):
-            time = first.time
+        timed = clock.timed(table)
+        if timed is None and first is not None and len(first.time) == len(table):
+            timed = table, first.time
+        if timed is None:
+            untimed.append(with_topic(topic, table))
         else:
-            continue
-        found.append(TimedTable(with_topic(topic, table), time))
-    if found:
-        return found
-    wanted = repr(name) if name else f"named {', '.join(TIMES)}"
+            having.append(TimedTable(with_topic(topic, timed[0]), timed[1]))
+    if having:
+        return having
+    wanted = repr(clock.name) if clock.name else f"named {', '.join(TIMES)}"
     rows = f", and not the {len(first.time)} rows of the first file" if first else ""
     columns = ", ".join(dict.fromkeys(column for table in tables.values() for column in table.columns))
     raise RecordError(f"{path}: no column of the time, {wanted}{rows}; name it by --time; there is {columns:.300}")
-
-
-def _checked_times(table: LogTable, column: str, factor: float) -> Array:
-    time = table.times(column, factor)
-    known = np.flatnonzero(np.isfinite(time))
-    back = np.flatnonzero(np.diff(time[known]) < 0)
-    if len(back):
-        before = known[back[0]]
-        after = known[back[0] + 1]
-        change = f"goes back from {time[before]:.6f} to {time[after]:.6f} s"
-        raise RecordError(f"{table.row(int(after))}, column {column!r}: the time {change}; split the log there")
-    return time
 
 
 def rounding_of(values: Array) -> float:

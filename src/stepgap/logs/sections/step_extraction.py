@@ -70,6 +70,7 @@ class ExtractedSteps:
         signals: The signals by column, first the one in which the sections are seen, such as the height.
         lag: Time by which the motion follows its commands [s], for steps of equal length; NaN if it is not known.
         deployment: The deployment in the log; empty if it is not divided.
+        clock: The column of the time, where the log has several clocks; otherwise empty.
     """
 
     source: str
@@ -81,6 +82,7 @@ class ExtractedSteps:
     signals: Mapping[str, Signal]
     lag: float = np.nan
     deployment: str = ""
+    clock: str = ""
 
     @property
     def kept(self) -> list[int]:
@@ -190,6 +192,7 @@ def _extract(
     return ExtractedSteps(
         source=log.source,
         deployment=log.deployment,
+        clock=log.clock,
         names={role: tuple(each.name for each in settings.coordinates(role)) for role in COORDINATES},
         sections=sections,
         values=values,

@@ -132,6 +132,8 @@ def describe_steps(log: ExtractedSteps) -> str:
         f"{log.source}: {len(sections.time)} sections, {len(kept)} of {len(log.faults)} steps; state {how}, "
         f"median standard errors: {errors}"
     ]
+    if log.clock:
+        lines.append(f"  all times are {log.clock}")
     if np.isfinite(log.lag):
         lines.append(f"  the motion follows its commands by about {log.lag:.2g} s")
     for fault, count in Counter(fault for fault in log.faults if fault).most_common():
