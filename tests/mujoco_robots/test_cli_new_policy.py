@@ -4,7 +4,9 @@ import json
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
+from onnx import numpy_helper
 
 from stepgap.mujoco_robots.velocity.policy.policy_settings import read_policy_settings
 from tests.cli.command_line import Command, refused
@@ -113,3 +115,30 @@ def test_wrong_files_leave_no_folder(stepgap: Command, options: list[str], words
     Path("space.xml").write_text(cart_xml().replace("<option", '<option gravity="0 0 0"'))
     refused(stepgap("new", "cart", *options), *words)
     assert not Path("cart").exists()
+
+
+def test_a_network_whose_numbers_are_beside_it_becomes_one_file(stepgap: Command) -> None:
+    Path("two").mkdir()
+    whole = onnx.load(write_network(Path("two/walk.onnx"), driving(), mjlab_metadata()))
+    onnx.save(whole, "two/walk.onnx", save_as_external_data=True, location="walk.onnx.data", size_threshold=0)
+    Path("cart.xml").write_text(cart_xml())
+    made = stepgap("new", "cart", "--policy", "two/walk.onnx", "--mjcf", "cart.xml")
+    assert made.code == 0, made.err
+    Path("two/walk.onnx.data").rename("gone")
+    copy = onnx.load("cart/policy.onnx")
+    assert numpy_helper.to_array(copy.graph.initializer[0]).tolist() == driving().T.astype(np.float32).tolist()
+    words = "--policy two/walk.onnx: some of its numbers are in another file, 'walk.onnx.data', which is not beside it"
+    remedy = "onnx.save(onnx.load('walk.onnx'), 'one_file.onnx')"
+    refused(stepgap("new", "other", "--policy", "two/walk.onnx", "--mjcf", "cart.xml"), words, remedy)
+
+
+def test_a_model_that_names_files_of_the_user_leaves_no_folder(stepgap: Command) -> None:
+    write_network(Path("walk.onnx"), driving(), mjlab_metadata())
+    Path("home").mkdir()
+    Path("home/id_rsa").write_text("secret")
+    Path("model").mkdir()
+    texture = "<asset><texture name='t' type='2d' file='../home/id_rsa'/></asset><worldbody>"
+    Path("model/cart.xml").write_text(cart_xml().replace("<worldbody>", texture))
+    for options in (["--policy", "walk.onnx", "--mjcf", "model/cart.xml"], ["--mjcf", "model/cart.xml"]):
+        refused(stepgap("new", "cart", *options), "--mjcf model/cart.xml: <texture t file='../home/id_rsa'>: this is ")
+        assert not Path("cart").exists()

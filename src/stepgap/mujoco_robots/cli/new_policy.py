@@ -34,16 +34,17 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> list[str]
     """
     from stepgap.mujoco_robots.mjcf.model_files import MODEL_FILE
     from stepgap.mujoco_robots.trial import parts_of_network
-    from stepgap.mujoco_robots.velocity.policy.onnx_network import read_network
+    from stepgap.mujoco_robots.velocity.policy.onnx_file import read_network
     from stepgap.mujoco_robots.velocity.policy.policy_model import standing_height
     from stepgap.mujoco_robots.velocity.policy.policy_robot import PolicyFile, PolicyRobot
     from stepgap.mujoco_robots.velocity.policy.proposal import completed_model, propose_policy
 
     try:
+        content = read_network(policy)
         network = parts_of_network(policy)
-        create(folder / NETWORK_FILE, read_network(policy))
     except ValueError as error:
         raise InputError(f"--policy {error}") from None
+    create(folder / NETWORK_FILE, content)
     parts = copied_model(mjcf, folder)
     model = folder / MODEL_FILE
     found = propose_policy(network, parts)

@@ -1,5 +1,6 @@
 """A network is computed as NumPy does, and a file that is no such network is refused, also in another process."""
 
+import os
 from copy import deepcopy
 from pathlib import Path
 
@@ -10,7 +11,8 @@ from onnx import TensorProto, helper
 
 from stepgap.base.errors import InputError, StepGapError
 from stepgap.mujoco_robots.trial import parts_of_network
-from stepgap.mujoco_robots.velocity.policy import onnx_network
+from stepgap.mujoco_robots.velocity.policy import onnx_file
+from stepgap.mujoco_robots.velocity.policy.onnx_file import read_network
 from stepgap.mujoco_robots.velocity.policy.onnx_network import OnnxNetwork
 from tests.mujoco_robots.velocity.policy.networks import write_network
 
@@ -55,11 +57,116 @@ def test_the_trial_in_another_process_says_the_same(tmp_path: Path) -> None:
     assert str(found.value).count("bad.onnx") == 1
 
 
-def external(path: Path) -> Path:
-    write_network(path, WEIGHTS)
-    model = onnx.load(path)
+def external(path: Path, location: str = "data") -> Path:
+    """A network whose numbers are in a file beside it, which gets another location afterwards."""
+    model = onnx.load(write_network(path, WEIGHTS))
     onnx.save(model, path, save_as_external_data=True, location="data", size_threshold=0)
+    model = onnx.load(path, load_external_data=False)
+    for entry in model.graph.initializer[0].external_data:
+        if entry.key == "location":
+            entry.value = location
+    path.write_bytes(model.SerializeToString())
     return path
+
+
+def in_a_subgraph(path: Path) -> Path:
+    """A network with the same numbers in a constant within a branch, in a file in a folder beside it."""
+    onnx.save(onnx.load(external(path)), path)
+    network = onnx.load(path)
+    weights = network.graph.initializer.pop()
+    weights.name = "w"
+    branch = helper.make_graph(
+        [helper.make_node("Constant", [], ["w"], value=weights)],
+        "branch",
+        [],
+        [helper.make_tensor_value_info("w", TensorProto.FLOAT, [3, 2])],
+    )
+    yes = helper.make_node("Constant", [], ["yes"], value=helper.make_tensor("yes", TensorProto.BOOL, [], [True]))
+    choose = helper.make_node("If", ["yes"], ["weights"], then_branch=branch, else_branch=branch)
+    product = network.graph.node.pop()
+    network.graph.node.extend([yes, choose, product])
+    numbers = weights.raw_data
+    for entry in network.graph.node[1].attribute:
+        tensor = entry.g.node[0].attribute[0].t
+        tensor.ClearField("raw_data")
+        tensor.data_location = TensorProto.EXTERNAL
+        for key, value in {"location": "numbers/w", "offset": "8", "length": str(len(numbers))}.items():
+            tensor.external_data.add(key=key, value=value)
+    (path.parent / "numbers").mkdir()
+    (path.parent / "numbers/w").write_bytes(b"padding." + numbers)
+    path.write_bytes(network.SerializeToString())
+    return path
+
+
+@pytest.mark.parametrize("make", [external, in_a_subgraph])
+def test_numbers_beside_a_network_belong_to_it(tmp_path: Path, make, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = make(tmp_path / "p.onnx")
+    monkeypatch.chdir(tmp_path.parent)
+    values = np.array([0.1, -2.0, 3.0])
+    np.testing.assert_allclose(OnnxNetwork(path)(values), WEIGHTS @ values, atol=1e-6)
+    assert parts_of_network(path).inputs == 3
+    whole = tmp_path / "elsewhere/one_file.onnx"
+    whole.parent.mkdir()
+    whole.write_bytes(read_network(path))
+    onnx.checker.check_model(onnx.load(whole))
+    np.testing.assert_allclose(OnnxNetwork(whole)(values), WEIGHTS @ values, atol=1e-6)
+
+
+@pytest.mark.parametrize("location", ["../home/id", "HOME/id", "link", "links/id", "/proc/self/environ"])
+def test_numbers_elsewhere_are_never_read(tmp_path: Path, location: str) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    (home / "id").write_bytes(b"secret..." * 100)
+    folder = tmp_path / "policy"
+    folder.mkdir()
+    path = external(folder / "p.onnx", location.replace("HOME", str(home)))
+    (folder / "link").symlink_to(home / "id")
+    (folder / "links").symlink_to(home)
+    with pytest.raises(
+        InputError, match=r"p\.onnx: some of its numbers are in another file, '.*', which does not lie"
+    ) as found:
+        OnnxNetwork(path)
+    assert str(found.value).endswith("onnx.save(onnx.load('p.onnx'), 'one_file.onnx')")
+
+
+@pytest.mark.parametrize("location", ["gone.data", "", "a" * 5000, "nul\0", "pipe"])
+def test_numbers_that_are_missing_are_named(tmp_path: Path, location: str) -> None:
+    path = external(tmp_path / "p.onnx", location)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match=r"which is not beside it; copy it there, too, or where both are, save them"):
+        OnnxNetwork(path)
+
+
+def test_numbers_that_are_cut_off_or_too_many_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = external(tmp_path / "p.onnx")
+    (tmp_path / "data").write_bytes(b"1234")
+    with pytest.raises(InputError, match=r"its numbers are in 'data', which is shorter than they are; copy"):
+        OnnxNetwork(path)
+    path = external(path)
+    monkeypatch.setattr(onnx_file, "LARGEST_NETWORK", path.stat().st_size)
+    (tmp_path / "data").write_bytes(bytes(path.stat().st_size + 1))
+    with pytest.raises(InputError, match="data: larger than"):
+        OnnxNetwork(path)
+
+
+@pytest.mark.parametrize(
+    "content", [b"location\xff", b"\x3a\x7flocation", b"\x8a\x80\x80\x80\x10\x08location", b"\x3blocation"]
+)
+def test_what_is_no_onnx_file_is_named(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "p.onnx").write_bytes(content)
+    with pytest.raises(InputError, match=r"p\.onnx: it is no ONNX file, or damaged; export the policy"):
+        OnnxNetwork(tmp_path / "p.onnx")
+
+
+@pytest.mark.parametrize("name", [b"obs", b"actions", b"the_key", b"the_text", b"MatMul"])
+def test_a_name_that_is_not_utf_8_is_named(tmp_path: Path, name: bytes, capfd: pytest.CaptureFixture[str]) -> None:
+    path = write_network(tmp_path / "p.onnx", WEIGHTS, {"the_key": "the_text"})
+    path.write_bytes(path.read_bytes().replace(name, b"\xff" + name[1:]))
+    for read in (OnnxNetwork, parts_of_network):
+        with pytest.raises(ValueError, match=r"p\.onnx: .*\\xff") as found:
+            read(path)
+        assert "codec" not in str(found.value)
+    assert capfd.readouterr().out == ""
 
 
 def external_in_long_form(path: Path) -> Path:
@@ -83,7 +190,6 @@ def external_in_long_form(path: Path) -> Path:
     ("make", "words"),
     [
         (external_in_long_form, "some of its numbers are in another file"),
-        (external, "some of its numbers are in another file"),
         (lambda path: graph(path, "Add", ((1, 3), (1, 3))), "it has 2 inputs (x0, x1), but only one can be given"),
         (
             lambda path: graph(path, shapes=((4, 3),)),
@@ -106,7 +212,7 @@ def test_what_is_no_such_network_is_refused(tmp_path: Path, make, words: str) ->
 
 def test_a_large_file_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_network(tmp_path / "p.onnx", WEIGHTS)
-    monkeypatch.setattr(onnx_network, "LARGEST_NETWORK", path.stat().st_size - 1)
+    monkeypatch.setattr(onnx_file, "LARGEST_NETWORK", path.stat().st_size - 1)
     with pytest.raises(InputError, match="larger than"):
         OnnxNetwork(path)
 

@@ -1,35 +1,31 @@
 """A network in an ONNX file: a vector in, a vector out."""
 
-import re
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import numpy as np
 
-from stepgap.base.errors import InputError, StepGapError, message_of
-from stepgap.base.files import read_bounded
+from stepgap.base.errors import InputError, StepGapError
 from stepgap.base.versions import optional_package
+from stepgap.mujoco_robots.velocity.policy.onnx_file import REMEDY, read_network
 from stepgap.step import Array
-
-LARGEST_NETWORK: Final = 2**28  # Largest file of a network that is read [bytes]
-
-_EXTERNAL: Final = re.compile(rb"(?:\x0a|\x8a\x80{0,8}\x00)(?:\x08|\x88\x80{0,8}\x00)location")
-"""Begins, in the encoding of ONNX, the entry of a tensor that says in which other file its numbers are; the two numbers
-of field and length may have more bytes than they need."""
-
-_REMEDY: Final = "export the policy by torch.onnx.export or your training program as one ONNX file"
 
 
 class OnnxNetwork:
     """A network without memory, which runs in one thread, so that the same input gives the same output.
 
-    The operators are those of onnxruntime alone, and all numbers are in the file itself.
+    The operators are those of onnxruntime alone. Its numbers may be in files beside it (`onnx_file`).
 
     Args:
         path: The file.
 
+    Attributes:
+        input_size: Size of its input.
+        output_size: Size of its output.
+        metadata: What the file says of it, by names.
+
     Raises:
-        InputError: It cannot be read, is larger than `LARGEST_NETWORK`, or has other inputs or outputs.
+        InputError: It cannot be read, is too large, has other inputs or outputs, or a name that is not UTF-8.
     """
 
     def __init__(self, path: Path):
@@ -39,17 +35,19 @@ class OnnxNetwork:
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 4
         try:
-            self._session = runtime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+            processor = ["CPUExecutionProvider"]  # with a fallback, a failure is printed and tried once more
+            self._session = runtime.InferenceSession(content, options, providers=processor, enable_fallback=0)
         except Exception as error:  # of any kind, from onnxruntime
-            raise InputError(f"{path}: onnxruntime cannot load it: {_in_short(error)}; {_REMEDY}") from None
+            raise InputError(f"{path}: onnxruntime cannot load it: {_in_short(error)}; {REMEDY}") from None
         self._path = path
-        self._input, self._rank, self.input_size = _vector(self._session.get_inputs(), "input", path)
-        self._output, _, self.output_size = _vector(self._session.get_outputs(), "output", path)
-
-    @property
-    def metadata(self) -> dict[str, str]:
-        """What the file says of the network, by names."""
-        return dict(self._session.get_modelmeta().custom_metadata_map)
+        try:
+            self._input, self._rank, self.input_size = _vector(self._session.get_inputs(), "input", path)
+            self._output, _, self.output_size = _vector(self._session.get_outputs(), "output", path)
+            self.metadata = dict(self._session.get_modelmeta().custom_metadata_map)
+        except UnicodeDecodeError as error:
+            raise InputError(
+                f"{path}: a name or text in it, '{_in_short(error)}', is not UTF-8; {REMEDY}, with another one"
+            ) from None
 
     def __call__(self, values: Array) -> Array:
         """Output of the network; shape (`output_size`,).
@@ -74,34 +72,21 @@ class OnnxNetwork:
         return self  # it has no memory
 
 
-def read_network(path: Path) -> bytes:
-    """Content of the file of a network.
-
-    Raises:
-        InputError: It cannot be read, is larger than `LARGEST_NETWORK`, or needs another file.
-    """
-    try:
-        content = read_bounded(path, LARGEST_NETWORK)
-    except OSError as error:
-        raise InputError(f"{message_of(error)}; {_REMEDY}") from None
-    if _EXTERNAL.search(content):
-        raise InputError(f"{path}: some of its numbers are in another file; {_REMEDY} (external_data=False)")
-    return content
-
-
 def _vector(ends: list[Any], what: str, path: Path) -> tuple[str, int, int]:
     """Name, rank and size of the only input or output of a network."""
     if len(ends) != 1:
         names = ", ".join(each.name for each in ends)
-        raise InputError(f"{path}: it has {len(ends)} {what}s ({names:.200}), but only one can be given; {_REMEDY}")
+        raise InputError(f"{path}: it has {len(ends)} {what}s ({names:.200}), but only one can be given; {REMEDY}")
     (end,) = ends
     *batch, size = end.shape or [None]
     fixed = any(type(each) is int and each != 1 for each in batch)
     if end.type != "tensor(float)" or type(size) is not int or len(batch) > 1 or fixed:
         wanted = "it must be tensor(float) [1, N]"
-        raise InputError(f"{path}: its {what} {end.name:.80} is {end.type} {end.shape}, but {wanted}; {_REMEDY}")
+        raise InputError(f"{path}: its {what} {end.name:.80} is {end.type} {end.shape}, but {wanted}; {REMEDY}")
     return end.name, len(batch) + 1, size
 
 
 def _in_short(error: Exception) -> str:
-    return f"{' '.join(str(error).split()):.200}" or type(error).__name__
+    """The message of an error; where it cannot be decoded, with numbers of the bytes that are not UTF-8."""
+    text = bytes(error.object).decode("utf-8", "backslashreplace") if isinstance(error, UnicodeDecodeError) else error
+    return f"{' '.join(str(text).split()):.200}" or type(error).__name__
