@@ -72,15 +72,31 @@ def test_the_example_in_c_learns(run) -> None:
         ("nan", "NaN is not a JSON number"),
     ],
 )
-def test_a_failing_program_leaves_its_steps_and_learning_goes_on(run, kind: str, message: str) -> None:
+def test_a_failing_program_ends_the_run_which_keeps_its_steps(run, stepgap: Command, kind: str, message: str) -> None:
+    """It says nothing of the robot, so it is no fall; the run is resumed with a program that is right."""
     Path("robot.py").write_text(FAILING.format(at=12, kind=kind, example=str(EXAMPLES / "robot.py")))
     result = run(sys.executable, "robot.py")
-    assert result.code == 0, result.err
+    assert result.code == 1, result.err
+    assert "stepgap: step 12: " in result.err
     assert message in result.err
-    assert "deployment 1 of 2 (posterior): 12 steps, then it was stopped, RMSE speed" in result.err
+    end = f"no fall of the robot; resume with: stepgap run --out out --resume -- {sys.executable} robot.py"
+    assert result.err.splitlines()[-1].endswith(end)
     log = read_step_log(Path("out/steps.csv"), SPACE)
-    assert [len(log.of_iteration(number)) for number in log.iterations] == [12, 12, 12]
-    assert [logged.record.status for logged in log.of_iteration(1)][-2:] == [StepStatus.OK, StepStatus.STOPPED]
+    assert (len(log), {*log.status}) == (11, {StepStatus.OK})
+    assert not Path("out/summary.json").exists()
+    if kind == "exit":
+        arguments = ["--out", "out", "--resume", "--quiet", "--", sys.executable, EXAMPLES / "robot.py"]
+        assert stepgap("run", *arguments).code == 0
+        deployments = json.loads(Path("out/summary.json").read_text())["iterations"]
+        assert [(each["steps"], each["falls"]) for each in deployments] == [(11, 0), (30, 0), (30, 0)]
+
+
+def test_a_program_that_never_starts_leaves_no_run(run) -> None:
+    for _ in range(2):
+        result = run("/bin/true")
+        assert (result.code, result.out) == (1, ""), result.err
+        assert result.err.splitlines()[-1] == "stepgap: the program ended with code 0"
+        assert not list(Path("out").iterdir())
 
 
 @pytest.mark.usefixtures("no_report")

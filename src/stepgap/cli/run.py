@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from cyclopts import Parameter
 
-from stepgap.base.errors import InputError
+from stepgap.base.errors import InputError, StepGapError
 from stepgap.cli.options import Address, FileName, Flag, FolderName, Integer, Name, Overrides, Port, Program
 from stepgap.cli.terminal import announces_compilation, check_consent, is_output_error, warn
 
@@ -120,7 +120,14 @@ def run(
     from stepgap.experiment.inputs import load_reference, write_experiment
     from stepgap.experiment.nominal import check_surrogate
     from stepgap.experiment.plants import PlantRequest, plant_compiled_beside
-    from stepgap.experiment.run_start import folder_to_continue, load_setup, run_folder, start_folder
+    from stepgap.experiment.run_start import (
+        discard_unrecorded,
+        folder_to_continue,
+        load_setup,
+        run_folder,
+        start_folder,
+    )
+    from stepgap.plants.process import ProcessFault
 
     if arm:
         check_consent("--arm")
@@ -156,6 +163,12 @@ def run(
             with terminated_as_interrupted(), live or nullcontext():
                 _execute(setup, folder, recorder, live, display, on_execution)
                 _finish(_report(folder, recorder, display), live, display)
+        except StepGapError as error:
+            if not continued:
+                discard_unrecorded(folder)
+            if isinstance(error, ProcessFault) and (folder / "experiment.toml").exists():
+                raise ProcessFault(f"{error}; {_how_to_resume(folder, arm, program)}") from None
+            raise
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"; {_how_to_resume(folder, arm, program)}") from None
         except OSError as error:

@@ -14,12 +14,14 @@ from stepgap.base.errors import InputError
 from stepgap.base.output_files import free_name
 from stepgap.base.ranges import format_value
 from stepgap.control.reference import Reference
-from stepgap.experiment.inputs import check_prior_is_used, load_known, load_priors
+from stepgap.experiment.inputs import PRIOR_FOLDER, check_prior_is_used, load_known, load_priors
 from stepgap.experiment.loop import Setup, is_finished
 from stepgap.experiment.outcome import unheld_steps
 from stepgap.experiment.plants import PlantRequest, choose_plants
 from stepgap.experiment.run import Run
 from stepgap.experiment.settings import Experiment
+from stepgap.records.recovery import INPUT_FILES
+from stepgap.records.times_file import TIMES_FILE
 from stepgap.robots.gap import Gap
 from stepgap.robots.robot import Robot
 from stepgap.step import StepMap
@@ -110,6 +112,19 @@ def start_folder(folder: Path, write: Callable[[], None]) -> None:
         with suppress(OSError):  # the link is only a convenience
             latest.unlink(missing_ok=True)
             latest.symlink_to(folder.name)
+
+
+def discard_unrecorded(folder: Path) -> None:
+    """Removes what a run wrote that failed before its first step, so that the next try may use its folder."""
+    recorded = (folder / name for name in ("steps.csv", "summary.json", "ticks"))
+    if any(path.is_dir() or (path.exists() and path.stat().st_size) for path in recorded):
+        return
+    written = ("experiment.toml", "steps.csv", TIMES_FILE, "models/*.json", *INPUT_FILES)
+    for path in (path for name in written for path in folder.glob(name)):
+        path.unlink()
+    for name in ("models", PRIOR_FOLDER):
+        with suppress(OSError):  # there is none, or it has other files
+            (folder / name).rmdir()
 
 
 @contextmanager

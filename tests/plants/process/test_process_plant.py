@@ -1,6 +1,7 @@
 """A plant behind lines of JSON: every way in which its program can fail is a recorded step or a clear error."""
 
 import json
+import re
 import socket
 import sys
 import time
@@ -81,34 +82,44 @@ def test_a_fall_is_recorded_without_a_fault() -> None:
         ("{'step': 2, 'status': 'ok', 'next': {'height': NaN}}", "NaN is not a JSON number"),
         ("{'step': 2, 'status': 'ok', 'next': {'height': 1e999}}", "next.height must be a number within ±1e+09"),
         ("{'step': 2, 'status': 'ok', 'next': {'height': true}}", "next.height must be a number"),
-        ("{'error': 'motor 2 is hot'}", "the program reports: 'motor 2 is hot'"),
     ],
 )
-def test_what_a_program_does_wrong_ends_the_deployment_with_the_reason(fault: str, message: str) -> None:
+def test_what_a_program_does_wrong_is_no_step_and_no_fall(fault: str, message: str) -> None:
     with plant_of(fault, 2, timeouts=Timeouts(60, 60, 60, stop=0.2)) as plant:
         plant.start()
         assert plant.take_step(REQUESTED).status == StepStatus.OK
+        with pytest.raises(ProcessFault) as failed:
+            plant.take_step(REQUESTED)
+        assert message in str(failed.value)
+        assert re.fullmatch("step 2: .*; its program failed, which is no fall of the robot", str(failed.value))
+        with pytest.raises(ProcessFault, match="is not running"):
+            plant.take_step(REQUESTED)
+
+
+def test_an_error_that_a_program_reports_ends_the_deployment_with_the_reason() -> None:
+    with plant_of("{'error': 'motor 2 is hot'}", 2, timeouts=Timeouts(60, 60, 60, stop=0.2)) as plant:
+        plant.start()
+        assert plant.take_step(REQUESTED).status == StepStatus.OK
         record = plant.take_step(REQUESTED)
-        assert record.status == StepStatus.STOPPED
-        assert np.isnan(record.next_state).all()
-        assert message in plant.fault
-        assert "\n" not in plant.fault
-        assert plant.take_step(REQUESTED).status == StepStatus.STOPPED, "it does not start again"
+    assert record.status == StepStatus.STOPPED
+    assert np.isnan(record.next_state).all()
+    assert plant.fault == "the program reports: 'motor 2 is hot'"
 
 
 def test_a_program_that_stalls_is_ended() -> None:
     with plant_of("stall", 1, timeouts=Timeouts(60, 60, step=0.5, stop=0.2)) as plant:
         plant.start()
-        assert plant.take_step(REQUESTED).status == StepStatus.STOPPED
-    assert plant.fault == "the program did not answer within 0.5 s"
+        with pytest.raises(ProcessFault, match=r"^step 1: the program did not answer within 0\.5 s"):
+            plant.take_step(REQUESTED)
+        assert plant._channel is None
 
 
 def test_a_second_answer_is_noticed_before_or_with_the_next_step() -> None:
     with plant_of("twice", 1, timeouts=Timeouts(60, 60, 60, stop=0.2)) as plant:
         plant.start()
         assert plant.take_step(REQUESTED).status == StepStatus.OK
-        assert plant.take_step(REQUESTED).status == StepStatus.STOPPED
-    assert "second answer" in plant.fault or "step 2 was answered by" in plant.fault
+        with pytest.raises(ProcessFault, match=r"second answer|step 2 was answered by"):
+            plant.take_step(REQUESTED)
 
 
 def test_a_flood_of_answers_is_not_kept() -> None:
@@ -116,9 +127,9 @@ def test_a_flood_of_answers_is_not_kept() -> None:
         plant.start()
         plant.take_step(REQUESTED)
         time.sleep(0.2)
-        assert plant.take_step(REQUESTED).status == StepStatus.STOPPED
+        with pytest.raises(ProcessFault, match="second answer"):
+            plant.take_step(REQUESTED)
         assert plant._channel is None
-    assert "second answer" in plant.fault
 
 
 def test_the_children_of_a_program_are_ended_with_it() -> None:
@@ -126,7 +137,8 @@ def test_the_children_of_a_program_are_ended_with_it() -> None:
     plant = ProcessPlant(partial(Child, ["sh", "-c", script]), SPACE, Timeouts(60, 60, step=0.3, stop=0.3))
     plant.start()
     channel = plant._channel
-    assert plant.take_step(REQUESTED).status == StepStatus.STOPPED
+    with pytest.raises(ProcessFault, match="did not answer"):
+        plant.take_step(REQUESTED)
     assert channel is not None
     assert not channel._thread.is_alive(), "nobody holds its output open"
 
@@ -175,8 +187,8 @@ def test_over_a_socket() -> None:
         with ProcessPlant(partial(Connection, server.getsockname()[1]), SPACE, PATIENT) as plant:
             assert plant.start() == [0.4]
             assert plant.take_step(REQUESTED).next_state == [0.6]
-            assert plant.take_step(REQUESTED).status == StepStatus.STOPPED
-            assert plant.fault.endswith("closed the connection")
+            with pytest.raises(ProcessFault, match="closed the connection"):
+                plant.take_step(REQUESTED)
         thread.join()
 
 

@@ -34,6 +34,10 @@ class ProcessFault(StepGapError):
     """The program of a robot ended, did not answer in time, or gave an invalid answer."""
 
 
+class ReportedError(ProcessFault):
+    """The program itself reports that its robot cannot go on."""
+
+
 class Answer(NamedTuple):
     """A step as the program executed it.
 
@@ -166,7 +170,7 @@ def _parsed(line: str) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ProcessFault(f"{_quoted(line)}: the answer must be a JSON object")
     if "error" in content:
-        raise ProcessFault(f"the program reports: {format_value(content['error'])}")
+        raise ReportedError(f"the program reports: {format_value(content['error'])}")
     return content
 
 

@@ -15,6 +15,7 @@ from stepgap.plants.process.messages import (
     STOP,
     Answer,
     ProcessFault,
+    ReportedError,
     check_ready,
     hello,
     read_answer,
@@ -53,8 +54,8 @@ class Timeouts:
 class ProcessPlant(Plant):
     """Executes steps by exchanging lines of JSON with a program (`messages`), which runs for one deployment.
 
-    If the program ends, answers too late or gives an invalid answer, the step is recorded as stopped, and `fault` has
-    the reason.
+    If the program reports that its robot cannot go on, the step is recorded as stopped, and `fault` has the reason. A
+    program that ends, answers too late or gives an invalid answer says nothing of its robot: that is no step.
 
     Args:
         connect: Starts the program or connects to it, such as `lambda: Child(["./robot"])`.
@@ -84,7 +85,7 @@ class ProcessPlant(Plant):
 
     @property
     def fault(self) -> str:
-        """Why the program executes no further step; empty if it did not fail."""
+        """Why the robot takes no further step, as its program reported; empty if it did not."""
         return self._fault
 
     def start(self) -> Array:
@@ -102,11 +103,19 @@ class ProcessPlant(Plant):
         return self._above(self._measured)
 
     def take_step(self, command: Array) -> StepRecord:
-        """Sends the command, within its bounds, and waits for the next state."""
+        """Sends the command, within its bounds, and waits for the next state.
+
+        Raises:
+            ProcessFault: The program ended, did not answer in time, or gave an invalid answer; it is ended.
+        """
         return self.take_replanned_step(command, lambda found: command)
 
     def take_replanned_step(self, command: Array, at_touchdown: AtTouchdown) -> StepRecord:
-        """Sends the command, and another one when the program reports a touchdown; waits for the next state."""
+        """Sends the command, and another one when the program reports a touchdown; waits for the next state.
+
+        Raises:
+            ProcessFault: As `take_step`.
+        """
         before = self._measured
         self._step = self._step + 1
         commands = StepCommands(self._space, command)
@@ -122,12 +131,16 @@ class ProcessPlant(Plant):
 
         try:
             answer = self._exchange(within, chosen)
-        except ProcessFault as fault:
-            self._fault = str(fault)
+        except ReportedError as error:
+            self._fault = str(error)
             self.stop()
             state = self._space.onward(self._above(before))
             within = commands.within
             return StepRecord(state, commands.acted(within), within, nowhere, StepStatus.STOPPED, requested=within)
+        except ProcessFault as fault:
+            self.stop()
+            remark = "its program failed, which is no fall of the robot"
+            raise ProcessFault(f"step {self._step}: {fault}; {remark}") from None
         self._measured = answer.next_state
         self._context = answer.context or self._context
         state = self._space.onward(self._above(before))
