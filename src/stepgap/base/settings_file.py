@@ -272,6 +272,6 @@ def as_type(value: Any, wanted: Any, here: str) -> Any:
     descriptions = {float: "a number", int: "an integer", bool: "true or false"}
     if wanted is float and type(value) is int and abs(value) < LARGEST_INTEGER:
         return float(value)
-    if type(value) is not (wanted if wanted in descriptions else str):
+    if type(value) is not (wanted if wanted in descriptions else str) or value != value:
         raise InputError(f"{here} = {format_value(value)}, but it must be {descriptions.get(wanted, 'a string')}")
     return value

@@ -33,7 +33,7 @@ from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
 from stepgap.records.model_files import model_path, read_model
 from stepgap.records.motion_file import Replay
-from stepgap.records.steps_csv import digest, ends_with_whole_row, read_step_log, space_of_header
+from stepgap.records.steps_csv import digest, ends_with_whole_row, read_step_log, space_of_header, with_context
 from stepgap.records.summary import Deployment, NoiseFloor, Summary, read_summary
 from stepgap.records.times_file import Times, read_times
 from stepgap.robots.entry_points import load_robot
@@ -143,15 +143,17 @@ class Run:
         if isinstance(self.settings, Missing):
             return self.settings
         robot = self.settings.robot
-        path = self.folder / "steps.csv"
-        if path.is_file() and path.stat().st_size and not robot.space.has_names_of(self._header):
+        if self._has_header and not robot.space.has_names_of(self._header):
             return Missing(f"steps.csv is not of the state and command of robot '{robot.name}' in experiment.toml")
         return robot
 
     @cached_property
     def space(self) -> StepSpace:
-        """State and command; if the robot is missing, without units, and the bounds have no meaning."""
-        return self._header if isinstance(self.robot, Missing) else self.needed(self.settings).space
+        """State, command and recorded context; if the robot is missing, without units, and bounds have no meaning."""
+        if isinstance(self.robot, Missing):
+            return self._header
+        space = self.needed(self.settings).space
+        return with_context(space, self._header.context_names) if self._has_header else space
 
     @cached_property
     def published(self) -> PublishedResult | None:
@@ -409,6 +411,11 @@ class Run:
         return {
             number: len(self.steps.of_iteration(number)) for number in self.steps.iterations if number not in finished
         }
+
+    @property
+    def _has_header(self) -> bool:
+        path = self.folder / "steps.csv"
+        return path.is_file() and path.stat().st_size > 0
 
     @cached_property
     def _header(self) -> StepSpace:

@@ -317,18 +317,21 @@ def _space_in(lines: Sequence[str], path: Path, space: StepSpace) -> StepSpace:
     check_not_older(columns, path)
     fixed = len(expected) - 1 - len(space.context)
     names = [name.removesuffix(AFTER) for name in columns[fixed:-1]]
-    declared = {quantity.name: quantity for quantity in space.context}
-    valid = all(map(is_name, names))
-    context = tuple(declared.get(name) or ContextQuantity(name, "") for name in names) if valid else ()
-    there = {
-        "",
-        *(quantity.name for quantity in context),
-    }  # an older run took from zero what it did not measure above anything
-    state = tuple(quantity if quantity.above in there else replace(quantity, above="") for quantity in space.state)
-    of_file = replace(space, state=state, context=context)
+    of_file = with_context(space, names if all(map(is_name, names)) else ())
     if columns != column_names(of_file) or len(set(columns)) < len(columns):
         raise RecordError(f"{path}, line 1: the columns must be {','.join(expected)}")
     return of_file
+
+
+def with_context(space: StepSpace, names: Sequence[str]) -> StepSpace:
+    """A space with the context that was recorded, whose `names` may be more or fewer than those that it declares.
+
+    What would be measured above a context that was not recorded was measured from zero.
+    """
+    declared = {quantity.name: quantity for quantity in space.context}
+    context = tuple(declared.get(name) or ContextQuantity(name, "") for name in names)
+    state = tuple(each if each.above in ("", *names) else replace(each, above="") for each in space.state)
+    return replace(space, state=state, context=context)
 
 
 def _steps_in(lines: Sequence[str], path: Path, space: StepSpace) -> Iterator[LoggedStep]:
