@@ -1,11 +1,11 @@
-"""The torque that a drive reports against its commands."""
+"""What rigs on any bus share: lost answers, and the torque that a drive reports against its commands."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stepgap.hardware.bus_rig import MOST_WRONG, TORQUE_SHARE, TorqueWatch
+from stepgap.hardware.bus_rig import LOST_SHARE, MOST_WRONG, TORQUE_SHARE, Losses, TorqueWatch
 
 
 def readings_until_wrong(commands, actual, tolerance=50.0, readings=5):
@@ -70,3 +70,28 @@ def test_before_the_first_command_and_after_a_restart_nothing_is_wrong():
     assert [watch.reading(5000.0) for _ in range(3)][-1]
     watch.restart()
     assert not watch.reading(5000.0)
+
+
+@pytest.mark.parametrize(("lost_of", "share"), [(2, 0.5), (3, 2 / 3)])
+def test_a_device_that_answers_seldom_is_absent(lost_of, share):
+    losses = Losses(2)
+    reasons = [losses.missed() if tick % lost_of else losses.received() for tick in range(200)]
+    first = next(tick for tick, reason in enumerate(reasons) if reason)
+    assert 1 - share**0.5 < first / 50 < 2
+    assert reasons[first].endswith("% of the last ticks")
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_twentieth_of_lost_ticks_is_tolerated(seed):
+    losses = Losses(5)
+    for is_lost in np.random.default_rng(seed).random(2000) < LOST_SHARE / 6:
+        assert not is_lost or not losses.missed() or losses.in_a_row > 5
+        if not is_lost:
+            losses.received()
+
+
+def test_too_many_lost_ticks_in_a_row_are_a_fault():
+    losses = Losses(2)
+    assert [losses.missed() for _ in range(3)] == ["", "", "3 ticks in a row"]
+    losses.restart()
+    assert losses.missed() == ""

@@ -18,6 +18,44 @@ TORQUE_SHARE = 0.15
 """Part of the largest command by which a torque may differ, in addition to the tolerance: the accuracy of a drive."""
 
 
+LOST_SHARE, LOST_OVER = 0.3, 50.0
+"""Part of the ticks without an answer from which a device counts as absent, and number of ticks of the mean."""
+
+
+class Losses:
+    """Counts ticks without an answer: too many in a row, or too many of the last ones, are a fault.
+
+    A device that answers every third time never misses many ticks in a row, but the robot is controlled by old readings
+    most of the time.
+
+    Args:
+        most: Largest number of such ticks in a row.
+    """
+
+    def __init__(self, most: int):
+        self._most = most
+        self._share = 0.0
+        self.in_a_row = 0
+
+    def restart(self) -> None:
+        """Forgets all ticks."""
+        self._share = 0.0
+        self.in_a_row = 0
+
+    def received(self) -> None:
+        """Counts a tick with its answers."""
+        self.in_a_row = 0
+        self._share -= self._share / LOST_OVER
+
+    def missed(self) -> str:
+        """Counts a tick without; returns how many there were if that is a fault, else an empty text."""
+        self.in_a_row += 1
+        self._share += (1.0 - self._share) / LOST_OVER
+        if self.in_a_row > self._most:
+            return f"{self.in_a_row} ticks in a row"
+        return f"{self._share:.0%} of the last ticks" if self._share > LOST_SHARE else ""
+
+
 class TorqueWatch:
     """Compares the torque of a drive with the commands of the last moments.
 
@@ -135,7 +173,7 @@ class BusRig(Rig):
         self._budgets = settings.budgets
         self._sensor_model = sensor_model
         self._fault = ""
-        self._lost = 0
+        self._losses = Losses(settings.budgets.lost_frames)
 
     @property
     def sensor_model(self) -> SensorModel:
@@ -150,7 +188,7 @@ class BusRig(Rig):
     @property
     def health(self) -> Health:
         """Whether the last answers were lost, so that the reading is an older one."""
-        return LOST if self._lost else HEALTHY
+        return LOST if self._losses.in_a_row else HEALTHY
 
     @abstractmethod
     def _torque_off(self) -> None:

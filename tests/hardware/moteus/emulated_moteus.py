@@ -95,6 +95,7 @@ class Controller:
     torque: float = 0.0
     deadline: float = inf
     has_watchdog: bool = True
+    ignores_torques: bool = False
     config: dict[str, str] = field(
         default_factory=lambda: {"servo.timeout_mode": "0", "servo.default_timeout_s": "0.100000"}
     )
@@ -116,7 +117,8 @@ class Controller:
             self.preparing += 1
         most = written[MAX_TORQUE]
         assert written[KP_SCALE] == written[KD_SCALE] == 0
-        self.torque = min(max(written[FEEDFORWARD], -most), most) if self.mode == POSITION_MODE else 0.0
+        if not self.ignores_torques:
+            self.torque = min(max(written[FEEDFORWARD], -most), most) if self.mode == POSITION_MODE else 0.0
 
     def watch(self, now: float) -> None:
         """Enters the mode *timeout* when the time of the last command is over; torque then depends on its setting."""
@@ -213,7 +215,8 @@ class Controllers(Thread):
                 parts.append(bytes([STREAM_REPLY, first, len(text)]) + text)
             else:
                 written |= {first + index: value for index, value in enumerate(values)}
-        current = controller.registers | {MODE: controller.mode, FAULT: controller.fault} | self.overrides
+        state = {MODE: controller.mode, FAULT: controller.fault, TORQUE: controller.torque}
+        current = controller.registers | state | self.overrides
         if written:
             controller.command(written, self._now())
             self._tick(number)
@@ -247,7 +250,7 @@ class Controllers(Thread):
         settings, reading = self._settings, HopperReading(*self._reading)
         for motor, counts in ((settings.motor_1, reading.motor_1), (settings.motor_2, reading.motor_2)):
             turns = motor.zero + motor.sign * motor.gear * counts / MOTOR_COUNTS
-            self.controllers[motor.id].registers |= {POSITION: turns, VELOCITY: 0.0, TORQUE: 0.0, VALIDITY: 0x3F}
+            self.controllers[motor.id].registers |= {POSITION: turns, VELOCITY: 0.0, VALIDITY: 0x3F}
         for boom, counts in (
             (settings.boom_horizontal, reading.boom_horizontal),
             (settings.boom_vertical, reading.boom_vertical),

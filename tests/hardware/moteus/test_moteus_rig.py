@@ -5,6 +5,7 @@ from dataclasses import replace
 from itertools import count
 from math import inf, nan
 from struct import Struct
+from time import perf_counter
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 from stepgap.hardware.bus_rig import MOST_WRONG
 from stepgap.hardware.hopper.moteus import AuxContact, MoteusSettings, hopper_on_moteus
 from stepgap.hardware.hopper.twin_machine import TwinMachine
-from stepgap.hardware.moteus.can_bus import registers_of
+from stepgap.hardware.moteus.can_bus import registers_of, stream_of
 from stepgap.hardware.moteus.moteus_rig import MOST_LIMITED, POSITION_COUNTS, MoteusRig
 from stepgap.hardware.moteus.moteus_settings import AuxEncoder, Controller
 from stepgap.plants.rig_plant import RigPlant
@@ -39,6 +40,7 @@ from tests.hardware.moteus.emulated_moteus import (
     TIMED_OUT,
     VALIDITY,
     Controllers,
+    as_varuint,
     emulated,
     reply,
 )
@@ -274,6 +276,30 @@ def test_a_torque_that_is_not_finite_never_reaches_a_motor(bench: tuple[Controll
 def test_any_frame_is_decoded_or_ignored(data: bytes, head: bytes) -> None:
     registers = registers_of(head + data)
     assert registers is None or all(isinstance(value, (int, float)) for value in registers.values())
+    text = stream_of(head + data)
+    assert text is None or len(text) <= len(data)
+
+
+def claiming(kind: int, number: int, first: int) -> bytes:
+    """A frame that claims a number of registers, and has the value of none."""
+    return bytes([kind]) + as_varuint(number) + as_varuint(first)
+
+
+@pytest.mark.parametrize("decode", [registers_of, stream_of])
+@pytest.mark.parametrize("kind", [0x00, 0x04, 0x10, 0x14, 0x18, 0x1C, 0x20, 0x24])
+@given(number=st.integers(0, 2**35), first=st.integers(0, 2**14))
+@settings(max_examples=20)
+def test_a_frame_may_claim_any_number_of_registers(decode, kind: int, number: int, first: int) -> None:
+    """A loop over 2e8 of them would take minutes: hypothesis' deadline is 0.2 s."""
+    assert decode(claiming(kind, number, first)) is None
+
+
+def test_such_a_frame_does_not_keep_a_rig_from_connecting(bench: tuple[Controllers, MoteusRig]) -> None:
+    controllers, rig = bench
+    controllers.noise = [(1, claiming(0x10, 2 * 10**8, 1))]
+    begin = perf_counter()
+    rig.connect()
+    assert perf_counter() - begin < 20
 
 
 @pytest.mark.parametrize(
@@ -356,14 +382,44 @@ def test_the_twin_hops_with_the_controllers_as_without_them() -> None:
     np.testing.assert_allclose(applied, expected, atol=1e-9)
 
 
-def test_another_torque_than_commanded_is_a_fault_if_it_is_judged() -> None:
-    """The emulated controllers report no torque, as a dead motor does."""
-    settings = fresh()
-    judged = replace(settings, motor_1=replace(settings.motor_1, torque_tolerance=0.5))
-    with emulated(judged, Recorder()), hopper_on_moteus(judged, ROBOT) as rig:
-        ticks, message = ticks_until_fault(rig, 40)
+def test_a_controller_that_ignores_its_torques_stops_the_rig(bench: tuple[Controllers, MoteusRig]) -> None:
+    controllers, rig = bench
+    controllers.controllers[1].ignores_torques = True
+    rig.connect()
+    ticks, message = ticks_until_fault(rig, 40)
     assert ticks <= 5 + MOST_WRONG + 1
-    assert "controller 1: its torque is 0.0 N·m, commanded were 8 N·m" in message
+    assert message == "controller 1: its torque is 0.0 N·m, commanded were 8 N·m"
+    assert controllers.modes() == [STOPPED, STOPPED]
+
+
+def test_a_torque_is_not_judged_if_its_tolerance_is_infinite() -> None:
+    settings = fresh()
+    unjudged = replace(settings, motor_1=replace(settings.motor_1, torque_tolerance=inf))
+    with emulated(unjudged, Recorder()) as controllers, hopper_on_moteus(unjudged, ROBOT) as rig:
+        controllers.controllers[1].ignores_torques = True
+        rig.connect()
+        assert ticks_until_fault(rig, 40) == (40, "")
+
+
+def test_a_controller_at_a_limit_may_give_less_torque(bench: tuple[Controllers, MoteusRig]) -> None:
+    controllers, rig = bench
+    controllers.controllers[1].ignores_torques = True
+    rig.connect()
+    controllers.controllers[1].fault = 97
+    assert ticks_until_fault(rig, 40) == (40, "")
+
+
+def test_a_controller_that_answers_every_third_time_stops_the_rig() -> None:
+    """It never misses more ticks in a row than are allowed."""
+    settings = fresh(replace(SETTINGS, reply_timeout=0.01))
+    with emulated(settings, Recorder()) as controllers, hopper_on_moteus(settings, ROBOT) as rig:
+        rig.connect()
+        controllers.mute = {tick: {2} for tick in range(5, 200) if tick % 3}
+        ticks, message = ticks_until_fault(rig, 100)
+        assert 20 < ticks < 60
+        assert message.startswith("controller 2 did not answer in time for 3")
+        assert message.endswith("% of the last ticks")
+        assert controllers.modes() == [STOPPED, STOPPED]
 
 
 def test_a_controller_at_a_limit_for_long_is_warned_of() -> None:

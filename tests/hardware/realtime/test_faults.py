@@ -117,8 +117,8 @@ def incident_of(hopping: Deployment, path: Path) -> Incident:
 
 
 STOPPED = {
-    "three lost frames": (Fault("lost frames", 0, cycles=3), "3 frames in a row"),
-    "a slave gone and back": (Fault("unplugged", 0, "coupler", cycles=20), "3 frames in a row"),
+    "three lost frames": (Fault("lost frames", 0, cycles=3), "3 ticks in a row"),
+    "a slave gone and back": (Fault("unplugged", 0, "coupler", cycles=20), "3 ticks in a row"),
     "a drive that loses power": (Fault("power lost", 0, "drive_1", cycles=2), "drive_1"),
     "a drive's fault": (Fault("trip", 0, "drive_2"), "slave 2 'drive_2' no longer accepts torque commands"),
     "a mapping error": (Fault("wrong mapping", 0, "drive_1"), "drive_1"),

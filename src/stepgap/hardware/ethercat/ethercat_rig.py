@@ -181,7 +181,7 @@ class EthercatRig(BusRig):
         except BaseException:
             self.close()
             raise
-        self._lost = 0
+        self._losses.restart()
         self._frame_pending = False
         self._good_frames = 0
         self._unanswered = 0
@@ -199,16 +199,14 @@ class EthercatRig(BusRig):
             return self._reading
         self._frame_pending = False
         if self._bus.receive():
-            self._lost = 0
+            self._losses.received()
             self._update_reading()
             self._good_frames += 1
             if self._bus.steering and (late := self._bus.steering.fault):
                 raise self._trip(late)
-        else:
-            self._lost += 1
-            if self._lost > self._budgets.lost_frames:
-                fault = self._trip(f"{self._lost} frames in a row were lost or not processed by every slave")
-                raise RigFault(f"{fault}: {self._bus.state_report()}")
+        elif missed := self._losses.missed():
+            fault = self._trip(f"the frames of {missed} were lost or not processed by every slave")
+            raise RigFault(f"{fault}: {self._bus.state_report()}")
         return self._reading
 
     def write(self, torques: Torques) -> Torques:
@@ -312,7 +310,7 @@ class EthercatRig(BusRig):
     def _check_al_states(self) -> None:
         """Checks every `STATES_EVERY` frames whether all slaves are in OP; repeats the request if a reply is lost."""
         is_due = self._unanswered or self._good_frames % STATES_EVERY == 0
-        if self._lost or not is_due:
+        if self._losses.in_a_row or not is_due:
             return
         in_operation = self._bus.in_operation()
         self._unanswered = self._unanswered + 1 if in_operation is None else 0
@@ -326,7 +324,7 @@ class EthercatRig(BusRig):
 
     def _read_clock(self) -> None:
         """Reads how far the clock of one slave is ahead, each in turn, between two checks of the states."""
-        if self._differences and not self._lost and self._good_frames % STATES_EVERY == STATES_EVERY // 2:
+        if self._differences and not self._losses.in_a_row and self._good_frames % STATES_EVERY == STATES_EVERY // 2:
             number = next(self._next_clock)
             found = self._bus.clock_difference(number)
             self._differences[number] = self._differences[number] if found is None else found

@@ -4,8 +4,9 @@ The moteus library encodes the frames and decodes the replies; python-can transp
 needs asyncio and took 1.7 times as long for the same frames on the virtual bus, so it is not used.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
+from itertools import islice
 from struct import error as StructError
 from time import monotonic
 from typing import TypeVar
@@ -17,16 +18,22 @@ from stepgap.rigs.rig import RigFault
 
 REPLY_REQUIRED = 0x8000  # Bit of a CAN identifier that requests a reply of the controller
 MOST_LATE = 64  # Largest number of late frames of earlier exchanges that are discarded before a new one
+LONGEST_FRAME = 64  # Largest number of bytes in a CAN-FD frame
 PADDING = b"\x50"  # Subframe without content
 Registers = Mapping[int, float]  # Values of a controller by register
 _Answer = TypeVar("_Answer")  # What a frame of a controller contains
+
+
+def _subframes(data: bytes) -> Iterator[moteus.Subframe]:
+    """The first subframes of a frame; each takes a byte at least, but a frame may claim any number of them."""
+    return islice(moteus.parse_frame(data), LONGEST_FRAME)
 
 
 def registers_of(data: bytes) -> Registers | None:
     """Decodes the registers of a frame; None if it is not a reply."""
     found = {}
     try:
-        for part in moteus.parse_frame(data):
+        for part in _subframes(data):
             if isinstance(part, moteus.RegisterSubframe):
                 if part.type != moteus.SubframeType.RESPONSE:
                     return None
@@ -40,7 +47,7 @@ def stream_of(data: bytes) -> bytes | None:
     """Text of the diagnostic channel in a frame, empty if there is none now; None if it is not a reply."""
     found = None
     try:
-        for part in moteus.parse_frame(data):
+        for part in _subframes(data):
             if isinstance(part, moteus.StreamSubframe) and part.type == moteus.SubframeType.STREAM_SERVER_TO_CLIENT:
                 found = (found or b"") + bytes(part.data)
     except (StructError, RuntimeError, ValueError):

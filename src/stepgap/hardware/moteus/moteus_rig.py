@@ -34,7 +34,7 @@ class CommandedTorques:
 
     def __init__(self, motors: Sequence[Controller]):
         self._motors = motors
-        self._watches = [TorqueWatch(motor.torque_tolerance, TORQUE_READINGS) for motor in motors]
+        self._watches = [TorqueWatch(motor.largest_deviation, TORQUE_READINGS) for motor in motors]
         self._limited = dict[int, int]()
 
     def restart(self) -> None:
@@ -49,9 +49,12 @@ class CommandedTorques:
             watch.command(torque)
 
     def excess(self, torques: Torques) -> str:
-        """Takes the torques of a reading [N·m]; returns why torque must go off, or an empty text."""
+        """Takes the torques of a reading [N·m]; returns why torque must go off, or an empty text.
+
+        A controller at a limit says itself that it gives less than commanded.
+        """
         for motor, watch, torque in zip(self._motors, self._watches, torques, strict=True):
-            if watch.reading(torque):
+            if watch.reading(torque) and not self._limited.get(motor.id):
                 return f"controller {motor.id}: its torque is {torque:.1f} N·m, commanded were {watch.commanded} N·m"
         return ""
 
@@ -173,7 +176,7 @@ class MoteusRig(BusRig):
         except RigFault:
             self.close()
             raise
-        self._lost = 0
+        self._losses.restart()
         self._written = False
         self._commanded.restart()
 
@@ -189,12 +192,10 @@ class MoteusRig(BusRig):
         self._written = False
         replies = self._ask(bus)
         if len(replies) == len(self._controllers):
-            self._lost = 0
+            self._losses.received()
             self._update_reading(replies)
-        else:
-            self._lost += 1
-            if self._lost > self._budgets.lost_frames:
-                raise self._trip(f"{self._absent(replies)} did not answer in time for {self._lost} ticks in a row")
+        elif missed := self._losses.missed():
+            raise self._trip(f"{self._absent(replies)} did not answer in time for {missed}")
         return self._reading
 
     def write(self, torques: Torques) -> Torques:

@@ -1,10 +1,13 @@
 """Settings of a CAN bus and its devices: the part of `moteus.toml` that is the same for every robot."""
 
 from dataclasses import dataclass
-from math import inf, isfinite, nan
+from math import isfinite, nan
 
 from stepgap.base.ranges import require
 from stepgap.hardware.bus_rig import BusTiming
+
+TOLERATED = 0.06
+"""Part of its largest torque by which a controller may report another torque than commanded, without another number."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +21,7 @@ class Controller:
         sign: 1 if the output's turns increase forward, else −1.
         zero: The controller's position at angle zero [turns].
         torque_tolerance: Largest distance at the top link of the torque that it reports from the commands of the last
-            5 ticks [N·m]; infinite if it is not judged.
+            5 ticks [N·m]; 0 for `TOLERATED` of the torque limit, infinite if it is not judged.
     """
 
     id: int
@@ -26,16 +29,21 @@ class Controller:
     gear: float = 1.0
     sign: int = 1
     zero: float = 0.0
-    torque_tolerance: float = inf
+    torque_tolerance: float = 0.0
 
     def __post_init__(self) -> None:
-        require(self.torque_tolerance > 0, "torque_tolerance", self.torque_tolerance, "be positive")
+        require(self.torque_tolerance >= 0, "torque_tolerance", self.torque_tolerance, "not be negative")
         require(1 <= self.id <= 126, "id", self.id, "lie between 1 and 126")
         for name in ("torque_limit", "gear"):
             value = getattr(self, name)
             require(isfinite(value) and value > 0, name, value, "be positive")
         require(self.sign in (1, -1), "sign", self.sign, "be 1 or -1")
         require(abs(self.zero) <= 128, "zero", self.zero, "lie within ±128 turns")
+
+    @property
+    def largest_deviation(self) -> float:
+        """Largest distance of a reported torque from the commands at the top link [N·m]."""
+        return self.torque_tolerance or TOLERATED * self.torque_limit
 
     def torque_command(self, torque: float) -> dict[str, float]:
         """Arguments of `moteus.Controller.make_position` for a torque at the top link [N·m], with gains zero."""
