@@ -1,11 +1,13 @@
 """Short deployments of a robot before its first run: what `stepgap check` judges and `stepgap view --robot` shows."""
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from stepgap.base.errors import StepGapWarning
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
 from stepgap.experiment.deployment import deploy
@@ -56,6 +58,7 @@ def trial_run(
     observer = Observer(
         on_step=lambda logged: progress(logged.step, len(reference)),
         on_phase=lambda name, done, total: progress(done, total),
+        on_fault=lambda message: warnings.warn(message, StepGapWarning, stacklevel=2),
     )
     run_experiment(setup, folder, recorder.observing(observer))
     return Run(folder, ticks=recorder.kept, nominal=nominal.map, space=nominal.map.space)
