@@ -1,7 +1,8 @@
-"""Positions of the joints of boom and leg: the closed chain of Fig. 1 in MuJoCo's frame of the twin.
+"""Positions of the joints of boom and leg: the closed chain of the paper's Fig. 1, in MuJoCo's frame of the twin.
 
-x points forward at yaw 0, y to the boom's pivot side, z up from the floor; the pivot stands over the origin. The leg
-swings in the plane of the boom's tip: `forward` along the circle, `up` perpendicular to the boom, tilted by its pitch.
+The origin is on the floor below the boom's pivot. z points up; at yaw 0, x points forward, and y from the hip to the
+pivot. The boom's tip has axes of its own: `outward` along the boom, `forward` along the circle, and `up` perpendicular
+to both, so it is tilted by the pitch of the boom. The leg moves in the plane of `forward` and `up`.
 """
 
 from collections.abc import Mapping
@@ -47,7 +48,8 @@ JOINTS: Mapping[str, float] = {
 """Points of boom and leg, with the radii of their balls [m].
 
 The front knee is on the link that motor 1 drives, at α₁ + α₂, the rear knee on that of motor 2, at α₁ − α₂. The ankle
-is the common joint of the bottom links, and the foot the end of the rear knee's bottom link.
+is the common joint of the bottom links, and the foot the end of the rear knee's bottom link. `joint_positions` computes
+them in this order.
 """
 
 LINKS = (
@@ -58,6 +60,7 @@ LINKS = (
     Link("hip", "rear_knee", 0.008, "far"),
     Link("rear_knee", "foot", 0.006, "far"),
 )
+"""Parts between the joints: their ends, the radius of the drawn cylinder [m], and the side of the leg."""
 
 LEG_SIGNALS: Mapping[str, str] = {
     "leg length": "m",
@@ -71,15 +74,15 @@ TOUCHING_FORCE = 1.0  # Ground force above which the foot is drawn as touching t
 
 
 class HopperPose(NamedTuple):
-    """Poses of boom and leg; numbers, or arrays of shape (F,).
+    """One pose of boom and leg, in numbers, or F poses, in arrays of shape (F,).
 
     Attributes:
         yaw: Horizontal boom angle [rad].
         pitch: Vertical boom angle, upward positive [rad].
         alpha_1: Leg angle α₁ [rad].
         alpha_2: Half the angle between the top links α₂ [rad].
-        deflection_forward: Forward deflection of an elastic boom's tip [m].
-        deflection_up: Upward deflection of an elastic boom's tip [m].
+        deflection_forward: Deflection of an elastic boom's tip along `forward` [m].
+        deflection_up: Deflection of an elastic boom's tip along `up` [m].
     """
 
     yaw: Array | float
@@ -108,8 +111,9 @@ class HopperKinematics(Kinematics):
     def scene(self) -> Scene:
         """Boom and leg on their circle."""
         return Scene(
-            JOINTS, LINKS, "hip", ("foot",), "height", self._robot.boom_length, LEG_SIGNALS, foothold="foothold"
-        )
+            points=JOINTS, links=LINKS, body="hip", feet=("foot",), height="height", circle=self._robot.boom_length,
+            signals=LEG_SIGNALS, foothold="foothold",
+        )  # fmt: skip
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -127,23 +131,25 @@ class HopperKinematics(Kinematics):
         return self._sensors.tick
 
     def motion(self, ticks: TickTable) -> Motion:
-        """Motion in ticks; measured motion is on level ground, without the deflection of the boom."""
-        seen = "boom_yaw" in ticks.units
-        pose = self._true_pose(ticks) if seen else self._measured_pose(ticks)
+        """Motion in ticks; a measured motion is on level ground, without the deflection of the boom."""
+        is_true = "boom_yaw" in ticks.units
+        pose = self._true_pose(ticks) if is_true else self._measured_pose(ticks)
+        touching = np.asarray(ticks["contact_force"] > TOUCHING_FORCE, float)
         return Motion(
-            ticks["time"],
-            ticks["step"],
-            joint_positions(self._robot, self._sensors.pivot_height, pose),
-            np.asarray(ticks["contact_force"] > TOUCHING_FORCE, float)[:, None],
-            ticks["ground_height"] if seen else np.zeros(len(ticks)),
-            self._signals(ticks),
+            time=ticks["time"],
+            step=ticks["step"],
+            positions=joint_positions(self._robot, self._sensors.pivot_height, pose),
+            touching=touching[:, None],
+            ground=ticks["ground_height"] if is_true else np.zeros(len(ticks)),
+            signals=self._signals(ticks),
         )
 
     def at_section(self, state: Array) -> Array:
         """At the apex, at yaw 0, with the leg in the landing posture."""
         speed, height = state[:2]
-        pitch = asin(np.clip((height - self._sensors.pivot_height) / self._robot.boom_length, -1, 1))
-        alpha_1 = self._gains.speed_gain * (speed - self._gains.speed_setpoint)
+        sin_pitch = (height - self._sensors.pivot_height) / self._robot.boom_length
+        pitch = asin(np.clip(sin_pitch, -1, 1))  # a height that the boom cannot reach is drawn at its end
+        alpha_1 = self._gains.speed_gain * (speed - self._gains.speed_setpoint)  # θ_des = K₁(ẋ − ẋ_des)
         alpha_2 = knee_angle(leg_of(self._robot), self._gains.landing_length)
         return joint_positions(self._robot, self._sensors.pivot_height, HopperPose(0.0, pitch, alpha_1, alpha_2))
 
@@ -153,64 +159,74 @@ class HopperKinematics(Kinematics):
         bottom = self._robot.bottom_length
         alpha_1 = ticks["alpha_1"]
         alpha_2 = ticks["alpha_2"]
+        # ℓ = ℓ₁ cos α₂ + √(ℓ₂² − ℓ₁² sin² α₂)
         length = top * np.cos(alpha_2) + np.sqrt(bottom**2 - (top * np.sin(alpha_2)) ** 2)
         return np.column_stack([length, alpha_1, ticks["applied_1"], ticks["applied_2"]])
 
     def _measured_pose(self, ticks: TickTable) -> HopperPose:
+        """Poses by the encoders; boom and leg are rigid in them."""
         yaw = ticks["boom_horizontal"] * tau / self._sensors.boom_counts_horizontal
         pitch = ticks["boom_vertical"] * tau / self._sensors.boom_counts_vertical
         return HopperPose(yaw, pitch, ticks["alpha_1"], ticks["alpha_2"])
 
     def _true_pose(self, ticks: TickTable) -> HopperPose:
+        """Poses of the twin; where the hip is not at the end of a rigid boom, the boom is deflected by the rest.
+
+        The distance that the hip has travelled is R · yaw + deflection_forward, and its height that of the pivot +
+        R sin(pitch) + deflection_up · cos(pitch).
+        """
         yaw = ticks["boom_yaw"]
         pitch = ticks["boom_pitch"]
         radius = self._sensors.boom_length
-        along = ticks["hip_x"] - radius * yaw
-        across = (ticks["hip_height"] - self._sensors.pivot_height - radius * np.sin(pitch)) / np.cos(pitch)
+        rigid_height = self._sensors.pivot_height + radius * np.sin(pitch)
         return HopperPose(
             yaw=yaw, pitch=pitch, alpha_1=ticks["true_alpha_1"], alpha_2=ticks["true_alpha_2"],
-            deflection_forward=along, deflection_up=across,
+            deflection_forward=ticks["hip_x"] - radius * yaw,
+            deflection_up=(ticks["hip_height"] - rigid_height) / np.cos(pitch),
         )  # fmt: skip
 
 
 def joint_positions(robot: RobotParameters, pivot_height: float, pose: HopperPose) -> Array:
-    """Positions of `JOINTS` in poses, with the boom's pivot at a height [m]; shape (F, 7, 3), or (7, 3) of one pose."""
-    beta = np.arcsin(robot.top_length / robot.bottom_length * np.sin(pose.alpha_2))
+    """Positions of `JOINTS` in poses [m]; shape (F, 7, 3), or (7, 3) of one pose.
+
+    Args:
+        robot: Lengths of the robot.
+        pivot_height: Height of the boom's pivot above the floor [m].
+        pose: The poses.
+    """
     outward, forward, up = _tip_axes(pose)
-
-    def link(angle: Array | float, length: float) -> Array:
-        return length * (_column(np.sin(angle)) * forward - _column(np.cos(angle)) * up)
-
+    beta = np.arcsin(robot.top_length / robot.bottom_length * np.sin(pose.alpha_2))  # sin β = (ℓ₁/ℓ₂) sin α₂
+    # The boom from the floor to the hip:
     pivot = np.broadcast_to([0.0, 0.0, pivot_height], outward.shape)
     deflection = _column(pose.deflection_forward) * forward + _column(pose.deflection_up) * up
     hip = pivot + robot.boom_length * outward + deflection
-    rear_knee = hip + link(pose.alpha_1 - pose.alpha_2, robot.top_length)
-    rear_bottom = link(pose.alpha_1 + beta, 1.0)
-    return np.stack(
-        [
-            np.zeros_like(hip),
-            pivot,
-            hip,
-            hip + link(pose.alpha_1 + pose.alpha_2, robot.top_length),
-            rear_knee,
-            rear_knee + robot.bottom_length * rear_bottom,
-            rear_knee + (robot.bottom_length + robot.foot_length) * rear_bottom,
-        ],
-        axis=-2,
-    )
+    # The leg from the hip to the foot; the bottom link of the rear knee leans by β against the axis of the leg:
+    front_knee = hip + robot.top_length * _link_axis(forward, up, pose.alpha_1 + pose.alpha_2)
+    rear_knee = hip + robot.top_length * _link_axis(forward, up, pose.alpha_1 - pose.alpha_2)
+    rear_bottom = _link_axis(forward, up, pose.alpha_1 + beta)
+    ankle = rear_knee + robot.bottom_length * rear_bottom
+    foot = rear_knee + (robot.bottom_length + robot.foot_length) * rear_bottom
+    return np.stack([np.zeros_like(hip), pivot, hip, front_knee, rear_knee, ankle, foot], axis=-2)
 
 
 def _tip_axes(pose: HopperPose) -> tuple[Array, Array, Array]:
-    """Unit vectors along the boom, along the circle and perpendicular to both; each of shape (…, 3)."""
+    """Unit vectors `outward`, `forward` and `up` of the boom's tip; each of shape (…, 3)."""
     sin_yaw = np.sin(pose.yaw)
     cos_yaw = np.cos(pose.yaw)
-    none = np.zeros_like(pose.yaw)
+    zero = np.zeros_like(pose.yaw)
     sin_pitch = _column(np.sin(pose.pitch))
     cos_pitch = _column(np.cos(pose.pitch))
-    inward = np.stack([-sin_yaw, cos_yaw, none], axis=-1)
     vertical = np.array([0.0, 0.0, 1.0])
-    forward = np.stack([cos_yaw, sin_yaw, none], axis=-1)
-    return sin_pitch * vertical - cos_pitch * inward, forward, cos_pitch * vertical + sin_pitch * inward
+    inward = np.stack([-sin_yaw, cos_yaw, zero], axis=-1)  # horizontal, from the hip to the pivot
+    outward = sin_pitch * vertical - cos_pitch * inward
+    forward = np.stack([cos_yaw, sin_yaw, zero], axis=-1)
+    up = cos_pitch * vertical + sin_pitch * inward
+    return outward, forward, up
+
+
+def _link_axis(forward: Array, up: Array, angle: Array | float) -> Array:
+    """Unit vector along a link at an angle from straight down, forward positive [rad]; shape (…, 3)."""
+    return _column(np.sin(angle)) * forward - _column(np.cos(angle)) * up
 
 
 def _column(values: Array | float) -> Array:
