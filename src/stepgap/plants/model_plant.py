@@ -33,7 +33,7 @@ class ModelPlant(RepeatablePlant):
         self._start = np.asarray(start, float)
         self._noise = np.broadcast_to(np.asarray(noise, float), self._start.shape)
         require(rng is not None or not self._noise.any(), "noise", noise, "come with a generator that draws it")
-        self._rng = rng or np.random.default_rng(0)
+        self._rng = rng or np.random.default_rng(0)  # without noise, what it draws is multiplied by 0
         self._state = self._start
 
     @property
@@ -53,16 +53,26 @@ class ModelPlant(RepeatablePlant):
         return record
 
     def repeated(self, command: Array, rng: np.random.Generator, turned: float = 0.0) -> Array:  # noqa: ARG002
-        """Next state with new noise; there is nothing to turn."""
+        """Next state with new noise; a map has no world that could be turned."""
         return self._step(np.asarray(command, float), rng).next_state
 
     def _step(self, command: Array, rng: np.random.Generator) -> StepRecord:
-        applied = np.clip(command, self.space.command_lower, self.space.command_upper)
-        next_state, code = self._map.evaluate(self._state, applied)
-        next_state = next_state + rng.normal(0.0, self._noise)
-        status = StepStatus(int(code))
+        """Record of a step from the present state, which stays as it is.
+
+        A requested command lies within its bounds, and nothing else limits it, so requested and applied are the same.
+        The noise is that of the motion, not of a sensor: the true next state has it, too.
+        """
+        within_bounds = np.clip(command, self.space.command_lower, self.space.command_upper)
+        predicted, code = self._map.evaluate(self._state, within_bounds)
+        next_state = predicted + rng.normal(0.0, self._noise)
         return StepRecord(
-            self._state, command, applied, next_state, status, requested=applied, true_next_state=next_state
+            state=self._state,
+            command=command,
+            applied=within_bounds,
+            next_state=next_state,
+            status=StepStatus(int(code)),
+            requested=within_bounds,
+            true_next_state=next_state,
         )
 
     def stop(self) -> None:
