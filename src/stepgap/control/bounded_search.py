@@ -1,4 +1,4 @@
-"""Bounded least squares without a good start: Gauss–Newton steps first, then a search for better starts."""
+"""Bounded least squares without a good start: Gauss–Newton steps first, then from better starts, which are sampled."""
 
 import numpy as np
 
@@ -7,28 +7,42 @@ from stepgap.control.gauss_newton import REACHED, Function, Jacobian, Solution, 
 from stepgap.step import Array
 
 SEARCHED = (81, 1089)
-"""Numbers of points of the coarse and the fine search; the fine one is used if no coarse point has a value."""
-BASINS = 3  # Number of these points from which a search starts
+"""Numbers of points of the coarse and of the fine sample, of two commands 9² and 33².
+
+The fine one is used if the function has no value at any point of the coarse one.
+"""
+BASINS = 3  # Largest number of sampled points from which Gauss–Newton steps start
 SEPARATION = 0.5  # Starts differ by more than this in at least one coordinate
-ZOOMED = 25  # Number of points around the best one in each round of a search that comes nearer and nearer
+ZOOMED = 25  # Number of points around the best one in each round of `_zoom`, of two commands 5²
 ZOOM_ROUNDS = 13
+"""Number of rounds of `_zoom`; in the last one the points are within 0.5 · 2⁻¹² = 1.2e-4 of the best one."""
 
 
 def bounded_solution(function: Function, jacobian: Jacobian, start: Array) -> Solution:
-    """Searches the zero, or else the least norm, of a function within |point| ≤ 1; it may miss the global minimum."""
+    """Searches the zero, or else the least norm, of a function within |point| ≤ 1; it may miss the global minimum.
+
+    Args:
+        function: Of a point.
+        jacobian: Of the function.
+        start: Where the search begins, such as the command of the step before; shape (k,).
+    """
+    # From the given start, or from the middle where the function has no value there:
     best = minimise(function, jacobian, start)
-    if np.isinf(best.distance):  # the command of the step before may fail here; what is left of a budget goes on
+    if np.isinf(best.distance):
         best = minimise(function, jacobian, np.zeros_like(start))
     if best.distance <= REACHED:
         return best
+    # From sampled points. One near the best solution that is no better than it would lead to it again.
     points, distance = _sample(function, len(start))
     for row in _separate_starts(points, distance):
         near_best = np.abs(points[row] - best.point).max() <= SEPARATION
-        if not (near_best and distance[row] >= best.distance):
-            other = minimise(function, jacobian, points[row])
-            best = other if other.distance < best.distance else best
+        if near_best and distance[row] >= best.distance:
+            continue
+        solution = minimise(function, jacobian, points[row])
+        best = solution if solution.distance < best.distance else best
         if best.distance <= REACHED:
             return best
+    # Without derivatives, where they have not led to a minimum:
     return best if best.converged or np.isinf(best.distance) else _zoom(function, best)
 
 
@@ -48,23 +62,23 @@ def _separate_starts(points: Array, distance: Array) -> list[int]:
 
     Distances (N,) are infinite where the function has no value.
     """
-    left = distance.copy()
+    remaining = distance.copy()
     rows = list[int]()
     for _ in range(BASINS):
-        closest = int(np.argmin(left))
-        if not np.isfinite(left[closest]):
+        closest = int(np.argmin(remaining))
+        if not np.isfinite(remaining[closest]):
             break
         rows.append(closest)
-        left[np.abs(points - points[closest]).max(axis=-1) <= SEPARATION] = np.inf
+        remaining[np.abs(points - points[closest]).max(axis=-1) <= SEPARATION] = np.inf
     return rows
 
 
 def _zoom(function: Function, best: Solution) -> Solution:
-    """Searches nearer and nearer around a point without convergence, such as one at the border of the domain."""
+    """Samples nearer and nearer around the best point that is no minimum, such as one at the border of the domain."""
     point = best.point
     distance = best.distance
-    width = SEPARATION
     offsets = box_points(ZOOMED, len(point))
+    width = SEPARATION
     for _ in range(ZOOM_ROUNDS):
         points = np.clip(point + width * offsets, -1.0, 1.0)
         distances = norms(function(points))
