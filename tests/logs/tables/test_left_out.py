@@ -322,9 +322,7 @@ def matlab_object(path: Path) -> None:
 
 def test_a_variable_of_a_class_does_not_hide_the_others(tmp_path: Path) -> None:
     matlab_object(tmp_path / "log.mat")
-    tables = read(
-        tmp_path / "log.mat", "left out variable 2 (a variable of a class of MATLAB, which only MATLAB can read"
-    )
+    tables = read(tmp_path / "log.mat", "left out variable 2 (a table of MATLAB, which only MATLAB can read")
     table = chosen_table(tmp_path / "log.mat", tables, ["t", "v"])
     np.testing.assert_array_equal([table.numbers("t"), table.numbers("v")], [T, V])
 

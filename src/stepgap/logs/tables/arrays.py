@@ -1,7 +1,8 @@
 """Tables from the arrays of binary files, and NumPy's own files, .npy and .npz."""
 
+import warnings
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from zipfile import ZipFile
 
 import numpy as np
 
+from stepgap.base.errors import StepGapWarning
 from stepgap.logs.tables.files import content_of, leaving_out, reading
 from stepgap.logs.tables.log_table import MOST_NUMBERS, LogColumn, LogTable, check_size
 from stepgap.records.steps_csv import RecordError
@@ -17,6 +19,19 @@ NPY_MAGIC = b"\x93NUMPY"
 
 MOST_COLUMNS = 10_000  # Largest number of columns of one array; wider arrays, such as pictures, are left out
 _LARGEST_ARRAY_FILE = 16 * MOST_NUMBERS  # Largest file or member of an archive that is read [bytes]
+
+_TIMES = ("time", "t", "tout", "timestamp", "log_time")
+"""Names of vectors of times, in lower case."""
+
+_LONG, _SLIM = 100, 20  # Rows longer than this, and than the array is high by this factor, are signals
+
+_AS_STRUCT = {
+    "timeseries": "s.time = ts.Time; s.v = ts.Data",
+    "timetable": "s.time = seconds(T.Time); s.v = T.v",
+    "table": "s = table2struct(T, 'ToScalar', true)",
+    "Dataset": "ts = logsout.get(1).Values; s.time = ts.Time; s.v = ts.Data",
+}
+"""What to save instead of an object of MATLAB, by the last part of its class."""
 
 _PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "ps": 1e12}
 """Units of times; those that are longer are whole seconds."""
@@ -27,6 +42,10 @@ def tables_of_arrays(
 ) -> dict[str, LogTable]:
     """Tables from arrays, each given by group, name and values; the first axis is that of the rows.
 
+    It is the last axis that has as many values as the times of the group, where the first has not, as in MATLAB with a
+    signal in a row, or in HDF5 as MATLAB writes it. An array of few and long rows in a file without times has them as
+    columns, too, and a `StepGapWarning` says so.
+
     Arrays of one group that have the same length form a table. Where lengths differ, the number of rows is appended to
     the name of the group. A single number is no column. Arrays of anything but numbers and text are added to `unread`.
 
@@ -35,8 +54,12 @@ def tables_of_arrays(
     """
     groups: dict[tuple[str, int], dict[str, LogColumn]] = defaultdict(dict)
     size = 0
-    for group, name, values in arrays:
-        for column, numbers in columns_of_array(name, values):
+    given = list(arrays)
+    rows = _rows_by_group(given)
+    for group, name, values in given:
+        for column, numbers in columns_of_array(
+            name, _with_rows_first(source, name, values, rows.get(group, rows.get(None, 0)))
+        ):
             if isinstance(numbers, str):
                 unread[part_name(group, column)] = numbers
                 continue
@@ -53,9 +76,35 @@ def tables_of_arrays(
     return {name: LogTable(f"{source}, {name}" if name else source, columns) for name, columns in named.items()}
 
 
+def _rows_by_group(arrays: Sequence[tuple[str, str, Any]]) -> dict[str | None, int]:
+    """Number of rows by group, and under None that of the file: as many as times, or else as the longest vector has."""
+    lengths: dict[str | None, tuple[bool, int]] = {}
+    for group, name, values in arrays:
+        if 1 < values.size == max(values.shape, default=0):
+            length = name.rpartition(".")[2].lower() in _TIMES, values.size
+            for key in (group, None):
+                lengths[key] = max(length, lengths.get(key, (False, 0)))
+    return {key: length for key, (_, length) in lengths.items()}
+
+
+def _with_rows_first(source: str, name: str, values: Any, rows: int) -> Any:
+    """An array with the axis of the rows at the beginning; `rows` is their number, 0 if it is not known."""
+    if values.ndim < 2 or values.size == max(values.shape):
+        return values
+    first, *_, last = values.shape
+    if rows == last != first:
+        return np.moveaxis(values, -1, 0)
+    if not rows and values.ndim == 2 and last > _LONG and last > _SLIM * first:
+        shown = f"{source}: {name or 'the array'} has {first} rows of {last} values, which are taken as columns"
+        warnings.warn(shown, StepGapWarning, stacklevel=2)
+        return values.T
+    return values
+
+
 def only_for_matlab(kind: str) -> str:
     """Why an object of a class of MATLAB, such as a table, is left out."""
-    return f"a {kind:.60} of MATLAB, which only MATLAB can read; save numbers or a struct"
+    advice = _AS_STRUCT.get(kind.rpartition(".")[2], "numbers or a struct")
+    return f"a {kind:.40} of MATLAB, which only MATLAB can read; save {advice}"
 
 
 def part_name(group: str, name: str) -> str:
@@ -72,7 +121,7 @@ def columns_of_array(name: str, values: Any) -> Iterator[tuple[str, LogColumn | 
         for field in values.dtype.names:
             yield from columns_of_array(f"{name}.{field}" if name else field, values[field])
         return
-    if values.ndim == 2 and 1 in values.shape:
+    if values.ndim > 1 and values.size == max(values.shape):
         values = values.reshape(-1)
     width = int(np.prod(values.shape[1:], dtype=float))
     if values.ndim == 0 or values.shape == (1,):

@@ -6,6 +6,7 @@ This module is also its program:
 """
 
 import sys
+import warnings
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from stepgap.base.errors import StepGapWarning
 from stepgap.base.trial_process import answer_of, print_answer
 from stepgap.logs.tables.hdf5 import read_hdf5
 from stepgap.logs.tables.log_table import LogTable
@@ -48,6 +50,8 @@ def read_foreign_file(kind: str, path: Path, unread: dict[str, str]) -> dict[str
             raise RecordError(f"{path}: not a readable {kind} file, damaged or incomplete ({error})") from None
         if "refusal" in answer:
             raise RecordError(answer["refusal"])
+        for message in answer["warnings"]:
+            warnings.warn(message, StepGapWarning, stacklevel=2)
         unread.update(answer["unread"])
         tables = dict[str, LogTable]()
         with columns.open("rb") as file:
@@ -63,10 +67,13 @@ def read_foreign_file(kind: str, path: Path, unread: dict[str, str]) -> dict[str
 def _read(kind: str, path: str, columns: str) -> dict[str, Any]:
     """Writes the columns of all tables, one after the other, and returns what else is in the tables."""
     unread = dict[str, str]()
-    try:
-        tables = READERS[kind](Path(path), unread)
-    except RecordError as error:
-        return {"refusal": str(error)}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", StepGapWarning)
+        try:
+            tables = READERS[kind](Path(path), unread)
+        except RecordError as error:
+            return {"refusal": str(error)}
+    said = [str(warning.message) for warning in caught if issubclass(warning.category, StepGapWarning)]
     with Path(columns).open("wb") as file:
         for table in tables.values():
             for values in table.columns.values():
@@ -75,7 +82,7 @@ def _read(kind: str, path: str, columns: str) -> dict[str, Any]:
         name: (table.source, list(table.columns), sorted(table.repeated), dict(table.unread))
         for name, table in tables.items()
     }
-    return {"unread": unread, "tables": described}
+    return {"unread": unread, "tables": described, "warnings": said}
 
 
 if __name__ == "__main__":

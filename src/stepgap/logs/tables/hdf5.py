@@ -27,7 +27,7 @@ def read_hdf5(matlab: bool, path: Path, unread: dict[str, str]) -> dict[str, Log
     h5py = library("h5py", path)
     check_file_size(path)
     with reading(path, "HDF5"), h5py.File(path, "r") as file:
-        datasets = _datasets(h5py, file, path, unread)
+        datasets = _Datasets(h5py, file, path, matlab, unread).found
         sizes = [max(float(dataset.size), dataset.nbytes / 8) for dataset in datasets.values()]  # text may be long
         check_size(str(path), sum(sizes))
         arrays: list[tuple[str, str, Any]] = []
@@ -44,38 +44,63 @@ def _part(names: Sequence[str]) -> str:
     return part_name("/".join(names[:-1]), names[-1])
 
 
-def _datasets(h5py: Any, file: Any, path: Path, unread: dict[str, str]) -> dict[tuple[str, ...], Any]:
+class _Datasets:
     """The datasets of a file by their names from the root to them; links to elsewhere are left out."""
-    datasets: dict[tuple[str, ...], Any] = {}
-    places: list[str] = []
 
-    def visit(place: str, link: Any) -> str | None:
-        """Visits a link; a text ends the visit. Each group is visited once, also where groups form a cycle."""
+    def __init__(self, h5py: Any, file: Any, path: Path, matlab: bool, unread: dict[str, str]) -> None:
+        self.found: dict[tuple[str, ...], Any] = {}
+        self._h5py = h5py
+        self._file = file
+        self._path = path
+        self._matlab = matlab
+        self._unread = unread
+        self._count = 0
+        file.visititems_links(self._visit)  # each group once, also where groups form a cycle
+
+    def _visit(self, place: str, link: Any) -> None:
         names = tuple(place.split("/"))
-        if len(places) >= _MOST_OBJECTS or len(names) > _DEEPEST:
-            return f"{place:.200}: more than {_MOST_OBJECTS} objects or {_DEEPEST} nested groups"
-        if any(name.startswith("#") for name in names):  # what MATLAB refers to
-            return None
-        places.append(place)
-        with leaving_out(_part(names), unread):
-            if isinstance(link, h5py.ExternalLink):
-                raise ValueError("a link to another file, which is not followed")
-            if isinstance(link, h5py.SoftLink):
-                raise ValueError(f"a link to {link.path!s:.60}, which is not followed")
-            entry = file[place]
-            if not isinstance(entry, h5py.Dataset):
-                return None
-            if entry.external or entry.is_virtual:
-                raise ValueError("its values lie in another file, which is not read")
-            if prod(entry.chunks or ()) * entry.dtype.itemsize > LARGEST_PART:
-                raise ValueError(f"parts larger than {LARGEST_PART} bytes")
-            if entry.shape is not None:
-                datasets[names] = entry
-        return None
+        if not any(name.startswith("#") for name in names):  # those are what MATLAB refers to
+            self._add(names, self._file, place, link)
 
-    if fault := file.visititems_links(visit):
-        raise RecordError(f"{path}, {fault}")
-    return datasets
+    def _add(self, names: tuple[str, ...], group: Any, place: str, link: Any) -> None:
+        """Adds the dataset at a link of a group."""
+        with leaving_out(_part(names), self._unread):
+            if isinstance(link, self._h5py.ExternalLink):
+                raise ValueError("a link to another file, which is not followed")
+            if isinstance(link, self._h5py.SoftLink):
+                raise ValueError(f"a link to {link.path!s:.60}, which is not followed")
+            self._add_entry(names, group[place], by_reference=False)
+
+    def _add_entry(self, names: tuple[str, ...], entry: Any, by_reference: bool) -> None:
+        self._count += 1
+        if self._count > _MOST_OBJECTS or len(names) > _DEEPEST:
+            limit = f"more than {_MOST_OBJECTS} objects or {_DEEPEST} nested groups"
+            raise RecordError(f"{self._path}, {'/'.join(names):.200}: {limit}")
+        if not isinstance(entry, self._h5py.Dataset):
+            for name in entry if by_reference else ():  # others are visited
+                self._add((*names, name), entry, name, entry.get(name, getlink=True))
+            return
+        if entry.external or entry.is_virtual:
+            raise ValueError("its values lie in another file, which is not read")
+        if prod(entry.chunks or ()) * entry.dtype.itemsize > LARGEST_PART:
+            raise ValueError(f"parts larger than {LARGEST_PART} bytes")
+        if self._matlab and self._h5py.check_ref_dtype(entry.dtype) is not None:
+            self._add_referred(names, entry)
+        elif entry.shape is not None:
+            self.found[names] = entry
+
+    def _add_referred(self, names: tuple[str, ...], entry: Any) -> None:
+        """Adds what the elements of a cell array, or of a field of an array of structs, refer to."""
+        if entry.size > _MOST_OBJECTS:
+            raise ValueError(f"more than {_MOST_OBJECTS} cells")
+        is_cell = entry.attrs.get("MATLAB_class", b"") == b"cell" or len(names) == 1
+        field = () if is_cell else names[-1:]
+        *outer, last = names[: len(names) - len(field)]
+        for index, reference in enumerate(entry[...].reshape(-1)):
+            inner = (*outer, f"{last}[{index}]", *field)
+            with leaving_out(_part(inner), self._unread):
+                if reference:
+                    self._add_entry(inner, self._file[reference], by_reference=True)
 
 
 def _array(h5py: Any, names: tuple[str, ...], dataset: Any) -> tuple[str, str, Any]:

@@ -1,8 +1,9 @@
 """MATLAB's MAT files up to version 7; files of version 7.3 are HDF5 files."""
 
 import struct
+import warnings
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from io import BytesIO
 from math import prod
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from stepgap.base.errors import StepGapWarning
 from stepgap.logs.tables.arrays import only_for_matlab, part_name, tables_of_arrays
 from stepgap.logs.tables.files import content_of, leaving_out, reading
 from stepgap.logs.tables.log_table import MOST_NUMBERS, LogTable, check_size
@@ -30,6 +32,7 @@ _KINDS = frozenset([*range(1, 8), 9, *range(12, 15), *range(16, 19)])
 _CELL = 1
 _STRUCT = 2
 _SPARSE = 5
+_OBJECT = 17
 _NUMERIC = range(4, 16)
 
 _DEEPEST_MAT = 50
@@ -66,7 +69,10 @@ def _variables(content: bytes, path: Path) -> Iterator[bytes]:
     while at < len(content):
         length = int.from_bytes(content[at + 4 : at + 8], order)
         if at + 8 + length > len(content):
-            raise RecordError(f"{path}: truncated MAT file")
+            if at == _HEADER_5:
+                raise RecordError(f"{path}: truncated MAT file")
+            warnings.warn(f"{path}: truncated MAT file; the variables before its end are read", StepGapWarning, 2)
+            return
         yield content[:_HEADER_5] + content[at : at + 8 + length]
         at += 8 + length
 
@@ -106,14 +112,25 @@ def _arrays(group: str, name: str, value: Any, unread: dict[str, str]) -> Iterat
     if isinstance(value, dict):
         for field, inner in value.items():
             yield from _arrays(group or name, f"{name}.{field}" if group else field, inner, unread)
-    elif isinstance(value, list):
-        for index, inner in enumerate(value):
+    elif isinstance(value, list) or (type(value) is np.ndarray and any(map(_is_array, _cells(value)))):
+        for index, inner in enumerate(_cells(value)):
             yield from _arrays(group, f"{name}[{index}]", inner, unread)
     elif type(value) is np.ndarray:
         if value.size:
             yield group, name, value
     elif not np.isscalar(value):
         unread[part_name(group, name)] = f"a {type(value).__name__}, neither numbers nor text"
+
+
+def _cells(value: Any) -> Sequence[Any]:
+    """The parts of a list, or of a cell array; none of an array of numbers."""
+    if isinstance(value, list):
+        return value
+    return value.ravel(order="F").tolist() if value.dtype.kind == "O" else []
+
+
+def _is_array(value: Any) -> bool:
+    return isinstance(value, dict | list | np.ndarray)
 
 
 class _Element(NamedTuple):
@@ -160,13 +177,15 @@ def _check_matrix(content: bytes, matrix: _Element, order: str, depth: int = 0) 
         raise ValueError("damaged: no matrix, or one that is nested too deeply")
     if matrix.begin == matrix.end:
         return
-    flags, shape, _, *parts = _elements(content, matrix.begin, matrix.end, order)
+    flags, shape, named, *parts = _elements(content, matrix.begin, matrix.end, order)
     if flags.kind != _UINT32 or flags.end - flags.begin != 8:
         raise ValueError("damaged: a matrix without its class")
     (bits,) = struct.unpack_from(f"{order}I", content, flags.begin)
     kind = bits & 0xFF
     if kind not in (_STRUCT, _CELL, *_NUMERIC):
-        raise ValueError(only_for_matlab("variable of a class"))
+        last = parts[0] if kind == _OBJECT and parts else named
+        words = content[last.begin : last.end].decode("latin-1")
+        raise ValueError(only_for_matlab(words if words.isprintable() and words.strip() else "variable of a class"))
     lengths = struct.unpack(f"{order}{(shape.end - shape.begin) // 4}i", content[shape.begin : shape.end])
     if shape.kind != _INT32 or len(lengths) < 2 or min(lengths) < 0:
         raise ValueError("damaged: a matrix without its shape")
