@@ -9,10 +9,10 @@ import pytest
 
 from stepgap.control.reference import Reference
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.report.map_check import check_map
 from stepgap.report.robot_check import (
     PartResult,
     check_commands,
-    check_map,
     check_placing,
     check_section,
     check_targets,
@@ -37,8 +37,9 @@ def test_a_mujoco_robot_has_every_part(stepgap: Command, monkeypatch: pytest.Mon
     monkeypatch.setattr("stepgap.robots.nominal_maps.surrogate_map.MOST_SAMPLES", 256)
     result = stepgap("check", "spring_hopper", "--out", "steps.svg")
     assert result.code == 0, result
-    parts = ["placing", "map", "targets", "commands", "motion", "ranges", "gap", "response", "section", "noise"]
-    assert list(verdicts(result)) == parts
+    of_map = ["map", "jacobian", "smooth", "targets", "commands", "authority"]
+    of_motion = ["motion", "ranges", "gap", "response", "memory", "noise", "section"]
+    assert list(verdicts(result)) == ["placing", *of_map, *of_motion]
     assert "surrogate of 256 simulated steps, 0% of which failed" in " ".join(result.out.split())
     assert "kept: --nominal.file nominal_map.json" in result.err
     picture = Path("steps.svg").read_text()
@@ -108,8 +109,8 @@ def test_a_model_that_is_placed_elsewhere_is_wrong() -> None:
 def test_a_map_without_steps_and_commands_without_effect_are_wrong() -> None:
     step_map = LossyHopper()
     reference = stairs(step_map.space)
-    assert verdict(check_map(step_map))[0] == "ok"
-    assert verdict(check_map(NeverWorks()))[0] == "wrong"
+    assert verdict(check_map(step_map, np.random.default_rng(0)))[0] == "ok"
+    assert verdict(check_map(NeverWorks(), np.random.default_rng(0)))[0] == "wrong"
     assert verdict(check_commands(step_map, reference))[0] == "ok"
     dead = LossyHopper(push=0.0)
     kind, sentence = verdict(check_commands(dead, reference))

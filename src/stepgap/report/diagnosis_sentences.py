@@ -44,7 +44,7 @@ def _lost(steps: Steps) -> list[str]:
         return []
     first = tracking.number[missing][0]
     return [
-        f"In {np.count_nonzero(missing)} of the {len(missing)} steps of deployment {steps.iterations[0]}, first in "
+        f"In {np.count_nonzero(missing)} of the {len(tracking)} steps of deployment {steps.iterations[0]}, first in "
         f"step {first}, {NO_COMMAND}."
     ]
 

@@ -4,12 +4,13 @@ At rest there are its nominal map, targets, commands, and the placing of its mod
 ranges, the gap and the noise.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.base.errors import StepGapError
 from stepgap.base.random_streams import random_stream
@@ -17,17 +18,24 @@ from stepgap.control.limit_cycle import fixed_point
 from stepgap.control.reach import SMALL_PART, command_effect
 from stepgap.control.reference import Reference
 from stepgap.experiment.inputs import TRIAL_STEPS
-from stepgap.experiment.nominal import check_surrogate
 from stepgap.experiment.outcome import unheld_steps
 from stepgap.experiment.run import Run
-from stepgap.learning.steps import Steps
+from stepgap.learning.steps import Steps, joined
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.records.text import capitalised, in_words, unit_suffix
-from stepgap.report.diagnosis_sentences import response_sentences
+from stepgap.records.text import capitalised, in_words, listed, unit_suffix
 from stepgap.report.gait_text import effect_sentences
-from stepgap.robots.nominal_maps.surrogate_map import SurrogateMap
+from stepgap.report.robot_response import (
+    LEAST_REMEMBERED,
+    REMEMBERED,
+    break_of,
+    causes,
+    contradictions,
+    frozen_states,
+    measured_derivatives,
+    unmeasured_state,
+)
 from stepgap.robots.robot import Robot
-from stepgap.step import Array, StepFailed, StepMap, StepSpace, StepStatus
+from stepgap.step import Array, StepMap, StepSpace, StepStatus
 
 Verdict = Literal["ok", "wrong", "left out"]
 """Result of the test of a part."""
@@ -67,26 +75,6 @@ PLACED_STATES: Final = 20  # Number of states into which a model is put
 
 PLACED_ERROR: Final = 0.01
 """Largest difference between a state and the one into which the model was put [half ranges]."""
-
-
-def check_map(nominal: StepMap) -> Iterator[PartResult]:
-    """Whether a surrogate predicts enough, and whether the map makes a step from the middle of the ranges."""
-    space = nominal.space
-    text = ""
-    if isinstance(nominal, SurrogateMap):
-        check_surrogate(nominal)
-        status = nominal.samples.status
-        text = (
-            f" The surrogate of {len(status)} simulated steps, {np.mean(status != StepStatus.OK):.0%} of which failed, "
-            f"misses the next state by {half_ranges(space, nominal.error / space.state_scale)} half ranges."
-        )
-    try:
-        nominal(space.state_centre, space.command_centre)
-    except StepFailed as error:
-        advice = "Choose ranges about a motion of the robot."
-        yield PartResult("map", "wrong", f"From the middle of all ranges it makes no step: {error}. {advice}{text}")
-    else:
-        yield PartResult("map", "ok", f"From the middle of all ranges it makes a step.{text}")
 
 
 def check_targets(nominal: StepMap, reference: Reference, held: bool, file: Path | None) -> Iterator[PartResult]:
@@ -168,42 +156,146 @@ UNEVEN: Final = 3.0
 """A step is too short or too long if its duration differs from the median by more than this factor."""
 
 NOISY: Final = 0.5  # Noise of a step from which on it hides the state [half ranges]
-MOSTLY: Final = 0.5  # Part of the states that are outside a range of use from which on the range is wrong
+OFTEN_OUTSIDE: Final = 0.25  # Part of the states of a trial outside a range of use from which on it is a finding
+OUTSIDE: Final = 0.1  # Part of the states outside, where the map predicts them, too, from which on it is one
+FEW_OUTSIDE: Final = 2  # Number of states outside that is no finding
+LARGE_GAP: Final = (
+    1.0  # Error of the map from which on it predicts no better than the middle of the range [half ranges]
+)
 
 
-def check_motion(run: Run) -> Iterator[PartResult]:
-    """Whether the robot steps, and where its states are."""
+def check_robot_steps(run: Run, probes: Steps) -> Iterator[PartResult]:
+    """Whether the robot steps, where its states are, and whether it steps as the map says.
+
+    What to do follows from what is found: a cause takes the place of the advice on a symptom.
+
+    Args:
+        run: A trial.
+        probes: Steps whose commands vary at random.
+    """
+    nominal = run.needed(run.nominal)
+    steps = joined([run.steps, probes]) if len(probes) else run.steps
+    response = list(_response(steps, nominal, run.noise_floor / run.space.state_scale))
+    noise = _noise(run, _first(response))
+    gap = _gap(steps, nominal, _first([*response, noise]))
+    first = _first([*response, noise, gap])
+    yield from (_motion(run, first), _ranges(run, steps, first), gap, *response, noise)
+
+
+def _first(results: Sequence[PartResult]) -> str:
+    """What to mend first, if one of some results is wrong; else empty."""
+    return next((f"First mend what is wrong under `{one.part}`." for one in results if one.verdict == "wrong"), "")
+
+
+def _motion(run: Run, cause: str) -> PartResult:
+    """Whether the robot made its steps."""
     steps = run.steps
     done = steps.completed()
-    if len(done) < len(steps):
-        status = StepStatus(int(steps.status[-1]))
-        text = f"Step {len(steps)} failed ({status.label}): {steps.space.advice_on(status)}."
-        yield PartResult("motion", "wrong" if len(done) < TRIAL_STEPS else "ok", text)
-    else:
-        yield PartResult("motion", "ok", f"The robot made {len(steps)} steps without a failure.")
-    if len(done):
-        yield _ranges(done)
-        error = np.sqrt(np.nanmean((done.next_state - done.predicted) ** 2, axis=0)) / run.space.state_scale
-        text = f"The map misses the next state by {half_ranges(run.space, error)} half ranges; a run learns this."
-        yield PartResult("gap", "ok", text)
-        found = response_sentences(steps, run.needed(run.nominal))
-        text = " ".join(found) or "The steps do not contradict the effect of the commands that the map expects."
-        yield PartResult("response", "wrong" if found else "ok", text)
+    if len(done) == len(steps):
+        return PartResult("motion", "ok", f"The robot made {len(steps)} steps without a failure.")
+    status = StepStatus(int(steps.status[-1]))
+    text = f"Step {len(steps)} failed ({status.label}): {cause or capitalised(steps.space.advice_on(status)) + '.'}"
+    return PartResult("motion", "wrong" if len(done) < TRIAL_STEPS else "ok", text)
 
 
-def _ranges(steps: Steps) -> PartResult:
-    """Where the visited states are in their ranges of use."""
+def _ranges(run: Run, steps: Steps, cause: str) -> PartResult:
+    """Where the visited states are in their ranges of use.
+
+    That states are outside because of an error of the map is a finding only if it happens often: a run learns it.
+    """
     space = steps.space
-    states = np.concatenate([steps.state[:1], steps.next_state])
-    outside = np.mean((states < space.state_lower) | (states > space.state_upper), axis=0)
+    done = steps.completed()
+    predicted = run.needed(run.nominal).evaluate(done.state, done.requested).next_state
+    states = np.concatenate([steps.state[~steps.follows], done.next_state])
     visited = [
         f"{quantity.name} {low:.3g} to {high:.3g}{unit_suffix(quantity)}"
         for quantity, low, high in zip(space.state, states.min(axis=0), states.max(axis=0), strict=True)
     ]
-    if wrong := [visited[row] for row in np.flatnonzero(outside > MOSTLY)]:
-        advice = "check the units, and choose the ranges about the states that the robot visits"
-        return PartResult("ranges", "wrong", f"Mostly outside the range of use: {', '.join(wrong)}; {advice}.")
-    return PartResult("ranges", "ok", f"The robot visited {', '.join(visited)}.")
+    counts = _outside(space, states).sum(axis=0)
+    trial = _outside(space, run.steps.completed().next_state)
+    often = trial.sum(axis=0) > max(FEW_OUTSIDE, OFTEN_OUTSIDE * len(trial))
+    expected = (_outside(space, done.next_state) & _outside(space, predicted)).sum(axis=0)
+    often |= expected > max(FEW_OUTSIDE, OUTSIDE * len(done))
+    outside = [
+        f"{counts[row]} of {len(states)} states are outside the range of use of {visited[row]}"
+        for row in np.flatnonzero(counts)
+    ]
+    if not outside:
+        return PartResult("ranges", "ok", f"The robot visited {', '.join(visited)}.")
+    if not often.any():
+        return PartResult("ranges", "ok", f"{capitalised('; '.join(outside))}.")
+    far = np.abs(np.median(space.scaled_state(states), axis=0)) > FAR
+    advice = "Choose the ranges about the states that the robot visits, or targets farther from their ends."
+    if far.any():
+        names = listed([quantity.name for quantity, is_far in zip(space.state, far, strict=True) if is_far])
+        advice = f"Check unit and zero of {names}."
+    return PartResult("ranges", "wrong", f"{'; '.join(outside)}. {cause or advice}")
+
+
+def _outside(space: StepSpace, states: Array) -> NDArray[np.bool_]:
+    """Which coordinates of states (N, n) are outside their ranges of use; shape (N, n)."""
+    return (states < space.state_lower) | (states > space.state_upper)
+
+
+FAR: Final = 5.0  # Median distance from the middle of the range that is hardly one of the robot [half ranges]
+
+
+def _gap(steps: Steps, nominal: StepMap, cause: str) -> PartResult:
+    """How far the map is from the steps."""
+    space = steps.space
+    error = (steps.next_state - nominal.evaluate(steps.state, steps.requested).next_state) / space.state_scale
+    error = error[np.isfinite(error).all(axis=1)]
+    if not len(error):
+        return PartResult("gap", "left out", f"The map predicts none of the steps. {cause}".strip())
+    size = np.sqrt(np.mean(error**2, axis=0))
+    text = f"The map misses the next state by {half_ranges(space, size)} half ranges"
+    if (size <= LARGE_GAP).all():
+        return PartResult("gap", "ok", f"{text}; a run learns this.")
+    offset = np.mean(error, axis=0)
+    constant = np.abs(offset) > CONSTANT * size
+    parts = [
+        f"{quantity.name} ends {shift:+.2g} half ranges from where the map says: correct the zero of its sensor, or a "
+        "constant of the map."
+        for quantity, shift, large in zip(space.state, offset, constant & (size > LARGE_GAP), strict=True)
+        if large
+    ]
+    advice = " ".join(parts) or "Compare the parameters of the map with those of the robot."
+    return PartResult("gap", "wrong", f"{text}, which is more than one. {cause or advice}")
+
+
+CONSTANT: Final = 0.8  # Part of an error that is the same in all steps from which on it is called an offset
+
+
+def _response(steps: Steps, nominal: StepMap, noise: Array) -> Iterator[PartResult]:
+    """Whether the robot responds to state and command as the map says, without jumps, and to nothing else."""
+    found = measured_derivatives(steps, nominal)
+    sentences = frozen_states(steps)
+    if found and not sentences:
+        sentences = [sentence for sentence in (break_of(found),) if sentence]
+    if not sentences and (found is None or found.contradicting.any() or found.unexplained > REMEMBERED):
+        sentences = causes(steps, nominal, found)
+    evidence = contradictions(found) if found else []
+    least = LEAST_REMEMBERED if evidence else REMEMBERED
+    remembered = list(unmeasured_state(found, noise, least)) if found and not sentences else []
+    if evidence and not sentences and not remembered:
+        advice = "No single mistake explains this: compare these effects in the map with those in the robot's program."
+        sentences = [*evidence, advice]
+    elif sentences:
+        sentences += evidence
+    if sentences:
+        yield PartResult("response", "wrong", " ".join(sentences))
+        return
+    if found is None:
+        text = "There are too few steps that the map predicts to compare the effects of state and command with it."
+        yield PartResult("response", "left out", text)
+        return
+    if evidence:
+        yield PartResult("response", "left out", "The effects cannot be told from what is wrong under `memory`.")
+    else:
+        text = f"In {len(found.steps)} steps, state and command have the effects that the map expects."
+        yield PartResult("response", "ok", text)
+    nothing = "The error of a step does not depend on the steps before."
+    yield PartResult("memory", "wrong" if remembered else "ok", " ".join(remembered) or nothing)
 
 
 def check_section(ticks: TickTable | None) -> Iterator[PartResult]:
@@ -232,15 +324,13 @@ def check_section(ticks: TickTable | None) -> Iterator[PartResult]:
         yield PartResult("section", "ok", f"{text}.")
 
 
-def check_noise(run: Run) -> Iterator[PartResult]:
+def _noise(run: Run, cause: str) -> PartResult:
     """Whether a repeated step ends alike."""
     noise = run.noise_floor / run.space.state_scale
     if not (np.isfinite(noise).any() and run.summary.noise_floor_measured):
-        yield PartResult("noise", "left out", "The plant cannot repeat a step, or each repeated step failed.")
-        return
+        return PartResult("noise", "left out", "The plant cannot repeat a step, or each repeated step failed.")
     text = f"A repeated step varies by {half_ranges(run.space, noise)} half ranges"
-    if np.nanmax(noise) > NOISY:
-        advice = "Find what varies and make it a state, or choose another section."
-        yield PartResult("noise", "wrong", f"{text}, so the state hardly says how the next step ends. {advice}")
-    else:
-        yield PartResult("noise", "ok", f"{text}.")
+    if not np.nanmax(noise) > NOISY:
+        return PartResult("noise", "ok", f"{text}.")
+    advice = "Find what varies and make it a state, or choose another section."
+    return PartResult("noise", "wrong", f"{text}, so the state hardly says how the next step ends. {cause or advice}")

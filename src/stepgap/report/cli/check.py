@@ -49,24 +49,39 @@ def check_robot(
             simulation]
         out: New file for the picture of the steps. [default: check.png or the next free name]
     """
-    from stepgap.report.robot_check import PartResult, check_map, check_placing, results_of
-
     if out:
         check_new(out, "--out")
     settings = _settings(robot, {"reference": reference, "plant": plant}, overrides or [])
+    results = results_of_robot(settings, out, program or [])
+    print(_table(results))
+    if any(result.verdict == "wrong" for result in results):
+        sys.exit(_WRONG)
+
+
+def results_of_robot(settings: "Experiment", out: Path | None, program: Sequence[str]) -> "list[PartResult]":
+    """The results for all parts of a robot, in the order in which they are best mended.
+
+    Args:
+        settings: Settings of an experiment with it.
+        out: New file for the picture of its steps; None for the next free name.
+        program: Command line of the robot's program, for the plant `process`.
+    """
+    from stepgap.report.robot_check import PartResult, check_placing, results_of
+
     results = results_of("placing", check_placing(settings.robot, settings.seed))
     try:
         nominal = nominal_with_progress(settings)
     except InputError as error:
-        results.append(PartResult("map", "wrong", f"{error}. Without a map, the parts that need one are left out."))
-    else:
-        results += [*results_of("map", check_map(nominal.map)), *_of_motion(settings, nominal, out, program or [])]
-        refused = any(result.verdict == "wrong" for result in results if result.part == "map")
-        if not refused and (path := kept_surrogate(nominal)):
-            warn(f"the simulated steps are kept: --nominal.file {path}")
-    print(_table(results))
-    if any(result.verdict == "wrong" for result in results):
-        sys.exit(_WRONG)
+        text = f"{error}. Without a map, the parts that need one are left out."
+        return [*results, PartResult("map", "wrong", text)]
+    of_map = _of_map(settings, nominal)
+    results += of_map
+    if any(result.verdict == "wrong" for result in of_map):
+        return [*results, PartResult("others", "left out", "Mend the map first: all other parts need it.")]
+    results += _of_motion(settings, nominal, out, program)
+    if path := kept_surrogate(nominal):
+        warn(f"the simulated steps are kept: --nominal.file {path}")
+    return results
 
 
 def _settings(robot: str | None, given: "dict[str, str | None]", overrides: Sequence[tuple[str, str]]) -> "Experiment":
@@ -84,6 +99,20 @@ def _settings(robot: str | None, given: "dict[str, str | None]", overrides: Sequ
     return settings
 
 
+def _of_map(settings: "Experiment", nominal: "Nominal") -> "list[PartResult]":
+    """The results on the nominal map alone."""
+    from stepgap.base.random_streams import random_stream
+    from stepgap.report.map_check import check_jacobian, check_map, check_smooth
+    from stepgap.report.robot_check import results_of
+
+    rng = random_stream(settings.seed, 0, 6)
+    results = results_of("map", check_map(nominal.map, rng))
+    if any(result.verdict == "wrong" for result in results):
+        return results
+    smooth = results_of("smooth", check_smooth(nominal.map, rng))
+    return [*results, *results_of("jacobian", check_jacobian(nominal.map, rng)), *smooth]
+
+
 def _of_motion(
     settings: "Experiment", nominal: "Nominal", out: Path | None, program: Sequence[str]
 ) -> "list[PartResult]":
@@ -91,6 +120,7 @@ def _of_motion(
     from stepgap.control.limit_cycle import held_reference
     from stepgap.experiment.inputs import load_reference, trial_reference
     from stepgap.experiment.settings import PROCESS
+    from stepgap.report.map_check import check_authority
     from stepgap.report.robot_check import PartResult, check_commands, check_targets, results_of
 
     reference = load_reference(settings, nominal.map.space)
@@ -100,6 +130,7 @@ def _of_motion(
     if held is None:
         return [*results, PartResult("motion", "left out", "Without a target that is held, there is nothing to do.")]
     results += results_of("commands", check_commands(nominal.map, held))
+    results += results_of("authority", check_authority(nominal.map, held))
     if not settings.simulated and not (settings.plant == PROCESS and program):
         text = f"Plant '{settings.plant}' is no simulation. Give the program of the robot after two dashes, or a plant."
         return [*results, PartResult("motion", "left out", text)]
@@ -110,14 +141,14 @@ def _of_trial(
     settings: "Experiment", nominal: "Nominal", targets: "Reference", out: Path | None, program: Sequence[str]
 ) -> "list[PartResult]":
     from stepgap.cli.progress import progress_bar
-    from stepgap.experiment.trial import trial_run
-    from stepgap.report.robot_check import check_motion, check_noise, check_section, results_of
+    from stepgap.experiment.trial import probing_steps, trial_run
+    from stepgap.report.robot_check import check_robot_steps, check_section, results_of
 
-    with TemporaryDirectory() as folder, progress_bar("steps") as progress:
+    with TemporaryDirectory() as folder, TemporaryDirectory() as other, progress_bar("steps") as progress:
         run = trial_run(settings, nominal, targets, Path(folder), program, progress)
-        results = results_of("motion", check_motion(run))
+        probes = probing_steps(settings, nominal, targets, Path(other), program, progress)
+        results = results_of("motion", check_robot_steps(run, probes))
         results += results_of("section", check_section(run.ticks.get(0)))
-        results += results_of("noise", check_noise(run))
         _draw(run, out)
     return results
 

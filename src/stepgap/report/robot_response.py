@@ -1,0 +1,451 @@
+"""Whether a robot steps as its nominal map says, derivative by derivative, and what explains that it does not.
+
+The error of the map is regressed on state and command. Added to the derivatives of the map, the weights are those of
+the robot, with intervals. Where they contradict the map, some simple mistakes are tried, one after the other: with each
+of them the map predicts the steps again, and the one that leaves the least error is the cause. What a run learns, such
+as a drive that is weaker by a third, is no contradiction.
+
+Numbers are in half ranges: a derivative is the change of the next state by a change of a state or command by half its
+range.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from stepgap.learning.steps import Steps
+from stepgap.records.text import capitalised, listed
+from stepgap.step import Array, Quantity, StepMap, StepSpace
+
+CONFIDENT: Final = 0.9995  # Of the one-sided quantile of the intervals
+ALLOWED: Final = 0.03  # Added to each interval for curvature, of which the regression knows nothing
+UNSEEN: Final = 3e-3  # Part of the largest singular value below which the steps do not show a direction
+WEIGHTY: Final = 0.1  # Smallest derivative by the map that a robot can contradict
+WEAKER: Final = 0.45  # Largest ratio of robot to map that contradicts it
+STRONGER: Final = 2.2  # Smallest one
+REVERSED: Final = -0.2  # Largest one that contradicts a derivative by the state, which may be zero in a robot
+UNEXPECTED: Final = 0.5  # Smallest effect of a command that contradicts a map without it
+EXPLAINED: Final = 0.6  # Part of the squared error that a cause has to explain
+EQUAL: Final = 1.5  # Two causes explain the steps equally well up to this ratio of what they leave
+MOST_ENTRIES: Final = 4  # Number of derivatives that are listed
+FEWEST: Final = 6  # Number of steps by which a mistake is judged, at least
+PREDICTED: Final = 0.5  # Part of the steps that a map has to predict
+
+
+@dataclass(frozen=True, eq=False)
+class Derivatives:
+    """Derivatives of the next state by the map and by the steps of a robot; shapes (n, n + m).
+
+    Attributes:
+        steps: The steps that were used.
+        basis: What their error was regressed on; shape (N, 1 + n + m).
+        error: Error of the map in these steps; shape (N, n).
+        by_map: Median of those of the map.
+        by_robot: Those of the robot.
+        margin: Half the width of their interval; infinite where the steps show nothing.
+    """
+
+    steps: Steps
+    basis: Array
+    error: Array
+    by_map: Array
+    by_robot: Array
+    margin: Array
+
+    @property
+    def space(self) -> StepSpace:
+        """Names and ranges."""
+        return self.steps.space
+
+    @property
+    def residual(self) -> Array:
+        """Error that state and command do not explain; shape (N, n)."""
+        return _left(self.basis, self.error)
+
+    @property
+    def unexplained(self) -> float:
+        """Largest deviation that state and command do not explain."""
+        return float(np.sqrt(np.mean(self.residual**2, axis=0)).max())
+
+    @property
+    def ratio(self) -> tuple[Array, Array]:
+        """Least and largest ratio of robot to map, NaN where the map has a small one."""
+        base = np.where(np.abs(self.by_map) > WEIGHTY, self.by_map, np.nan)
+        ends = (self.by_robot - self.margin) / base, (self.by_robot + self.margin) / base
+        return np.minimum(*ends), np.maximum(*ends)
+
+    @property
+    def contradicting(self) -> NDArray[np.bool_]:
+        """Which derivatives of the robot contradict those of the map."""
+        n = len(self.space.state)
+        least, largest = self.ratio
+        apart = np.abs(self.by_robot - self.by_map)
+        wrong = ((largest < WEAKER) | (least > STRONGER)) & (apart > WEIGHTY)
+        wrong |= (np.abs(self.by_map) < WEIGHTY) & (np.abs(self.by_robot) - self.margin > UNEXPECTED)
+        by_state = (largest < REVERSED) & (apart > 3 * WEIGHTY)
+        return np.hstack([by_state[:, :n], wrong[:, n:]])
+
+    def in_words(self, row: int, column: int) -> str:
+        """One derivative of map and robot."""
+        name = f"∂{self.space.state[row].name}/∂{self.space.names[column]}"
+        robot = f"{self.by_robot[row, column]:.2f} ± {self.margin[row, column]:.2f}"
+        return f"{name} is {self.by_map[row, column]:.2f} by the map, {robot} by the steps"
+
+
+def _left(basis: Array, values: Array) -> Array:
+    """What a regression of values (N, n) on a basis (N, k) leaves."""
+    return values - basis @ np.linalg.lstsq(basis, values, rcond=1e-9)[0]
+
+
+def measured_derivatives(steps: Steps, nominal: StepMap) -> Derivatives | None:
+    """Compares map and robot in some steps; None if they are too few, or the map does not predict them.
+
+    Args:
+        steps: The steps.
+        nominal: The map.
+    """
+    space = steps.space
+    n = len(space.state)
+    predicted = nominal.evaluate(steps.state, steps.requested).next_state
+    matrices = nominal.jacobian(steps.state, steps.requested)
+    usable = np.isfinite(steps.next_state + predicted).all(axis=1) & ~steps.doubtful
+    usable &= np.isfinite(matrices).all(axis=(1, 2))
+    used = steps.selected(usable)
+    size = 1 + n + len(space.command)
+    if len(used) < 2 * size:
+        return None
+    error = (used.next_state - predicted[usable]) / space.state_scale
+    inputs = space.scaled_state(used.state), space.point_of(used.requested)
+    basis = np.hstack([np.ones((len(used), 1)), *inputs])
+    _, singular, right = np.linalg.svd(basis - np.mean(basis, axis=0) * (np.arange(size) > 0), full_matrices=False)
+    shown = singular > UNSEEN * singular[0]
+    weights = np.linalg.lstsq(basis, error, rcond=1e-9)[0][1:].T
+    freedom = len(used) - int(shown.sum())
+    scatter = np.sqrt(np.sum(_left(basis, error) ** 2, axis=0) / freedom)
+    spread = np.sqrt(np.sum((right[shown] / singular[shown, None]) ** 2, axis=0))[1:]
+    hidden = (right[~shown] ** 2).sum(axis=0)[1:] > WEIGHTY**2
+    margin = stdtrit(freedom, CONFIDENT) * np.outer(scatter, spread) + ALLOWED
+    scale = np.concatenate([space.state_scale, space.command_scale]) / space.state_scale[:, None]
+    by_map = np.median(matrices[usable], axis=0) * scale
+    return Derivatives(used, basis, error, by_map, by_map + weights, np.where(hidden, np.inf, margin))
+
+
+def frozen_states(steps: Steps) -> list[str]:
+    """Sentences on states that a robot measures, but that never change."""
+    ends = steps.space.scaled_state(steps.next_state[np.isfinite(steps.next_state).all(axis=1)])
+    if len(ends) < FEWEST:
+        return []
+    return [
+        f"{capitalised(quantity.name)} is the same after all {len(ends)} steps: look whether the robot's program "
+        "measures it anew after each step."
+        for quantity, change in zip(steps.space.state, np.ptp(ends, axis=0), strict=True)
+        if change < 1e-9
+    ]
+
+
+def contradictions(found: Derivatives) -> list[str]:
+    """Sentences on what contradicts the map, derivative by derivative, the largest differences first."""
+    entries = np.argwhere(found.contradicting)
+    entries = entries[np.argsort(-np.abs(found.by_robot - found.by_map)[tuple(entries.T)])].tolist()
+    listed_ones = "; ".join(found.in_words(*entry) for entry in entries[:MOST_ENTRIES])
+    more = f"; and {len(entries) - MOST_ENTRIES} others" if len(entries) > MOST_ENTRIES else ""
+    return [f"In half ranges, {listed_ones}{more}."] if entries else []
+
+
+def causes(steps: Steps, nominal: StepMap, found: Derivatives | None) -> list[str]:
+    """The mistake that explains the steps best, and others that do equally well; empty if none explains them.
+
+    Args:
+        steps: Some steps of a robot.
+        nominal: The map.
+        found: Derivatives of map and robot; None if the map predicts too few of the steps.
+    """
+    scale = steps.space.state_scale
+    ends = steps.next_state / scale
+    error = ends - nominal.evaluate(steps.state, steps.requested).next_state / scale
+    if np.isfinite(error).all(axis=1).mean() < PREDICTED:  # a map that predicts nothing leaves all to be explained
+        error = ends - steps.space.state_centre / scale
+    tried = []
+    for sentence, predicted in _mistakes(steps, nominal, found):
+        remaining = ends - predicted / scale
+        rows = np.isfinite(remaining + error).all(axis=1)
+        if rows.sum() < max(FEWEST, PREDICTED * np.isfinite(error).all(axis=1).sum()):
+            continue
+        after = remaining[rows]
+        before = error[rows]
+        varies = _squares(after - after.mean(axis=0)) / _squares(before - before.mean(axis=0))
+        tried.append((varies, _squares(after) / _squares(before), sentence))
+    if not tried or min(tried)[0] > 1 - EXPLAINED:
+        return []
+    for measure in (0, 1):
+        least = min(one[measure] for one in tried)
+        tried = [one for one in tried if one[measure] <= EQUAL * least + 0.002]
+    first, *others = [sentence for _, _, sentence in tried]
+    return [f"{capitalised(first)}.", *(f"Or, which the steps do not tell apart, {other}." for other in others[:1])]
+
+
+def _squares(values: Array) -> float:
+    return max(float(np.sum(values**2)), 1e-300)
+
+
+def _mistakes(steps: Steps, nominal: StepMap, found: Derivatives | None) -> Iterator[tuple[str, Array]]:
+    """Mistakes that are often made, each with what the map predicts of the steps (N, n) if it was made."""
+    space = steps.space
+    state = steps.state
+    command = steps.requested
+
+    def ends(states: Array, commands: Array) -> Array:
+        return nominal.evaluate(states, commands).next_state
+
+    gains = _command_gains(found) if found else {}
+    for chosen in [[column] for column in gains] + ([list(gains)] if len(gains) > 1 else []):
+        factors = np.ones(len(space.command))
+        factors[chosen] = [gains[column] for column in chosen]
+        sentence = "; ".join(_gain_in_words(found, column, gains[column]) for column in chosen) if found else ""
+        yield sentence, ends(state, command * factors)
+    for row, gain in _state_gains(space, found):
+        factors = np.ones(len(space.state))
+        factors[row] = gain
+        yield _scale_in_words(space.state[row], gain), factors * ends(state / factors, command)
+    for one, other in combinations(range(len(space.command)), 2):
+        names = f"{space.command[one].name} and {space.command[other].name}"
+        yield (
+            f"the commands {names} are exchanged: the robot takes one for the other; correct their order where it "
+            "reads them",
+            ends(state, command[:, _swapped(len(space.command), one, other)]),
+        )
+    for one, other in combinations(range(len(space.state)), 2):
+        names = f"{space.state[one].name} and {space.state[other].name}"
+        swapped = _swapped(len(space.state), one, other)
+        yield (
+            f"{names} are exchanged in what the robot measures; correct their order where it gives its state",
+            ends(state[:, swapped], command)[:, swapped],
+        )
+    for count in (1, 2):
+        before = _earlier(steps, count)
+        columns = range(len(space.command))
+        for chosen in [[column] for column in columns] + ([list(columns)] if len(space.command) > 1 else []):
+            late = command.copy()
+            late[:, chosen] = before[:, chosen]
+            yield _late_in_words([space.command[column].name for column in chosen], count), ends(state, late)
+
+
+def _swapped(size: int, one: int, other: int) -> list[int]:
+    """Numbers from 0, two of which are exchanged."""
+    numbers = list(range(size))
+    numbers[one], numbers[other] = other, one
+    return numbers
+
+
+def _earlier(steps: Steps, count: int) -> Array:
+    """Commands of the steps some steps before, NaN where these are not among them; shape (N, m)."""
+    earlier = steps.requested
+    for _ in range(count):
+        earlier = np.where(steps.follows[:, None], np.roll(earlier, 1, axis=0), np.nan)
+    return earlier
+
+
+def _command_gains(found: Derivatives) -> dict[int, float]:
+    """Ratio of robot to map of the commands some effects of which contradict the map, by their numbers."""
+    n = len(found.space.state)
+    return {
+        column: _ratio_of(found.by_map[:, n + column], found.by_robot[:, n + column], found.margin[:, n + column])
+        for column in range(len(found.space.command))
+        if found.contradicting[:, n + column].any()
+    }
+
+
+def _state_gains(space: StepSpace, found: Derivatives | None) -> Iterator[tuple[int, float]]:
+    """Factors with which each state may be measured: −1, those of other units, and what its responses say."""
+    n = len(space.state)
+    for row, quantity in enumerate(space.state):
+        usual = [-1.0, *UNITS.get(quantity.unit, {})]
+        yield from ((row, factor) for factor in usual)
+        if found and found.contradicting[row].any():
+            gain = _ratio_of(found.by_map[row, n:], found.by_robot[row, n:], found.margin[row, n:])
+            if abs(gain) > SMALLEST_GAIN and not any(1 / ALIKE < gain / factor < ALIKE for factor in usual):
+                yield row, gain
+
+
+def _ratio_of(by_map: Array, by_robot: Array, margin: Array) -> float:
+    """Factor of the map that comes nearest to the robot, of what the steps show."""
+    seen = np.isfinite(margin)
+    squares = float(by_map[seen] @ by_map[seen])
+    return float(by_map[seen] @ by_robot[seen]) / squares if squares else 0.0
+
+
+SMALLEST_GAIN: Final = 0.12  # Factor of an effect below which there is none
+ALIKE: Final = 1.4  # Two factors are alike up to this ratio
+
+UNITS: Final = {
+    "m": {100.0: "cm", 1000.0: "mm"},
+    "m/s": {3.6: "km/h", 100.0: "cm/s", 1000.0: "mm/s"},
+    "rad": {180 / np.pi: "degrees"},
+    "rad/s": {180 / np.pi: "degrees per second"},
+    "s": {1000.0: "ms"},
+}
+"""Factors and names of other units in which a quantity is often measured, by its unit."""
+
+GAINS: Final = {180 / np.pi: "degrees and radians", 1000.0: "a thousand", 100.0: "a hundred", 9.81: "gravity"}
+"""Factors of commands that have a usual reason."""
+
+
+def _gain_in_words(found: Derivatives, column: int, gain: float) -> str:
+    """What a factor of a command means, and what to do."""
+    n = len(found.space.state)
+    command = found.space.command[column].name
+    effects = np.maximum(np.abs(found.by_map), np.abs(found.by_robot))[:, n + column] > WEIGHTY
+    moved = listed([each.name for each, moves in zip(found.space.state, effects, strict=True) if moves])
+    if abs(gain) < SMALLEST_GAIN:
+        return (
+            f"{command} has no effect on {moved} in the robot; look whether the robot's program takes this command, "
+            "and whether its drive receives it"
+        )
+    size = f"{abs(gain):.2g} times as strongly as by the map"
+    if gain < 0:
+        also = "" if 1 / ALIKE < -gain < ALIKE else f", {size}"
+        return (
+            f"{command} acts on {moved} with the opposite sign{also}; reverse its sign, either in the robot's program "
+            "or in the map"
+        )
+    usual = [f" (is it {name}?)" for factor, name in GAINS.items() if abs(max(gain, 1 / gain) / factor - 1) < 0.1]
+    return (
+        f"{command} acts on {moved} {size}{''.join(usual)}; compare the unit of the command, its gain in the robot's "
+        "program, and limits of the drive with the map"
+    )
+
+
+def _scale_in_words(quantity: Quantity, gain: float) -> str:
+    """What a factor of a measured state means, and what to do."""
+    name = quantity.name
+    if unit := UNITS.get(quantity.unit, {}).get(gain):
+        return (
+            f"{name} is measured in {unit} instead of {quantity.unit}; divide it by {gain:.4g} where the robot gives it"
+        )
+    if 1 / ALIKE < -gain < ALIKE:
+        return f"{name} is measured with the opposite sign (mirrored); reverse its sign where the robot gives its state"
+    sign = " with the opposite sign and" if gain < 0 else ""
+    return f"{name} is measured{sign} {abs(gain):.2g} times too large; check its unit and its sensor"
+
+
+def _late_in_words(commands: Sequence[str], steps: int) -> str:
+    """What a delay means, and what to do."""
+    acts = "acts" if len(commands) == 1 else "act"
+    delay, follows = ("one step", "the step") if steps == 1 else (f"{steps} steps", f"{steps} steps")
+    return (
+        f"{listed(commands)} {acts} {delay} too late in the robot: steps follow the command of {follows} before; give "
+        "it to the robot before the step begins, or make the command before a coordinate of the state"
+    )
+
+
+BREAK_EXPLAINS: Final = 0.75  # Part of the unexplained squares that a jump has to explain
+SMALLEST_BREAK: Final = 0.1  # Smallest jump that is a finding [half ranges]
+SMOOTHER: Final = 0.6  # Part of what kinks and cubics leave that a jump may leave at most
+KINKS: Final = 15  # Number of places at which a kink is tried
+BESIDE: Final = 4  # Number of steps on each side of a jump, at least
+
+
+def break_of(found: Derivatives) -> str:
+    """A sentence on a jump of the robot's next state; empty if there is none.
+
+    Args:
+        found: Derivatives of map and robot.
+    """
+    residual = found.residual
+    squares = np.sum(residual**2, axis=0)
+    best = (0.0, 0, 0, 0.0)
+    for column in range(1, found.basis.shape[1]):
+        values = np.sort(found.basis[:, column])
+        for place in 0.5 * (values[BESIDE - 1 : -BESIDE] + values[BESIDE : len(values) - BESIDE + 1]):
+            side = (found.basis[:, column] > place).astype(float)
+            shares = _explained(found, side[:, None], residual) / np.maximum(squares, 1e-300)
+            row = int(np.argmax(np.where(squares > len(residual) * (0.2 * SMALLEST_BREAK) ** 2, shares, 0)))
+            best = max(best, (float(shares[row]), row, column, float(place)))
+    share, row, column, place = best
+    if share < BREAK_EXPLAINS:
+        return ""
+    z = found.basis[:, column]
+    side = (z > place).astype(float)
+    weights = np.linalg.lstsq(np.column_stack([found.basis, side]), found.error[:, row], rcond=1e-9)[0]
+    places = np.quantile(z, np.linspace(0.1, 0.9, KINKS))
+    kinks = [_explained(found, np.maximum(z - at, 0)[:, None], residual)[row] for at in places]
+    cubic = _explained(found, np.column_stack([z**2, z**3]), residual)[row]
+    smooth = max(*kinks, cubic) / squares[row]
+    if abs(weights[-1]) < SMALLEST_BREAK or 1 - share > SMOOTHER * (1 - smooth):
+        return ""
+    space = found.space
+    name = space.names[column - 1]
+    quantity = (*space.state, *space.command)[column - 1]
+    middle = 0.5 * (quantity.lower + quantity.upper)
+    at = middle + place * 0.5 * (quantity.upper - quantity.lower)
+    text = (
+        f"In the robot, {space.state[row].name} jumps by {abs(weights[-1]):.2g} half ranges where {name} passes about "
+        f"{at:.3g} {quantity.unit}".rstrip()
+    )
+    advice = "look for a switch, a stop or a case distinction there, or keep the ranges on one side of it"
+    return f"{text}: {advice}."
+
+
+def _explained(found: Derivatives, columns: Array, residual: Array) -> Array:
+    """By how much further columns (N, k) of the regression reduce the squares of the residual (N, n); shape (n,)."""
+    added = _left(found.basis, columns)
+    after = residual - added @ np.linalg.lstsq(added, residual, rcond=1e-9)[0]
+    return np.asarray(np.sum(residual**2, axis=0) - np.sum(after**2, axis=0), float)
+
+
+REMEMBERED: Final = 0.15  # Smallest deviation due to the steps before that is a finding [half ranges]
+LEAST_REMEMBERED: Final = 0.05  # The same, where the effects of state and command contradict the map
+MOST_OF_IT: Final = 0.5  # Part of the unexplained squares that the steps before have to explain
+UNEXPLAINED: Final = 0.3  # Smallest deviation that nothing explains and that is a finding [half ranges]
+ABOVE_NOISE: Final = 3.0  # It is more than this number of deviations of a repeated step
+
+
+def unmeasured_state(found: Derivatives, noise: Array, least: float = REMEMBERED) -> Iterator[str]:
+    """Sentences on states whose errors depend on more than state and command.
+
+    Args:
+        found: Derivatives of map and robot.
+        noise: Deviation of a repeated step [half ranges], NaN if it is not known; shape (n,).
+        least: Smallest deviation due to the steps before that is a finding [half ranges].
+    """
+    basis = found.basis
+    steps = found.steps
+    residual = _left(basis, found.error)
+    rows = np.flatnonzero(steps.follows & np.roll(steps.follows, 1))
+    known = basis[rows]
+    if len(rows) < 2 * known.shape[1]:
+        return
+    for row, quantity in enumerate(found.space.state):
+        before = np.column_stack([residual[rows - 1, row], residual[rows - 2, row], found.basis[rows - 1, 1:]])
+        error = found.error[rows, row]
+        total = _squares(_left(known, error)) / max(len(rows) - known.shape[1], 1)
+        both = np.column_stack([known, before])
+        left = _squares(_left(both, error)) / max(len(rows) - both.shape[1], 1)
+        part = 1 - left / total
+        unexplained = float(np.sqrt(total))
+        noisy = max(UNEXPLAINED, ABOVE_NOISE * float(np.nan_to_num(noise[row])))
+        if part > MOST_OF_IT and np.sqrt(part) * unexplained > least:
+            yield (
+                f"The robot remembers: {part:.0%} of the squared error of {quantity.name} that state and command do "
+                f"not explain ({unexplained:.2g} half ranges) follows from the steps before. Something that lasts is "
+                "not measured, such as a velocity, a spring, or which leg stands: make it a state, or take two steps "
+                "as one."
+            )
+        elif unexplained > noisy and _curved(found, residual, row) < MOST_OF_IT:
+            yield (
+                f"State and command do not explain {unexplained:.2g} half ranges of {quantity.name}. A state is not "
+                "measured, or the robot is not smooth: look for what else differs between two steps from one state "
+                "with one command."
+            )
+
+
+def _curved(found: Derivatives, residual: Array, row: int) -> float:
+    """Part of the unexplained squares of a state that squares of state and command explain."""
+    columns = found.basis[:, 1:] ** 2
+    total = float(np.sum(residual[:, row] ** 2))
+    return float(_explained(found, columns, residual)[row]) / max(total, 1e-300)
