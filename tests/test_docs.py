@@ -57,7 +57,7 @@ SETTINGS = [
 
 def read_sweep_with_base(file: Path) -> Sweep:
     """The sweep of a file with the default experiment beside it."""
-    (file.parent / "experiment.toml").touch()
+    (file.parent / "experiment.toml").write_text("# the defaults\n")
     return read_sweep(file)
 
 

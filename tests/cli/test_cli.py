@@ -263,9 +263,9 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ),
         (
             "gait --state pace=1",
-            ["--state pace=1: it must be names, each once, with finite numbers, such as speed=0.2,height=0.58"],
+            ["--state pace=1: no name 'pace'; it must be of speed, height"],
         ),
-        ("gait --state fast", ["--state fast: it must be names"]),
+        ("gait --state fast", ["--state fast: no name 'fast'; it must be of speed, height"]),
         ("gait --state height=-1", ["height -1.000000 m: no command makes a step from this state"]),
         ("gait --out file", ["file: exists already; choose another --out"]),
         (

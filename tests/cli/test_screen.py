@@ -1,10 +1,11 @@
-"""Bars and colours only where a person looks at a terminal."""
+"""Bars and colours only where a person looks at a terminal, and no text of others that commands it."""
 
 import io
 
 import pytest
 
 from stepgap.cli.screen import screen
+from stepgap.cli.terminal import printable, warn
 
 
 class Terminal(io.StringIO):
@@ -39,3 +40,11 @@ def test_bars_and_colours_are_for_people(
     console.print("[red]text")
     assert console.is_terminal == watched
     assert ("\x1b[" in stream.getvalue()) == watched
+
+
+def test_a_name_from_a_file_is_shown_and_does_not_command_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    """Such as a key of a stranger's sweep.toml that would clear the screen, or turn the direction of writing."""
+    warn("sweep.toml: \x1b[2J\x1b]0;title\x07 Höhe \u202e\udcff: unknown key;\n did you mean seed?")
+    line = r"stepgap: sweep.toml: \x1b[2J\x1b]0;title\x07 Höhe \u202e\udcff: unknown key; did you mean seed?"
+    assert capsys.readouterr().err == f"{line}\n"
+    assert printable("speed 0.3 m/s² – 5 %") == "speed 0.3 m/s² – 5 %"

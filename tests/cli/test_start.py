@@ -1,6 +1,7 @@
 """A stranger's folder: Python files in it are not executed by the program's own processes."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -29,6 +30,12 @@ def run_program(folder: Path, *arguments: str) -> subprocess.CompletedProcess[st
     return subprocess.run(
         [program, *arguments], cwd=folder, capture_output=True, text=True, timeout=300, check=False, env=environment
     )
+
+
+def test_ctrl_c_while_modules_are_imported_is_one_line() -> None:
+    script = "import sys, stepgap.cli.start\nraise KeyboardInterrupt"
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.stderr, ended.returncode) == ("stepgap: stopped\n", -signal.SIGINT)
 
 
 SPAWNING = "from stepgap.base.start_method import process_context\np = process_context().Process()\np.start()\np.join()"

@@ -138,11 +138,18 @@ def test_csv_columns_come_in_any_order_with_blanks_and_a_byte_order_mark(tmp_pat
     assert reference.targets.tolist() == [[0, 0.55], [0.2, 0.6]]
 
 
+def test_a_table_of_a_spreadsheet_with_decimal_commas_is_read(tmp_path: Path):
+    path = tmp_path / "plan.csv"
+    path.write_bytes("\ufeffspeed;height\r\n0;0,55\r\n0,2;0.6\r\n;\r\n".encode())
+    assert read_reference(path, SPACE).targets.tolist() == [[0, 0.55], [0.2, 0.6]]
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("", "plan.csv, line 1: the header is ''; it must be 'speed,height'"),
-        ("speed;height\n0;0.5\n", "plan.csv, line 1: the header is 'speed;height'; it must be .* separated by commas"),
+        ("speed\theight\n0\t0.5\n", r"plan.csv, line 1: the header is 'speed\\theight'; .* separated by commas"),
+        ("speed;height\n0;0,5;7\n", "plan.csv, line 2: 3 values"),
         ("speed,speed\n0,0.5\n", "plan.csv, line 1"),
         ("speed,height\n", "plan.csv, line 2: there is no step; it must have at least one row"),
         ("speed,height\n0,0.5\n0.1\n", "plan.csv, line 3: 1 values; it must have 2, one for each of speed,height"),

@@ -15,7 +15,7 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.records.recovery import recover_file
 from stepgap.records.step_columns import step_columns
-from stepgap.records.steps_csv import StepWriter, digest, read_step_log, space_of_header
+from stepgap.records.steps_csv import StepWriter, digest, read_step_log, space_of_header, with_context
 from stepgap.step import Array, ContextQuantity, StepRecord, StepSpace
 from tests.control.maps import YAW, LossyHopper
 
@@ -141,3 +141,13 @@ def test_a_column_that_is_no_context_is_refused(old: Path) -> None:
         read_step_log(path, Walker().space)
     with pytest.raises(ValueError, match="line 1: the columns must be"), StepWriter(path, Walker().space):
         pass
+
+
+def test_settings_that_declare_more_context_than_was_recorded_leave_it_out(run: Path) -> None:
+    """As of a run on flat ground whose settings were given a measured profile later."""
+    space = with_context(Walker().space, ("track",))
+    assert space.context == (TRACK,)
+    height = replace(space.state[1], above="ground")
+    above = with_context(replace(space, state=(space.state[0], height), context=(TRACK, GROUND)), ("track", "new"))
+    assert (above.is_above_context, above.context_names) == (False, ("track", "new"))
+    assert with_context(Walker().space, ("track", "ground")) == read_step_log(run / "steps.csv", Walker().space).space

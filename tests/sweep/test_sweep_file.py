@@ -123,7 +123,7 @@ def test_the_folder_of_a_sweep_has_all_files_to_read_it_again(tmp_path: Path) ->
 
 def test_points_of_other_versions_are_refused(tmp_path: Path) -> None:
     text = sweep_of(tmp_path, '[sobol]\npoints = 4\n[sobol.ranges]\n"gap.delay" = [0.0, 0.001]').files["sweep.toml"]
-    (tmp_path / "experiment.toml").touch()
+    (tmp_path / "experiment.toml").write_text("# the defaults\n")
     sweep_of(tmp_path, text)
     with pytest.raises(InputError, match="points_sha256: the axes do not have these points"):
         sweep_of(tmp_path, text.replace("0.001", "0.002"))

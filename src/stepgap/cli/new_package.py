@@ -49,13 +49,19 @@ def check_package_name(name: str) -> None:
     """Raises InputError unless a new robot in Python may have this name."""
     from stepgap.robots.entry_points import robot_names
 
-    valid = re.fullmatch(PACKAGE_NAME, name) and not keyword.iskeyword(name)
-    if not valid or name in robot_names() or find_spec(name):
-        rule = (
-            "letters from a to z, digits and underscores, a letter first and no underscore last, and no installed "
-            "module or known robot has it"
-        )
-        raise InputError(f"{name}: not the name of a new Python module: {rule}; choose another")
+    wrong = ""
+    if not re.fullmatch("[A-Za-z0-9_]*", name):
+        wrong = "it must have only letters from a to z, digits and underscores"
+    elif not re.fullmatch(PACKAGE_NAME, name):
+        wrong = "a letter must be first, and no underscore last"
+    elif keyword.iskeyword(name):
+        wrong = "it is a word of Python"
+    elif name in robot_names():
+        wrong = "a robot that is installed here has it"
+    elif find_spec(name):
+        wrong = "a module that is installed here has it"
+    if wrong:
+        raise InputError(f"{name}: not the name of a new Python module: {wrong}; choose another")
 
 
 def write_package(folder: Path, name: str, starter: Starter) -> None:
@@ -97,8 +103,8 @@ def write_robot(folder: Path, name: str, starter: Starter, class_: str, code: st
 
 def class_name(name: str, code: str) -> str:
     """Name of the class of a robot, such as `MyRobot` of my_robot; with Robot at its end if its module uses that."""
-    found = "".join(word[:1].upper() + word[1:] for word in name.split("_"))
+    class_name = "".join(word[:1].upper() + word[1:] for word in name.split("_"))
     others = {*re.findall(r"\w+", NAMED_CLASS.sub(r"\1", code)), "True", "False", "None"}
-    while found in others:
-        found += "Robot"
-    return found
+    while class_name in others:
+        class_name += "Robot"
+    return class_name

@@ -135,11 +135,13 @@ def values_by_name(option: str, text: str | None, quantities: "Sequence[Quantity
     given = set[str]()
     for part in text.split(",") if text else ():
         name, _, number = part.partition("=")
+        if name not in values:
+            raise InputError(f"{option} {text}: no name {name!r}; it must be of {', '.join(values)}")
         try:
             value = float(number)
         except ValueError:
             value = float("nan")
-        if name not in values or name in given or not isfinite(value):
+        if name in given or not isfinite(value):
             example = ",".join(
                 f"{quantity.name}={default:g}" for quantity, default in zip(quantities, defaults, strict=True)
             )

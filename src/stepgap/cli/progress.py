@@ -21,7 +21,7 @@ from rich.progress import (
 )
 
 from stepgap.cli.screen import screen
-from stepgap.cli.terminal import warn
+from stepgap.cli.terminal import printable, warn
 from stepgap.experiment.exploration import worthwhile
 from stepgap.experiment.loop import Observer, fails_no_later
 from stepgap.experiment.outcome import COMPARED_STEPS, far_states, offset_sentences
@@ -112,7 +112,7 @@ class RunProgress:
     def _say(self, sentence: str, style: str | None = None) -> None:
         """Prints a line, which without a terminal is not wrapped."""
         if not self._quiet:
-            self._console.print(sentence, soft_wrap=True, style=style)
+            self._console.print(printable(sentence), soft_wrap=True, style=style)
 
     def _warn(self, sentences: Iterable[str]) -> None:
         for sentence in () if self._quiet else sentences:

@@ -1,11 +1,25 @@
 """The entry point of the program `stepgap`: Ctrl-C is one line, wherever it arrives."""
 
-import signal
 import sys
-from threading import Timer, main_thread
+from types import TracebackType
 
-from stepgap.base.child_environment import import_nothing_from_here
-from stepgap.cli.terminal import STOPPED, warn
+
+def _stopped_in_a_line(
+    kind: type[BaseException], error: BaseException, traceback: TracebackType | None
+) -> None:  # Python calls it for Ctrl-C during the imports below, which take longest on a busy machine
+    if issubclass(kind, KeyboardInterrupt):
+        sys.stderr.write("stepgap: stopped\n")
+    else:
+        sys.__excepthook__(kind, error, traceback)
+
+
+sys.excepthook = _stopped_in_a_line
+
+import signal  # noqa: E402
+from threading import Timer, main_thread  # noqa: E402
+
+from stepgap.base.child_environment import import_nothing_from_here  # noqa: E402
+from stepgap.cli.terminal import STOPPED, warn  # noqa: E402
 
 
 def start() -> None:

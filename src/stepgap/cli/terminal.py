@@ -15,7 +15,17 @@ STOPPED = 130  # Exit code after Ctrl-C, as in shells
 
 def warn(message: str) -> None:
     """Prints one line on stderr."""
-    print(f"stepgap: {' '.join(message.split())}", file=sys.stderr)
+    print(f"stepgap: {printable(message)}", file=sys.stderr)
+
+
+def printable(text: str) -> str:
+    """A text, also one with names from files of others, as a line that can only be read by a terminal, not obeyed.
+
+    Control characters, such as those that begin a command to the terminal or turn the direction of writing, become
+    escapes as in Python.
+    """
+    line = " ".join(text.split())
+    return "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in line)
 
 
 def replace_unwritable_characters() -> None:

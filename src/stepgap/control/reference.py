@@ -196,6 +196,8 @@ def reference_text(reference: Reference) -> str:
 def parse_rows(text: str, quantities: Sequence[Quantity], source: str, item: str, may_lack: bool = False) -> Array:
     """Parses CSV text: a header of the names of quantities in any order, then rows of their numbers, SI units.
 
+    Semicolons may separate them; then decimals may have a comma.
+
     Args:
         text: The content.
         quantities: The columns.
@@ -210,7 +212,11 @@ def parse_rows(text: str, quantities: Sequence[Quantity], source: str, item: str
         ValueError: The message names the source, line and column, and states what is valid.
     """
     names = [quantity.name for quantity in quantities]
-    rows = csv.reader(StringIO(text, newline=""), strict=True)
+    delimiter = ","
+    if ";" in text.partition("\n")[0]:  # spreadsheets in languages whose decimals have a comma
+        delimiter = ";"
+        text = text.replace(",", ".")
+    rows = csv.reader(StringIO(text, newline=""), delimiter=delimiter, strict=True)
     try:
         header = [cell.strip() for cell in next(rows, [])]
         complete = sorted(header) == sorted(names)

@@ -17,7 +17,6 @@ from stepgap.base.settings_file import (
     located,
     merge_all,
     parse_toml,
-    read_toml,
     read_toml_text,
     to_table,
     with_table,
@@ -250,7 +249,11 @@ def read_experiment(
     """
     overrides = list(overrides)
     chosen = dict(_parsed(overrides)).get(ROBOT)
-    table = {} if path is None else read_toml(path, "an experiment")
+    text, table = ("", {}) if path is None else read_toml_text(path, "an experiment")
+    if path is not None and not text.strip():
+        raise InputError(
+            f"{path}: empty, as a file that was lost; for the defaults write a comment into it, or give none"
+        )
     table = _without_gone(table) if recorded else table
 
     def locate(name: str) -> str:

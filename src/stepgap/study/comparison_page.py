@@ -68,7 +68,7 @@ def comparison_html(runs: Sequence[Run], before: Sequence[str] = ()) -> str:
     Raises:
         InputError: There are too few or too many runs, or their states differ.
     """
-    _check(runs)
+    check_comparable(runs)
     names = run_names([run.folder for run in runs])
 
     aborted = any(entry.failed_steps for run in runs for entry in run.deployments)
@@ -100,8 +100,8 @@ def comparison_html(runs: Sequence[Run], before: Sequence[str] = ()) -> str:
     )
 
 
-def _check(runs: Sequence[Run]) -> None:
-    """Raises InputError unless the runs can be compared."""
+def check_comparable(runs: Sequence[Run]) -> None:
+    """Raises InputError unless the errors of the runs can be compared."""
     if not 2 <= len(runs) <= MOST_RUNS:
         raise InputError(f"{len(runs)} runs to compare, but there must be 2 to {MOST_RUNS}")
     first = runs[0]
@@ -129,7 +129,7 @@ def same_reference(runs: Sequence[Run]) -> bool:
     """Whether the runs tracked the same reference, as far as all of them tracked it."""
     targets = [run.steps.of_iteration(run.shown_iterations[0]).tracking().target for run in runs]
     shortest = min(map(len, targets))
-    return all(np.array_equal(each[:shortest], targets[0][:shortest], equal_nan=True) for each in targets)
+    return all(np.array_equal(of_run[:shortest], targets[0][:shortest], equal_nan=True) for of_run in targets)
 
 
 def _tracked(runs: Sequence[Run]) -> list[int]:

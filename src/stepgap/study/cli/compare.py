@@ -11,6 +11,7 @@ from stepgap.cli.terminal import announces_compilation
 
 if TYPE_CHECKING:
     from stepgap.experiment.run import Run
+    from stepgap.export.controller.portable_controller import PortableController
     from stepgap.study.individuals import ComparedRobots, Individual
 
 
@@ -38,7 +39,8 @@ def compare_robots(robots: list[Path], /, *, out: Path | None = None) -> None:
         robots: Folders of runs, and model files of `stepgap export RUN --to model`.
         out: New HTML file. [default: comparison.html next to the first one, or the next free name]
     """
-    from stepgap.study.comparison_page import run_names
+    from stepgap.experiment.run import Run
+    from stepgap.study.comparison_page import MOST_RUNS, check_comparable, run_names
     from stepgap.study.individuals import difference_sentences
 
     if len(robots) < 2:
@@ -47,7 +49,11 @@ def compare_robots(robots: list[Path], /, *, out: Path | None = None) -> None:
         raise InputError("a run is given twice; give each run once")
     target = out or free_name(robots[0].resolve().parent / "comparison.html")
     check_new(target, "--out")
-    opened = [_robot(path, name) for path, name in zip(robots, run_names(robots), strict=True)]
+    sources = [_opened(path) for path in robots]
+    runs = [source for source in sources if isinstance(source, Run)]
+    if len(runs) == len(sources) <= MOST_RUNS:
+        check_comparable(runs)  # before a model is fitted, which takes long
+    opened = [_robot(source, name) for source, name in zip(sources, run_names(robots), strict=True)]
     compared = _compared(opened)
     text = _page(opened, compared)
     with writing(target, "--out"):
@@ -57,22 +63,24 @@ def compare_robots(robots: list[Path], /, *, out: Path | None = None) -> None:
     print(target)
 
 
-def _robot(path: Path, name: str) -> _Robot:
-    """What a run or a model file says of its robot.
-
-    Raises:
-        InputError: It cannot be read.
-    """
+def _opened(path: Path) -> "Run | PortableController":
+    """A run or a model file; raises InputError if it cannot be read."""
     from stepgap.experiment.run import Run
     from stepgap.export.controller.model_reading import read_portable
+
+    return read_portable(path) if path.is_file() else Run(path).checked()
+
+
+def _robot(source: "Run | PortableController", name: str) -> _Robot:
+    """What a run or a model file says of its robot."""
+    from stepgap.experiment.run import Run
     from stepgap.export.controller.passport import passport_of
     from stepgap.study.individuals import Individual
 
-    if path.is_file():
-        controller = read_portable(path)
-        name = controller.passport.get("name") or name
-        return _Robot(name, controller.passport, Individual(name, controller.nominal, controller.learned))
-    run = Run(path).checked()
+    if not isinstance(source, Run):
+        name = source.passport.get("name") or name
+        return _Robot(name, source.passport, Individual(name, source.nominal, source.learned))
+    run = source
     try:
         residual = run.learner().learned
         return _Robot(name, passport_of(run, None), Individual(name, run.needed(run.nominal), residual), run)
