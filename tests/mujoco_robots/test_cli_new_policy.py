@@ -8,6 +8,7 @@ import onnx
 import pytest
 from onnx import numpy_helper
 
+from stepgap.mujoco_robots.cli.new_policy import step_seconds
 from stepgap.mujoco_robots.velocity.policy.policy_settings import read_policy_settings
 from tests.cli.command_line import Command, refused
 from tests.mujoco_robots.velocity.policy.networks import TERMS, WHEELS, cart_xml, driving, mjlab_metadata, write_network
@@ -142,3 +143,11 @@ def test_a_model_that_names_files_of_the_user_leaves_no_folder(stepgap: Command)
     for options in (["--policy", "walk.onnx", "--mjcf", "model/cart.xml"], ["--mjcf", "model/cart.xml"]):
         refused(stepgap("new", "cart", *options), "--mjcf model/cart.xml: <texture t file='../home/id_rsa'>: this is ")
         assert not Path("cart").exists()
+
+
+@pytest.mark.parametrize(("period", "seconds"), [(0.667, 0.667), (0.25, 0.5), (0.3, 0.6), (1.2, 1.2)])
+def test_a_step_has_whole_periods_of_the_gait(period: float, seconds: float) -> None:
+    """The mean velocity of three quarters of a period depends on where in the gait it begins."""
+    known = {"observation": ["base_ang_vel", "phase_sin"], "gait_period": period}
+    assert step_seconds(known) == pytest.approx(seconds)
+    assert step_seconds({"observation": ["base_ang_vel"], "gait_period": period}) == 0.5

@@ -17,6 +17,7 @@ if TYPE_CHECKING:  # slow imports are made where they are used
 
 POLICY_FILE = "policy.toml"
 NETWORK_FILE = "policy.onnx"
+STEP_SECONDS = 0.5  # About how long a step lasts [s]
 _WIDTH = 100  # Longest line of a comment
 
 
@@ -65,12 +66,31 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> list[str]
     except ValueError as error:
         raise InputError(f"--policy {policy}, --mjcf {mjcf}: {str(error).replace(f'{folder}/', '')}") from None
     todo = f"\n**First fill in {', '.join(missing)} in `policy.toml`.**\n" if missing else ""
-    values = {"name": readme_name(name), "fall_height": f"{0.5 * height:.3f}", "todo": todo, "added": ""}
+    values = {
+        "name": readme_name(name),
+        "seconds": f"{step_seconds(known):.6g}",
+        "fall_height": f"{0.5 * height:.3f}",
+        "todo": todo,
+        "added": "",
+    }
     if added:
         values["added"] = f" It had no {' and no '.join(added)}, so they were added."
     for target, source in {"experiment.toml": "policy.toml.txt", "README.md": "README_policy.md.txt"}.items():
         create(folder / target, Template(starter_text(source, TEXTS)).substitute(values))
     return missing
+
+
+def step_seconds(known: Mapping[str, Any]) -> float:
+    """Duration of a step [s]: whole periods of a gait with a clock, or else `STEP_SECONDS`.
+
+    The mean velocity over a part of a period depends on where in the gait it begins.
+    """
+    from stepgap.mujoco_robots.velocity.policy.policy_settings import PolicySettings
+
+    if not {"phase_sin", "phase_cos"} & set(known.get("observation", ())):
+        return STEP_SECONDS
+    period = float(known.get("gait_period", PolicySettings.gait_period))
+    return period * max(1, round(STEP_SECONDS / period))
 
 
 def _missing(known: Mapping[str, Any], advice: Mapping[str, Sequence[str]]) -> list[str]:
