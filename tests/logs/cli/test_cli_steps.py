@@ -153,6 +153,26 @@ def test_a_doubtful_log_is_refused_after_its_figure(log: HoppingLog, stepgap: Co
     assert len(log.apexes) == 30
 
 
+@pytest.mark.usefixtures("drawn_page")
+@pytest.mark.parametrize("form", ["png", "pdf", "svg"])
+def test_the_figure_of_a_refused_log_is_replaced_by_that_of_the_next(
+    form: str, log: HoppingLog, stepgap: Command
+) -> None:
+    command = ("steps", "log.csv", "--plan", "plan.csv", *APEXES, "--out", "steps.csv", "--plot", f"figure.{form}")
+    plan = Path("plan.csv").read_text()
+    Path("plan.csv").write_text("time,number\n99,1\n")
+    assert stepgap(*command).code == 2
+    refused_figure = Path(f"figure.{form}").read_bytes()
+    assert stepgap(*command).code == 2
+    Path("plan.csv").write_text(plan)
+    assert stepgap(*command).code == 0
+    assert Path(f"figure.{form}").read_bytes() != refused_figure
+    Path("steps.csv").unlink()
+    Path("steps.toml").unlink(missing_ok=True)
+    refused(stepgap(*command), f"figure.{form}: exists already")
+    assert len(log.apexes) == 30
+
+
 WRONG = [
     ((*APEXES,), ("LOG: none given; give logs of the robot's motion",)),
     (("log.csv", *STATE), ("--height = ''", "it must be the column of the height")),

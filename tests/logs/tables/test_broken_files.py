@@ -1,6 +1,8 @@
 """Broken and hostile files: each is answered by one line that names the file, never by a traceback or by numbers."""
 
+import bz2
 import gzip
+import lzma
 import os
 import struct
 import zipfile
@@ -46,6 +48,15 @@ def npz(**members: bytes) -> bytes:
         with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, content in members.items():
                 archive.writestr(f"{name}.npy", content)
+
+    return saved(write)
+
+
+def archive(*names: str) -> bytes:
+    def write(file: Any) -> None:
+        with zipfile.ZipFile(file, "w") as packed:
+            for name in names:
+                packed.writestr(name, "t,v\n0,1\n")
 
     return saved(write)
 
@@ -153,6 +164,12 @@ def ros1_with_wrong_type(content: bytes) -> bytes:
     return content.replace(b"float64[] position", b"Missing[] position")
 
 
+def without_index(content: bytes) -> bytes:
+    """As a recorder leaves it that was killed."""
+    at = content.index(b"index_pos=") + 10
+    return content[:at] + bytes(8) + content[at + 8 :]
+
+
 def folder(path: Path) -> None:
     path.mkdir()
 
@@ -191,7 +208,17 @@ BROKEN: dict[str, tuple[bytes | Callable[[Path], None], str]] = {
     "truncated gzip": (gzip.compress(b"t,v\n" + os.urandom(99))[:12], "truncated gzip file"),
     "wrong gzip": (b"\x1f\x8b\x08" + bytes(60), "gzip file"),
     "gzip bomb": (gzip.compress(bytes(2**22 + 1), 1), "larger than 4194304 bytes"),
-    "binary in gzip": (gzip.compress(npy(np.zeros(3))), "not a text file"),
+    "binary in gzip": (gzip.compress(npy(np.zeros(3))), "a NumPy file compressed by gzip; unpack it by `gunzip`"),
+    "text in zip": (archive("log.csv"), "an archive of 1 files, such as log.csv; unpack it by `unzip` before"),
+    "Excel": (archive("[Content_Types].xml", "xl/workbook.xml"), "a workbook of Excel; save it as CSV"),
+    "ULog": (b"ULog\x01\x12\x35" + bytes(99), "a ULog of PX4; `ulog2csv FILE` of pyulog"),
+    "TDMS": (b"TDSm" + bytes(99), "a TDMS file of LabVIEW"),
+    "xz": (lzma.compress(b"t,v\n0,1\n"), "compressed by xz; unpack it by `unxz` before"),
+    "bzip2": (bz2.compress(b"t,v\n0,1\n"), "compressed by bzip2"),
+    "array in JSON": (b'[{"t": 0, "v": 1}]', "an array in JSON; write one object a line"),
+    "web page": (b"<!DOCTYPE html>\n<html>", "a web page or XML"),
+    "Octave": (b"# Created by Octave 8.4.0, now <a@b>\n# name: t\n# type: scalar\n1\n", "a text file of Octave"),
+    "ROS 1 bag without an index": (of_writer(ros1_bag, without_index), "rosbag reindex"),
     "JSON array": (b'{"t": 0, "v": 1}\n[1, 2]\n', "line 2: not an object"),
     "truncated JSON": (b'{"t": 0, "v"', "line 1: "),
     "wrong JSON": (b'{"t": 0, "v": 1}\n{"t": 0, "v"\n', "line 2: "),
@@ -201,7 +228,7 @@ BROKEN: dict[str, tuple[bytes | Callable[[Path], None], str]] = {
     "many keys": (b"".join(b'{"k%d": 0}\n' % i for i in range(1100)), "values, rows times columns"),
     "pickle in npy": (npy(np.array([{}, None], object), allow_pickle=True), "not unpickled"),
     "pickle in npz": (npz(t=npy(np.array([{}], object), allow_pickle=True)), "not unpickled"),
-    "pickle": (b"\x80\x04\x95" + bytes(40), "not a text file"),
+    "pickle": (b"\x80\x04\x95" + bytes(40), "a pickle, which may run code"),
     "lying npy": (npy_header("(1000,)") + bytes(8), "truncated; the header declares the shape (1000,)"),
     "huge npy": (npy_header("(10000000000000,)") + bytes(8), "1e+13 values, rows times columns"),
     "negative npy": (npy_header("(-5,)") + bytes(8), "log: "),

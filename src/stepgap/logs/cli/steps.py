@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 from cyclopts import Parameter
 
 from stepgap.base.errors import InputError
+from stepgap.base.files import read_bounded
 from stepgap.base.output_files import check_new, format_by_name, write_new, write_together
 from stepgap.cli.options import Flag, ListOfNames, Name
 from stepgap.logs.sections.section_settings import SectionSettings, read_section_settings
@@ -32,6 +33,8 @@ def _as_options(settings: type[Any], not_options: Sequence[str]) -> type[Any]:
 
 SectionOptions = _as_options(SectionSettings, ["units", "factors", "format"])
 """`SectionSettings` on the command line."""
+
+_LARGEST_PICTURE = 2**26  # Largest file that may be a figure of this verb [bytes]
 
 NO_OPTIONS = SectionOptions()
 
@@ -92,7 +95,20 @@ def _check_outputs(out: Path, meaning: Path, picture: Path) -> None:
     format_by_name(picture)
     for file in (out, meaning):
         check_new(file, "--out")
-    check_new(picture, "--plot")
+    if not _is_of_refused(picture):
+        check_new(picture, "--plot")
+
+
+def _is_of_refused(picture: Path) -> bool:
+    """Whether a file is the figure of a log that was refused, which the figure of the next command replaces."""
+    from stepgap.logs.sections.steps_table import REFUSED
+
+    if picture.is_symlink() or not picture.is_file():
+        return False
+    try:
+        return REFUSED.encode() in read_bounded(picture, _LARGEST_PICTURE)
+    except (OSError, InputError):
+        return False
 
 
 def _draw(found: "list[ExtractedSteps]", picture: Path) -> None:
@@ -101,4 +117,7 @@ def _draw(found: "list[ExtractedSteps]", picture: Path) -> None:
     with own_style():
         from stepgap.logs.sections.section_figures import sections_picture
 
-        write_new(picture, "--plot", sections_picture(found, picture.suffix[1:].lower()))
+        content = sections_picture(found, picture.suffix[1:].lower())
+    if _is_of_refused(picture):
+        picture.unlink()
+    write_new(picture, "--plot", content)

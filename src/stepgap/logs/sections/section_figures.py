@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from stepgap.logs.sections.signals import Signal
 from stepgap.logs.sections.step_extraction import ExtractedSteps
-from stepgap.logs.sections.steps_table import label_of
+from stepgap.logs.sections.steps_table import REFUSED, label_of
 from stepgap.report.drawing import BLACK, BLUE, LIGHT, VERMILLION, plain
 from stepgap.step import Array
 
@@ -43,7 +43,8 @@ def sections_picture(logs: Sequence[ExtractedSteps], form: str) -> bytes:
     legend = {label: drawn for panel in panels for drawn, label in zip(*panel.get_legend_handles_labels(), strict=True)}
     figure.legend(legend.values(), legend.keys(), loc="outside upper right", ncols=3, frameon=False)
     picture = BytesIO()
-    figure.savefig(picture, format=form, dpi=110)
+    title = REFUSED if any(log.refusal for log in logs) else "Sections of a log"
+    figure.savefig(picture, format=form, dpi=110, metadata={"Title": title})
     return picture.getvalue()
 
 

@@ -13,6 +13,8 @@ from stepgap.logs.columns import ROLES
 from stepgap.logs.sections.section_settings import SectionSettings
 from stepgap.logs.sections.step_extraction import ExtractedSteps
 
+REFUSED = "Sections of a log that was refused"  # Title in the file of a figure, which the next figure may replace
+
 
 def steps_table(logs: Sequence[ExtractedSteps]) -> str:
     """CSV text with a row for each step that is not left out.

@@ -13,6 +13,7 @@ import numpy as np
 from stepgap.base.errors import StepGapWarning
 from stepgap.logs.tables.files import content_of, leaving_out, reading
 from stepgap.logs.tables.log_table import MOST_NUMBERS, LogColumn, LogTable, check_size
+from stepgap.logs.tables.other_formats import kind_of_archive
 from stepgap.records.steps_csv import RecordError
 
 NPY_MAGIC = b"\x93NUMPY"
@@ -171,6 +172,8 @@ def read_npz(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
     arrays: list[tuple[str, str, Any]] = []
     with reading(path, "NumPy .npz"), ZipFile(path) as archive:
         entries = archive.infolist()
+        if not any(entry.filename.endswith(".npy") for entry in entries):
+            raise RecordError(f"{path}: {kind_of_archive([entry.filename for entry in entries])}")
         if sum(entry.file_size for entry in entries) > _LARGEST_ARRAY_FILE:
             raise RecordError(f"{path}: larger than {_LARGEST_ARRAY_FILE} bytes when decompressed, so it is not read")
         for entry in entries:

@@ -11,6 +11,7 @@ import sqlite3
 import struct
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -237,7 +238,7 @@ def read_ros1_bag(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
     topics = TopicRows(str(path))
     decoders = dict[int, list[Decoder]]()
     size = 0
-    with reading(path, "ROS 1 bag"), rosbag1.Reader(path) as bag:
+    with reading(path, "ROS 1 bag"), _opened_ros1_bag(rosbag1, path) as bag:
         bag.chunks = {at: chunk._replace(decompressor=_bounded(chunk)) for at, chunk in bag.chunks.items()}
         for connection, time, data in bag.messages():
             size += len(data)
@@ -248,6 +249,18 @@ def read_ros1_bag(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
                 decoders[connection.id] = _ros_decoders(path, "ros1", *definition, "ros1msg")
             topics.append(connection.topic, time, data, decoders[connection.id])
     return topics.tables(unread)
+
+
+def _opened_ros1_bag(rosbag1: Any, path: Path) -> Any:
+    bag = rosbag1.Reader(path)
+    try:
+        bag.open()
+    except rosbag1.ReaderError as error:
+        if "not indexed" not in str(error):
+            raise
+        cause = "a ROS 1 bag without an index, as of a recorder that was killed"
+        raise RecordError(f"{path}: {cause}; make one by `rosbag reindex`") from None
+    return closing(bag)
 
 
 def _bounded(chunk: Any) -> Any:

@@ -25,6 +25,7 @@ from stepgap.logs.tables.hdf5 import HDF5_MAGIC
 from stepgap.logs.tables.log_table import LogTable
 from stepgap.logs.tables.matlab import is_mat4
 from stepgap.logs.tables.messages import read_json_lines
+from stepgap.logs.tables.other_formats import kind_of_other
 from stepgap.logs.tables.parquet_logs import FEATHER_MAGIC, PARQUET_MAGIC
 from stepgap.logs.tables.text import AS_FOUND, TextFormat, decoded, read_delimited_text
 from stepgap.records.steps_csv import RecordError
@@ -55,7 +56,10 @@ def read_log_tables(path: str | Path, written: TextFormat = AS_FOUND) -> Mapping
     if is_ros2_folder(path):
         tables = read_ros2_folder(path, unread)
     else:
-        tables = _binary_tables(path, begin_of(path), unread)
+        begin = begin_of(path)
+        tables = _binary_tables(path, begin, unread)
+        if tables is None and (kind := kind_of_other(begin)):
+            raise RecordError(f"{path}: {kind}")
     if tables is None:
         content = content_of(path, LARGEST_LOG)
         if content.startswith(_GIT_LFS):
