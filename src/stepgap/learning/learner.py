@@ -144,8 +144,8 @@ class Learner:
         """The error as far as it is known, with the steps from which it was learned, for reports and files."""
         if self.beliefs is None or self.settings.residual != POSTERIOR.name:
             return self.residual
-        seen = observe(self.known.planned(), self.nominal)
-        return believed(self.residual, self.beliefs.features, self.beliefs.mixture(self.phase), seen)
+        observations = observe(self.known.planned(), self.nominal)
+        return believed(self.residual, self.beliefs.features, self.beliefs.mixture(self.phase), observations)
 
     def step_map(self) -> CorrectedMap:
         """Returns the map that plans the next step."""
@@ -219,11 +219,11 @@ def _fitted(nominal: StepMap, known: Steps, settings: LearningSettings, *, belie
     """
     if believes and settings.residual == POSTERIOR.name:
         return no_residual(len(nominal.space.state), len(nominal.space.command))
-    seen = observe(known.planned(), nominal)
-    name = settings.residual if len(seen) else "none"
+    observations = observe(known.planned(), nominal)
+    name = settings.residual if len(observations) else "none"
     if name != settings.residual != AUTO:
         load_residual_model(settings.residual)  # if it cannot be loaded, no robot moves
-    return fit_residual(name, seen, settings.forgetting_time)
+    return fit_residual(name, observations, settings.forgetting_time)
 
 
 def _begun(nominal: StepMap, known: Steps, residual: Residual, priors: Sequence[Prior]) -> Beliefs:

@@ -1,4 +1,4 @@
-"""Fits residuals to observations: with a given model, or with the one of the best held-out predictions."""
+"""Fits residuals to observations: with a given model, or with the one that predicts best what it was not fitted to."""
 
 import math
 from collections.abc import Mapping
@@ -31,8 +31,7 @@ def fit_residual(
 ) -> Residual:
     """Fits a model of the nominal map's error (Eq. 12).
 
-    `auto` selects the model with the best `held_out_score` among all installed candidates, the simplest of equally good
-    ones.
+    `auto` selects the installed candidate with the best `held_out_score`; of equally good ones the simplest.
 
     Args:
         residual: Name of an installed model, `auto`, or a model itself.
@@ -58,18 +57,22 @@ def fit_residual(
 
     inputs = HistoryInputs(forgetting_time, observations.context_inputs)
     fits = [_fit(model, inputs, observations) for model in models]
-    return fits[0] if len(fits) == 1 else max(fits, key=lambda fitted: held_out_score(fitted, observations))
+    if len(fits) == 1:
+        return fits[0]
+    # The models are in the order of their complexity, and `max` returns the first of equals.
+    return max(fits, key=lambda fit: held_out_score(fit, observations))
 
 
 def held_out_score(residual: Residual, observations: Observations) -> float:
     """Score of a residual in cross-validation: each error is predicted from those outside its part of the record.
 
-    The parts are contiguous because neighbouring steps are alike: a flexible model would predict a single held-out step
-    well from its neighbours. The steps of the next deployment have no such neighbours, nor has the middle of a part.
+    The parts are contiguous because neighbouring steps are alike. A flexible model would predict a single step well
+    from the steps beside it, but the steps of the next deployment have none beside them in the record. The steps in the
+    middle of a part are like those: all steps beside them are held out, too.
 
     Args:
         residual: Residual fitted to the observations.
-        observations: The N observations; with fewer than `SELECTION_FOLDS` each is a part.
+        observations: The N observations; if there are fewer than `SELECTION_FOLDS`, every one is a part of its own.
 
     Returns:
         Mean log predictive density of an error, summed over the coordinates; −inf where a prediction is missing.
@@ -100,7 +103,24 @@ def residual_from_dict(data: Mapping[str, Any]) -> Residual:
     if max(len(saved), command_size) > LARGEST_DIMENSION:
         raise ValueError(f"{len(saved)} regressions, command_size {command_size}: must be at most {LARGEST_DIMENSION}")
     model = load_residual_model(kind)
-    regressions = tuple(_regression(model, item, f"regressions[{i}]") for i, item in enumerate(saved))
+    regressions = tuple(_regression(model, item, f"regressions[{row}]") for row, item in enumerate(saved))
+    return Residual(model, regressions, command_size, _history_inputs(data))
+
+
+def _fit(model: ResidualModel, history_inputs: HistoryInputs, observations: Observations) -> Residual:
+    """Fits one regression for each state coordinate; all of them are fitted to the same points."""
+    n = len(observations.space.state)
+    m = len(observations.space.command)
+    data = [observations.training_data(history_inputs, coordinate) for coordinate in range(n)]
+    with naming_model(model):
+        residual = Residual(model, tuple(model.fit(of_coordinate) for of_coordinate in data), m, history_inputs)
+        for regression in residual.regressions:
+            check_regression(model, regression, data[0].points)
+    return residual
+
+
+def _history_inputs(data: Mapping[str, Any]) -> HistoryInputs:
+    """The history inputs of a saved residual; JSON has no infinity, so an infinite forgetting time is null."""
     forgetting_time = inf if data.get("forgetting_time", 0) is None else number(data, "forgetting_time")
     context_inputs = integer(data, "context_inputs") if "context_inputs" in data else 0
     if not 0 <= context_inputs <= LARGEST_DIMENSION:
@@ -110,21 +130,11 @@ def residual_from_dict(data: Mapping[str, Any]) -> Residual:
             f"lagged_inputs = {data['lagged_inputs']!r:.40}: models with inputs of the step before are gone, since "
             "beliefs know its error and command"
         )
-    return Residual(model, regressions, command_size, HistoryInputs(forgetting_time, context_inputs))
-
-
-def _fit(model: ResidualModel, history_inputs: HistoryInputs, observations: Observations) -> Residual:
-    n = len(observations.space.state)
-    m = len(observations.space.command)
-    data = [observations.training_data(history_inputs, coordinate) for coordinate in range(n)]
-    with naming_model(model):
-        residual = Residual(model, tuple(model.fit(part) for part in data), m, history_inputs)
-        for regression in residual.regressions:
-            check_regression(model, regression, data[0].points)
-    return residual
+    return HistoryInputs(forgetting_time, context_inputs)
 
 
 def _regression(model: ResidualModel, saved: object, where: str) -> Regression:
+    """Restores a regression; `where` names its place in the file, for messages."""
     if not isinstance(saved, Mapping):
         raise ValueError(f"{where} must be a regression, not {saved!r:.40}")
     points = saved.get("points")
