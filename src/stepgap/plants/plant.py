@@ -49,23 +49,23 @@ class StepCommands:
         """The latest command within its bounds; shape (m,)."""
         return self._limited(self._given[-1])
 
-    def replace(self, choose: AtTouchdown, found: Touchdown) -> Array:
+    def replace(self, choose: AtTouchdown, touchdown: Touchdown) -> Array:
         """Asks for another command, once per step; the present one stays if that is not m finite numbers.
 
         Returns:
             The command within its bounds; shape (m,).
         """
         if len(self._given) == 1:
-            command = np.asarray(choose(found), float)
+            command = np.asarray(choose(touchdown), float)
             if command.shape == self._given[0].shape and np.isfinite(command).all():
                 self._given.append(command)
         return self.within
 
     def acted(self, requested: Array) -> Array:
         """The given command that is nearest to the one that acted within its bounds; shape (m,)."""
-        distances = [float(np.abs(self._limited(each) - requested).sum()) for each in reversed(self._given)]
-        nearest = int(np.argmin(np.nan_to_num(distances, nan=np.inf)))
-        return self._given[len(self._given) - 1 - nearest]
+        newest_first = self._given[::-1]  # of equally near ones, the newest
+        distances = [float(np.abs(self._limited(command) - requested).sum()) for command in newest_first]
+        return newest_first[int(np.argmin(np.nan_to_num(distances, nan=np.inf)))]
 
     def _limited(self, command: Array) -> Array:
         return np.clip(command, self._space.command_lower, self._space.command_upper)

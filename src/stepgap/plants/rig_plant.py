@@ -124,8 +124,8 @@ class RigPlant(Plant):
         def chosen() -> tuple[float, ...]:
             context = self._control.touchdown()
             if at_touchdown and context:
-                found = Touchdown(space.start(before, context), space.named_context(context))
-                return tuple(commands.replace(at_touchdown, found).tolist())
+                touchdown = Touchdown(space.start(before, context), space.named_context(context))
+                return tuple(commands.replace(at_touchdown, touchdown).tolist())
             return tuple(within.tolist())
 
         self._measured, acted, lost, context = self._step(tuple(within.tolist()), chosen)
@@ -135,9 +135,16 @@ class RigPlant(Plant):
         if command is not commands.first:
             within = commands.within
         state = space.start(before, context)
-        next_state, true_state = (space.above(each, context) for each in (self._measured, true_state))
-        named = space.named_context(context)
-        return StepRecord(state, command, within - lost, next_state, self._status, named, within, true_state)
+        return StepRecord(
+            state=state,
+            command=command,
+            applied=within - lost,
+            next_state=space.above(self._measured, context),
+            status=self._status,
+            context=space.named_context(context),
+            requested=within,
+            true_next_state=space.above(true_state, context),
+        )
 
     def _step(self, command: tuple[float, ...], chosen: Callable[[], tuple[float, ...]]) -> FinishedStep:
         """Runs the ticks of one step with a command, which is chosen anew at a touchdown; its result."""

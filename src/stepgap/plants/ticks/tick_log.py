@@ -157,8 +157,9 @@ class TickLog:
 
 def next_path(folder: Path) -> Path:
     """Path of the next log in a folder: `ticks-0.mcap`, `ticks-1.mcap`, …, after the last existing one."""
-    found = [re.fullmatch(r"ticks-([0-9]{1,9})\.mcap", path.name) for path in folder.glob("ticks-*.mcap")]
-    return folder / f"ticks-{1 + max((int(number[1]) for number in found if number), default=-1)}.mcap"
+    names = [re.fullmatch(r"ticks-([0-9]{1,9})\.mcap", path.name) for path in folder.glob("ticks-*.mcap")]
+    last = max((int(name[1]) for name in names if name), default=-1)
+    return folder / f"ticks-{last + 1}.mcap"
 
 
 def read_ticks(path: Path) -> tuple[dict[str, str], Array]:
