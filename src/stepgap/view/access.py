@@ -53,12 +53,12 @@ def is_welcome(hosts: Collection[str], origins: Collection[str], names: Collecti
     if len(hosts) != 1 or len(origins) > 1:
         return False
     try:
-        (host,) = (urlsplit(f"//{each}") for each in hosts)
-        named = (host.hostname or "").removesuffix(".")
-        same = all(_endpoint(each) == (named, host.port or urlsplit(each).scheme) for each in origins)
+        (host,) = (urlsplit(f"//{value}") for value in hosts)
+        name = (host.hostname or "").removesuffix(".")
+        is_own_page = all(_endpoint(origin) == (name, host.port or urlsplit(origin).scheme) for origin in origins)
     except ValueError:
         return False
-    return same and (named in names or _is_address(named))
+    return is_own_page and (name in names or _is_address(name))
 
 
 def _endpoint(origin: str) -> tuple[str, int | str]:

@@ -74,17 +74,18 @@ class TrackingPlot:
             return
         number = np.array([float(logged.step) for logged in steps])
         target = np.array([logged.target[self._index] for logged in steps])
-        found = self._next_states(steps, len(steps))
+        measured = self._next_states(steps, len(steps))
         other = self._next_states(overlaid, len(steps))
-        span = _span(target, found, other)
-        found[count:], other[count:] = np.nan, np.nan
-        self._chart.data = (number, span, target, other, found)
+        span = _span(target, measured, other)  # of all steps, so that the axis stays the same while they are played
+        measured[count:] = np.nan
+        other[count:] = np.nan
+        self._chart.data = (number, span, target, other, measured)
 
     def _next_states(self, steps: Sequence[LoggedStep], count: int) -> Array:
         """Next states of the first steps, NaN where there are fewer; shape (count,)."""
         values = np.full(count, np.nan)
-        known = [logged.record.next_state[self._index] for logged in steps[:count]]
-        values[: len(known)] = known
+        existing = steps[:count]
+        values[: len(existing)] = [logged.record.next_state[self._index] for logged in existing]
         return values
 
 
@@ -120,8 +121,7 @@ class Page:
         self._build_controls()
         self._build_plots()
         self._find_deployments()
-        known = source.iterations
-        self.choose(iteration if iteration is not None else max(known, default=0))
+        self.choose(max(source.iterations, default=0) if iteration is None else iteration)
         self.overlay(0 if self.iteration else None)
         self.player.follow = live
         self.update(0.0)

@@ -125,7 +125,8 @@ class Ground:
         for changed, colour in ((False, TREAD_RGB), (True, CHANGED_RGB)):
             rows = np.flatnonzero(pieces.changed == changed)
             if len(rows):
-                vertices, faces = _solid(GroundPieces(*(each[rows] for each in pieces)), _lowest(pieces), self._scene)
+                chosen = GroundPieces(*(column[rows] for column in pieces))
+                vertices, faces = _solid(chosen, _lowest(pieces), self._scene)
                 name = f"{self._name}/{'changed' if changed else 'pieces'}"
                 self._solids.append(
                     self._api.add_mesh_simple(name, vertices, faces, color=colour, flat_shading=True, side="double")
@@ -165,7 +166,7 @@ def _solid(pieces: GroundPieces, floor: float, scene: Scene) -> tuple[Array, Arr
         faces.append(ends)
         corners.append(rows.reshape(-1, 3))
         first += 4 * count
-    return np.concatenate(corners), np.concatenate([each.reshape(-1, 3) for each in faces])
+    return np.concatenate(corners), np.concatenate([triangles.reshape(-1, 3) for triangles in faces])
 
 
 def _cross_sections(place: Array, height: Array, scene: Scene) -> Array:

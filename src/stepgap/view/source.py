@@ -49,10 +49,10 @@ class Source:
         self.settings = self._run.needed(self._run.settings)
         self.nominal = self._run.needed(self._run.nominal)
         self.space = self.nominal.space
-        found = kinematics_of(self._run)
-        self._missing = found if isinstance(found, Missing) else None
+        kinematics = kinematics_of(self._run)
+        self._missing = kinematics if isinstance(kinematics, Missing) else None
         self._has_motion = self._missing is None
-        self.kinematics = self.settings.robot.kinematics() if isinstance(found, Missing) else found
+        self.kinematics = self.settings.robot.kinematics() if isinstance(kinematics, Missing) else kinematics
         self._size = -1
         self._steps: dict[int, list[LoggedStep]] = {}
         self._motion: dict[int, list[Motion | None]] = {}
@@ -95,9 +95,10 @@ class Source:
             return motion
         if self._is_loading(iteration) or not steps:
             return None
-        state = steps[min(number, len(steps)) - 1].record.next_state if number else steps[0].record.state
-        known = state if np.isfinite(state).all() else steps[min(number, len(steps)) - 1].record.state
-        return self._still(known)
+        # The robot rests where the step ended or, before the first step and where a step failed, where it began.
+        record = steps[min(max(number, 1), len(steps)) - 1].record
+        has_ended = number > 0 and np.isfinite(record.next_state).all()
+        return self._still(record.next_state if has_ended else record.state)
 
     def want(self, iteration: int) -> None:
         """Starts to load the motion of a deployment, unless it is known or comes through the ring."""
@@ -122,10 +123,11 @@ class Source:
 
     def ground(self, iteration: int) -> GroundPieces | None:
         """The uneven ground of a deployment, as far as it is known; None if it is level."""
-        known = iteration, 0 if self.settings.simulated else len(self.steps(iteration))
-        if known not in self._grounds and self.kinematics:
-            self._grounds[known] = ground_of(self._run, iteration, self.kinematics.scene)
-        return self._grounds.get(known)
+        # That of a simulated robot is known from the start; elsewhere every step shows more of it.
+        version = iteration, 0 if self.settings.simulated else len(self.steps(iteration))
+        if version not in self._grounds and self.kinematics:
+            self._grounds[version] = ground_of(self._run, iteration, self.kinematics.scene)
+        return self._grounds.get(version)
 
     def poll(self) -> bool:
         """Reads new data; returns whether there were new steps."""

@@ -54,8 +54,8 @@ def view(
         source = Source(run, ticks)
         stack.callback(source.close)
         if deployment is not None and deployment not in source.iterations:
-            known = ", ".join(map(str, source.iterations))
-            raise InputError(f"--deployment {deployment}: the run has no deployment of this number; it has {known}")
+            existing = ", ".join(map(str, source.iterations))
+            raise InputError(f"--deployment {deployment}: the run has no deployment of this number; it has {existing}")
         server = start_server(host, port)
         page = Page(server, source, deployment, live=ring is not None)
         stack.enter_context(terminated_as_interrupted())
