@@ -44,8 +44,8 @@ class CustomRobot(Robot):
     def check(self) -> None:
         """Raises ValueError where a coordinate is missing or is named twice."""
         for kind in ("state", "command", "context"):
-            given = getattr(self.quantities, kind)
-            wanted = f"be at least one [[quantities.{kind}]] with name, unit, lower, upper"
-            require(len(given) > 0 or kind == "context", f"quantities.{kind}", len(given), wanted)
+            count = len(getattr(self.quantities, kind))
+            rule = f"be at least one [[quantities.{kind}]] with name, unit, lower, upper"
+            require(count > 0 or kind == "context", f"quantities.{kind}", count, rule)
         names = (*self.space.names, *self.space.context_names)
         require(len(set(names)) == len(names), "quantities", list(names), "have different names")

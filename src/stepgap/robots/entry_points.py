@@ -34,8 +34,8 @@ def load_robot(name: str) -> Robot:
     """
     if name not in robot_names() and (hint := _hint_of_folder(name)):
         raise InputError(f"robot '{name}': not installed, but there is a folder {name}; {hint}")
-    wanted = f"a subclass of stepgap.Robot that is a dataclass and has name = '{name}'"
-    kind = load_plugin(ROBOTS_GROUP, "robot", name, lambda found: _is_robot(found, name), wanted)
+    description = f"a subclass of stepgap.Robot that is a dataclass and has name = '{name}'"
+    kind = load_plugin(ROBOTS_GROUP, "robot", name, lambda plugin: _is_robot(plugin, name), description)
     try:
         robot = kind()
     except (TypeError, ValueError) as error:
@@ -84,7 +84,7 @@ def _hint_of_folder(name: str) -> str:
     return f"run it by: {' && '.join(commands)}" if commands else ""
 
 
-def _is_robot(found: Any, name: str) -> bool:
+def _is_robot(plugin: Any, name: str) -> bool:
     """Whether an object is a class of robots with this name."""
-    is_class = isinstance(found, type) and issubclass(found, Robot) and is_dataclass(found)
-    return is_class and getattr(found, "name", None) == name
+    is_class = isinstance(plugin, type) and issubclass(plugin, Robot) and is_dataclass(plugin)
+    return is_class and getattr(plugin, "name", None) == name

@@ -79,8 +79,8 @@ def difference(
         drawn: As of `Difference`.
         whole: As of `Difference`; by default the default.
     """
-    known = Difference(exact, rules, drawn, default if whole is None else whole)
-    return field(default=default, metadata={Difference: known})
+    declared = Difference(exact, rules, drawn, default if whole is None else whole)
+    return field(default=default, metadata={Difference: declared})
 
 
 def differences(gap: "Gap | type[Gap]") -> Mapping[str, Difference]:
@@ -97,19 +97,20 @@ class Gap:
     """
 
     def __post_init__(self) -> None:
-        for name, known in differences(self).items():
+        for name, declared in differences(self).items():
             value = getattr(self, name)
             require(not isnan(value), name, value, "be a number")
-            require(isfinite(value) or known.exact == value == inf, name, value, "be finite")
-            for rule in known.rules:
+            require(isfinite(value) or declared.exact == value == inf, name, value, "be finite")
+            for rule in declared.rules:
                 require(rule.holds(value), name, value, rule.text)
 
     @classmethod
     def none(cls) -> Self:
         """All differences at their exact values: the simulated robot is its model."""
-        return cls(**{name: known.exact for name, known in differences(cls).items() if known.exact is not None})
+        exact = {name: declared.exact for name, declared in differences(cls).items()}
+        return cls(**{name: value for name, value in exact.items() if value is not None})
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> dict[str, float]:
         """Draws a number for each difference that has a range, independently; the class says what it is."""
-        return {name: known.drawn.number(rng) for name, known in differences(cls).items() if known.drawn}
+        return {name: declared.drawn.number(rng) for name, declared in differences(cls).items() if declared.drawn}

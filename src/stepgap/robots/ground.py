@@ -130,9 +130,9 @@ class UnevenGround:
     inputs: bool = True
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            value = getattr(self, each.name)
-            require(isinstance(value, str) or isfinite(value), each.name, value, "be finite")
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            require(isinstance(value, str) or isfinite(value), entry.name, value, "be finite")
         for name in ("stair_height", "roughness", "stone_spacing", "stone_spread", "stone_seed"):
             require(getattr(self, name) >= 0, name, getattr(self, name), "not be negative")
         require(0 <= self.slope <= LARGEST_SLOPE, "slope", self.slope, f"lie between 0 and {LARGEST_SLOPE:g}")
@@ -294,19 +294,19 @@ def _profile(path: str, length: float) -> _Pieces:
             f"{path}, row {row + 1}: the ground rises by {rise[row]:g} m within {long[row]:g} m; it may by "
             f"{LARGEST_SLOPE:g} of that, and a riser is two rows of one place"
         )
-    there = long > 0
-    start = place[:-1][there]
-    height = height[:-1][there]
-    slope = rise[there] / long[there]
+    is_piece = long > 0  # two rows of one place are a riser
+    start = place[:-1][is_piece]
+    height = height[:-1][is_piece]
+    slope = rise[is_piece] / long[is_piece]
     if start[0] == 0:
         return _Pieces(start, height, slope)
     at_zero = height[-1] + slope[-1] * (length - start[-1])
     return _Pieces(np.append(0.0, start), np.append(at_zero, height), np.append(slope[-1], slope))
 
 
-def _evenly(length: float, wanted: float) -> Array:
-    """Where equal pieces begin that fill a length, of about the wanted length each; an even number of them."""
-    pairs = max(1, round(length / (2 * wanted)))
+def _evenly(length: float, piece: float) -> Array:
+    """Where equal pieces begin that fill a length; they are about as long as `piece`, and their number is even."""
+    pairs = max(1, round(length / (2 * piece)))
     return np.linspace(0, length, 2 * pairs, endpoint=False)
 
 

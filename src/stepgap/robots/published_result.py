@@ -62,5 +62,6 @@ class PublishedResult:
             targets: Targets of its steps; shape (N, n).
             complete: Whether the deployment ended as planned; otherwise its targets may be fewer.
         """
-        wanted = self.reference.targets
-        return np.array_equal(targets, wanted[: len(targets)]) and (len(targets) == len(wanted) or not complete)
+        published = self.reference.targets
+        is_long_enough = len(targets) == len(published) or not complete
+        return is_long_enough and np.array_equal(targets, published[: len(targets)])

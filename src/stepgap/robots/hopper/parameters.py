@@ -180,7 +180,7 @@ class CommandBounds:
         above = "ground" if ground.is_measured else ""
         slope = 0.1 * ground.inputs
         yielding = 1e-4 * ground.inputs
-        found = (
+        of_ground = (
             ContextQuantity("ground", "m"),
             ContextQuantity("foothold", "m"),
             ContextQuantity("slope", "", input_scale=slope),
@@ -194,7 +194,7 @@ class CommandBounds:
                 Quantity("fx", "N", self.fx_lower, self.fx_upper),
                 Quantity("fy", "N", self.fy_lower, self.fy_upper),
             ),
-            context=(ContextQuantity("yaw", "rad", period=tau), *(found if above else ())),
+            context=(ContextQuantity("yaw", "rad", period=tau), *(of_ground if above else ())),
             advice=ADVICE_ON_HOPS,
         )
 

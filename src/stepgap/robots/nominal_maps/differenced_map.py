@@ -100,16 +100,17 @@ def suitable_step(step_map: StepMap, rng: np.random.Generator, count: int = 12) 
     space = step_map.space
     states = space.state_centre + space.state_scale * rng.uniform(-0.8, 0.8, (count, len(space.state)))
     commands = space.command_at(rng.uniform(-0.8, 0.8, (count, len(space.command))))
-    found = None
+    suitable = None
     jacobians = _scaled_jacobians(step_map, states, commands, STEPS[-1])
+    # From the largest step on, as long as the next smaller one agrees at most points that have both Jacobians:
     for step, smaller in pairwise(reversed(STEPS)):
         finer = _scaled_jacobians(step_map, states, commands, smaller)
-        known = _disagreement(jacobians, finer)
-        if len(known) < count / 2 or np.median(known) > AGREEMENT:
+        disagreement = _disagreement(jacobians, finer)
+        if len(disagreement) < count / 2 or np.median(disagreement) > AGREEMENT:
             break
-        found = step
+        suitable = step
         jacobians = finer
-    return found
+    return suitable
 
 
 def _disagreement(jacobians: Array, finer: Array) -> Array:

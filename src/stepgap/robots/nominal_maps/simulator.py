@@ -37,9 +37,9 @@ class Simulator:
         self.reset(state, command)
         for _ in range(self.most_ticks):
             self.tick()
-            found = self.section()
-            if found is not None:
-                return found
+            end = self.section()
+            if end is not None:
+                return end
         return StepStatus.NO_APEX
 
 
@@ -83,10 +83,10 @@ class SimulatorMap(StepMap):
         return difference_jacobian(self, state, command, self.relative_step)
 
     def _simulated(self, state: Array, command: Array) -> tuple[Array | float, int]:
-        found = self.step(state.copy(), command.copy())
-        if isinstance(found, StepStatus):
-            return np.nan, int(found)
-        next_state = np.asarray(found, float)
+        end = self.step(state.copy(), command.copy())
+        if isinstance(end, StepStatus):
+            return np.nan, int(end)
+        next_state = np.asarray(end, float)
         if next_state.shape != state.shape:
             raise ValueError(f"the simulator returned a state of shape {next_state.shape} instead of {state.shape}")
         if not np.isfinite(next_state).all():

@@ -98,14 +98,15 @@ class SurrogateMap(StepMap):
         return np.einsum("...td,tn->...nd", products_gradient(points, self.degree), self.weights)
 
     def _status(self, points: Array) -> Codes:
-        known = np.isfinite(points).all(axis=-1)
-        status = np.where(known, int(StepStatus.OK), int(StepStatus.INVALID))
-        if self._tree is not None and known.any():
-            _, nearest = self._tree.query(points[known], NEIGHBOURS)
-            found = self.samples.status[nearest]
-            failed = np.count_nonzero(found != StepStatus.OK, axis=-1) > NEIGHBOURS // 2
-            reason = np.max(found, axis=-1)  # one of those in which the neighbours failed
-            status[known] = np.where(failed, reason, int(StepStatus.OK))
+        """A step fails if most of the nearest samples did; shape (…)."""
+        finite = np.isfinite(points).all(axis=-1)
+        status = np.where(finite, int(StepStatus.OK), int(StepStatus.INVALID))
+        if self._tree is not None and finite.any():
+            _, nearest = self._tree.query(points[finite], NEIGHBOURS)
+            of_neighbours = self.samples.status[nearest]
+            failed = np.count_nonzero(of_neighbours != StepStatus.OK, axis=-1) > NEIGHBOURS // 2
+            reason = np.max(of_neighbours, axis=-1)  # one of those for which the neighbours failed
+            status[finite] = np.where(failed, reason, int(StepStatus.OK))
         return status
 
     @cached_property
@@ -158,15 +159,15 @@ def fit_surrogate(
     last_error = np.inf
     samples = motions.begun(FIRST_SAMPLES)
     while True:
-        found = _fitted(motions, samples)
+        surrogate = _fitted(motions, samples)
         judged = _misjudged(samples) <= MISJUDGED
-        on_samples(len(samples.status), found.error)
-        error = np.max(found.error / step_map.space.state_scale)
+        on_samples(len(samples.status), surrogate.error)
+        error = np.max(surrogate.error / step_map.space.state_scale)
         along_motions = len(samples.status) > FIRST_SAMPLES
         if len(samples.status) >= MOST_SAMPLES or (
             judged and (error <= good_enough or error > WORTHWHILE * last_error)
         ):
-            return found
+            return surrogate
         last_error = error if along_motions else np.inf  # the first steps are all over the ranges
         samples = motions.continued(samples, len(samples.status))
 
@@ -197,16 +198,16 @@ def _fitted(motions: Motions, samples: Samples) -> SurrogateMap:
         basis = products(points, degree)
         if len(points) < 2 * basis.shape[1] or not counted.any():
             break
-        found = fit_linear(weights * basis, weights * next_state)
-        error = np.sqrt(np.mean((found.left_out / weights)[counted] ** 2, axis=0))
-        fits.append((float(np.linalg.norm(error / space.state_scale)), degree, found.weights, error))
+        fit = fit_linear(weights * basis, weights * next_state)
+        error = np.sqrt(np.mean((fit.left_out / weights)[counted] ** 2, axis=0))
+        fits.append((float(np.linalg.norm(error / space.state_scale)), degree, fit.weights, error))
     if not fits:
         raise StepGapError(
             f"only {len(points)} of {len(good)} simulated steps ended with a next state, {np.count_nonzero(counted)} "
             "in the ranges of use; check the ranges of states and commands, and the simulation itself"
         )
-    _, degree, found_weights, error = min(fits, key=lambda fit: fit[0])
-    return SurrogateMap(space, centre, scale, degree, found_weights, error, samples)
+    _, degree, best_weights, error = min(fits, key=lambda fit: fit[0])
+    return SurrogateMap(space, centre, scale, degree, best_weights, error, samples)
 
 
 def products(points: Array, degree: int) -> Array:

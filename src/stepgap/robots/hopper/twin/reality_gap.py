@@ -175,22 +175,22 @@ class RealityGap(Gap):
         return cls.of_shares(cls.draw(rng))
 
     @classmethod
-    def of_shares(cls, wanted: Mapping[str, float]) -> Self:
+    def of_shares(cls, shares: Mapping[str, float]) -> Self:
         """Differences by their shares of the preset's: no gap + share × (preset − no gap).
 
         Where no gap is an infinite value, such as that of a stiffness, the difference is preset / share.
 
         Args:
-            wanted: Share of each difference that is drawn; others are the preset's.
+            shares: Share of each difference that is drawn; others are the preset's.
 
         Raises:
             ValueError: A difference is out of its range.
         """
         values = {}
-        for name, share in wanted.items():
-            known = differences(cls)[name]
-            none = float(known.exact or 0.0)
-            whole = known.whole
+        for name, share in shares.items():
+            declared = differences(cls)[name]
+            none = float(declared.exact or 0.0)
+            whole = declared.whole
             values[name] = whole / max(share, 1e-3) if isinf(none) else none + share * (whole - none)
         return cls(**values)
 
