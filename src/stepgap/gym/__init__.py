@@ -200,8 +200,8 @@ def robot_env(
         return StepEnv(make_model, nominal, reference, largest_change)
     simulations = simulations_of(chosen)
     if settings.plant not in simulations:
-        known = (*simulations, MODEL)
-        raise ValueError(f"plant = {settings.plant!r}, but it must be {one_of(settings.plant, known)}")
+        plants = (*simulations, MODEL)
+        raise ValueError(f"plant = {settings.plant!r}, but it must be {one_of(settings.plant, plants)}")
     make = simulations[settings.plant]
 
     def make_plant(rng: np.random.Generator) -> Plant:

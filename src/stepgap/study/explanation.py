@@ -336,8 +336,8 @@ def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) 
         InputError: The simulated robot falls without gap, or with each of the causes.
     """
     none, signatures = find_signatures(error, causes, simulate)
-    walked = [each for each in causes if each.name in signatures]
-    rows = np.array([signatures[each.name] for each in walked])
+    walked = [cause for cause in causes if cause.name in signatures]
+    rows = np.array([signatures[cause.name] for cause in walked])
     together = most_probable(error, none, rows)
     squares = np.maximum(error.squares(none.weights), 0.0)
     total = max(float(squares.sum()), 1e-9)

@@ -110,7 +110,7 @@ class ComparedRobots:
         others = len(self.names) - 1
         if others < 2:
             return np.full_like(self.values, np.nan)
-        deviation = np.array([each.std(axis=0, ddof=1) for each in self._others]) * np.sqrt(1 + 1 / others)
+        deviation = np.array([traits.std(axis=0, ddof=1) for traits in self._others]) * np.sqrt(1 + 1 / others)
         t = self.difference / np.maximum(deviation, np.finfo(float).tiny)
         return -np.sign(t) * ndtri(np.maximum(stdtr(others - 1, -np.abs(t)), np.finfo(float).tiny))
 

@@ -74,7 +74,7 @@ class SimulatedRobots:
     @cached_property
     def causes(self) -> Mapping[str, Cause]:
         """The differences that the robot may have, by name."""
-        return {each.name: each for each in causes_of(gap_of(self.settings))}
+        return {cause.name: cause for cause in causes_of(gap_of(self.settings))}
 
     def steps(self, shares: Shares, number: int) -> Observations | None:
         """Errors of a robot with causes of some sizes; None if it does not walk, or a size is not valid.
@@ -173,13 +173,13 @@ def simulated_on_all_cores(robots: SimulatedRobots, progress: Callable[[int], No
     done = 0
     pool = ProcessPoolExecutor(usable_cores(), process_context(), _keep_robots, (robots,))
 
-    def simulate(asked: Sequence[tuple[Shares, int]]) -> list[Surface | None]:
+    def simulate(requests: Sequence[tuple[Shares, int]]) -> list[Surface | None]:
         nonlocal done
-        waiting = [pool.submit(_surface, shares, number) for shares, number in asked]
-        for _ in as_completed(waiting):
+        futures = [pool.submit(_surface, shares, number) for shares, number in requests]
+        for _ in as_completed(futures):
             done += 1
             progress(done)
-        return [each.result() for each in waiting]
+        return [future.result() for future in futures]
 
     try:
         yield simulate

@@ -56,13 +56,13 @@ def rows_of(number: int, settings: Mapping[str, Any], result: Any, failed: str, 
         raise ValueError(f"case {number}: its result must be a list of deployments")
     rows = []
     for entry in result:
-        found = parse_deployment(entry, space.state_names, "deployment", f"case {number}")
+        deployment = parse_deployment(entry, space.state_names, "deployment", f"case {number}")
         hops = entry.get("hops_to_band")
         if hops is not None and (type(hops) is not int or hops < 1):
             raise ValueError(f"case {number}: hops_to_band must be a positive integer or null")
-        errors = np.concatenate([found.errors[measure] for measure in MEASURES]).tolist()
-        values = [found.iteration, found.residual, found.steps, found.failed_steps, *errors, hops, ""]
-        rows.append([*before, *map(_cell, values)])
+        errors = np.concatenate([deployment.errors[measure] for measure in MEASURES]).tolist()
+        values = [deployment.iteration, deployment.residual, deployment.steps, deployment.failed_steps]
+        rows.append([*before, *map(_cell, [*values, *errors, hops, ""])])
     return rows
 
 

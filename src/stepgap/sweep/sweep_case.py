@@ -58,7 +58,7 @@ def _entries(deployments: list[Deployment], run: Run) -> list[dict[str, Any]]:
     logs = [run.steps.of_iteration(deployment.iteration) for deployment in deployments]
     entries = []
     for count, deployment in enumerate(deployments, start=1):
-        known = None if deployment.failed_steps else run.published
-        steps = executed_steps_to_band(logs[:count], known.band) if known else None
+        published = None if deployment.failed_steps else run.published
+        steps = executed_steps_to_band(logs[:count], published.band) if published else None
         entries.append({**deployment_entry(deployment, run.space.state_names), "hops_to_band": steps})
     return entries

@@ -196,7 +196,7 @@ def dask_executor(address: str, processes: int) -> Iterator[Executor]:
     try:
         client = distributed.Client(**target, timeout=_SCHEDULER_WAIT)
     except (OSError, ValueError) as error:
-        wanted = "give its address, such as tcp://127.0.0.1:8786, its scheduler file, or local"
-        raise InputError(f"--dask {address}: no scheduler answers ({error!s:.120}); {wanted}") from None
+        remedy = "give its address, such as tcp://127.0.0.1:8786, its scheduler file, or local"
+        raise InputError(f"--dask {address}: no scheduler answers ({error!s:.120}); {remedy}") from None
     with client:
         yield client.get_executor(pure=False)

@@ -41,13 +41,13 @@ class SweepAxis:
         Args:
             values: Values of the cases, infinite or NaN where unknown; shape (N,).
         """
-        columns = []
+        quartiles = np.full((3, len(self.levels)), np.nan)
         for level in range(len(self.levels)):
             of_level = values[self.codes == level]
-            known = of_level[~np.isnan(of_level)]
-            enough = len(known) > 0
-            columns.append(np.quantile(known, [0.25, 0.5, 0.75], method="inverted_cdf") if enough else [np.nan] * 3)
-        return np.array(columns).T
+            numbers = of_level[~np.isnan(of_level)]
+            if len(numbers):
+                quartiles[:, level] = np.quantile(numbers, [0.25, 0.5, 0.75], method="inverted_cdf")
+        return quartiles
 
 
 @dataclass(frozen=True, eq=False)
