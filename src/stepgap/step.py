@@ -188,21 +188,21 @@ class StepSpace:
     advice: Mapping[StepStatus, str] = field(default_factory=dict, compare=False, repr=False, kw_only=True)
 
     def __post_init__(self) -> None:
-        periodic = [each.name for each in self.context if isfinite(each.period)]
+        periodic = [quantity.name for quantity in self.context if isfinite(quantity.period)]
         require(len(periodic) <= 1, "context", periodic, "have at most one quantity with a period")
-        units = {each.name: each.unit for each in self.context}
-        for each in self.state:
-            rule = f"be the name of a context quantity in {each.unit or 'the same unit'} ({each.name})"
-            require(not each.above or units.get(each.above) == each.unit, "above", each.above, rule)
-        for each in self.command:
-            require(not each.above, "above", each.above, f"be empty, since it is a command ({each.name})")
-        weights = [each.weight for each in self.state]
+        units = {quantity.name: quantity.unit for quantity in self.context}
+        for quantity in self.state:
+            rule = f"be the name of a context quantity in {quantity.unit or 'the same unit'} ({quantity.name})"
+            require(not quantity.above or units.get(quantity.above) == quantity.unit, "above", quantity.above, rule)
+        for quantity in self.command:
+            require(not quantity.above, "above", quantity.above, f"be empty, since it is a command ({quantity.name})")
+        weights = [quantity.weight for quantity in self.state]
         require(any(weights) or not weights, "state", weights, "have a weight above 0 of at least one coordinate")
 
     @cached_property
     def periodic(self) -> ContextQuantity | None:
         """The quantity of the context that has a period; None if there is none."""
-        return next((each for each in self.context if isfinite(each.period)), None)
+        return next((quantity for quantity in self.context if isfinite(quantity.period)), None)
 
     def advice_on(self, status: StepStatus) -> str:
         """Advice after a step that failed."""
@@ -230,17 +230,17 @@ class StepSpace:
     @cached_property
     def context_inputs(self) -> tuple[ContextQuantity, ...]:
         """Quantities of the context on which a residual may depend."""
-        return tuple(each for each in self.context if each.input_scale)
+        return tuple(quantity for quantity in self.context if quantity.input_scale)
 
     @cached_property
     def is_above_context(self) -> bool:
         """Whether a state coordinate is measured above a quantity of the context."""
-        return any(each.above for each in self.state)
+        return any(quantity.above for quantity in self.state)
 
     @cached_property
     def adds_up(self) -> NDArray[np.bool_]:
         """Which state coordinates are distances whose targets add up; shape (n,)."""
-        return np.array([each.adds_up for each in self.state], bool)
+        return np.array([quantity.adds_up for quantity in self.state], bool)
 
     def onward(self, state: Array) -> Array:
         """Ends of steps as starts of the next ones: distances that add up begin at zero; shape (…, n)."""
@@ -260,7 +260,7 @@ class StepSpace:
         if not (context and self.is_above_context):
             return state
         zeros = dict(zip(self.context_names, context, strict=True)) | {"": 0.0}
-        return state - np.nan_to_num([zeros[each.above] for each in self.state])
+        return state - np.nan_to_num([zeros[quantity.above] for quantity in self.state])
 
     @property
     def names(self) -> tuple[str, ...]:
