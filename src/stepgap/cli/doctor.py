@@ -41,8 +41,8 @@ def doctor() -> None:
     """Show what this machine has: versions, cores, graphics, rights for real time, the cache, extras."""
     rows = [*_versions(), *_machine(), *_graphics(), *_rights(), _cache(), *_extras()]
     width = max(len(name) for name, _ in rows)
-    for name, found in rows:
-        print(f"{name:{width}}  {found}")
+    for name, result in rows:
+        print(f"{name:{width}}  {result}")
 
 
 def _versions() -> Iterator[_Row]:
@@ -59,10 +59,10 @@ def _machine() -> Iterator[_Row]:
 
 
 def _graphics() -> Iterator[_Row]:
-    shown = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
-    yield "display", shown or f"none; {NEEDS_GL}"
+    display = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
+    yield "display", display or f"none; {NEEDS_GL}"
     chosen = os.environ.get("MUJOCO_GL")
-    backends = ["glfw", "egl", "osmesa"] if shown else ["egl", "osmesa"]
+    backends = ["glfw", "egl", "osmesa"] if display else ["egl", "osmesa"]
     for backend in [chosen] if chosen else backends:
         if _try(RENDERING_TRIAL, MUJOCO_GL=backend) is not None:
             yield "OpenGL", f"works with MUJOCO_GL={backend}"
@@ -103,29 +103,29 @@ def _extras() -> Iterator[_Row]:
     """The optional packages of stepgap."""
     from importlib.metadata import requires
 
-    wanted: dict[str, list[str]] = defaultdict(list)
+    packages_of_extra: dict[str, list[str]] = defaultdict(list)
     for requirement in requires("stepgap") or []:
         extra = re.search(r"extra == ['\"](.+?)['\"]", requirement)
         if extra:
-            wanted[extra[1]].extend(_packages_of(requirement))
-    for extra, packages in sorted(wanted.items()):
-        found = {package: _version(package) for package in packages}
-        if missing := [package for package, number in found.items() if number is None]:
+            packages_of_extra[extra[1]].extend(_packages_of(requirement))
+    for extra, packages in sorted(packages_of_extra.items()):
+        versions = {package: _version(package) for package in packages}
+        if missing := [package for package, number in versions.items() if number is None]:
             advice = f"to install it: {INSTALL} 'stepgap[{extra}]'"
             yield f"extra {extra}", f"missing ({', '.join(missing)}), for {PURPOSES[extra]}; {advice}"
         else:
-            there = ", ".join(f"{package} {number}" for package, number in found.items())
-            yield f"extra {extra}", f"installed ({there}), for {PURPOSES[extra]}"
+            installed = ", ".join(f"{package} {number}" for package, number in versions.items())
+            yield f"extra {extra}", f"installed ({installed}), for {PURPOSES[extra]}"
 
 
 def _packages_of(requirement: str) -> Iterator[str]:
     """Name of a required package, and those of its own extra, such as `sysid` of `mujoco[sysid]`."""
     from importlib.metadata import PackageNotFoundError, requires
 
-    found = re.match(r"([\w.-]+)(?:\[([\w.-]+)\])?", requirement)
-    if found is None:
+    match = re.match(r"([\w.-]+)(?:\[([\w.-]+)\])?", requirement)
+    if match is None:
         return
-    package, inner = found.groups()
+    package, inner = match.groups()
     yield package
     try:
         further = (requires(package) or []) if inner else []

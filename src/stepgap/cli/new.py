@@ -160,8 +160,8 @@ def _steps_of_run(path: Path) -> "tuple[Steps, StepSpace | None]":
     try:
         space = space_of_header(file)
         settings = Run(file.parent).settings
-        known = None if isinstance(settings, Missing) else settings.space
-        return read_step_log(file, space), known if known and known.has_names_of(space) else None
+        ranges = None if isinstance(settings, Missing) else settings.space
+        return read_step_log(file, space), ranges if ranges and ranges.has_names_of(space) else None
     except (OSError, RecordError, ValueError) as error:
         hint = "give a run or its steps.csv; for any other CSV file name its columns, see --help"
         raise InputError(f"--from: {message_of(error)}; {hint}") from None
@@ -169,8 +169,7 @@ def _steps_of_run(path: Path) -> "tuple[Steps, StepSpace | None]":
 
 def _steps_of_others(path: Path, columns: Path | None, names: ColumnNames) -> "Steps":
     """Steps of a log of any origin, which a plug-in reads."""
-    wanted = "callable with (path, columns, names)"
-    read = load_plugin(IMPORTERS, "importer of steps", "columns", callable, wanted)
+    read = load_plugin(IMPORTERS, "importer of steps", "columns", callable, "callable with (path, columns, names)")
     return read(path, columns, names.given())
 
 
@@ -191,9 +190,11 @@ def _covered_space(log: "Steps") -> "StepSpace":
         ends = zip(quantities, low.tolist(), high.tolist(), digits, strict=True)
         return tuple(replace(one, lower=round(a, k), upper=round(b, k)) for one, a, b, k in ends)
 
-    known = log.completed()
+    completed = log.completed()
     return StepSpace(
-        covered(log.space.state, known.state), covered(log.space.command, known.requested), log.space.context
+        state=covered(log.space.state, completed.state),
+        command=covered(log.space.command, completed.requested),
+        context=log.space.context,
     )
 
 
@@ -214,13 +215,15 @@ def _quantities(space: "StepSpace") -> str:
         for kind in ("state", "command")
         for quantity in getattr(space, kind)
     ] + [
-        f"\n[[quantities.context]]\n{tomli_w.dumps({'name': each.name, 'unit': each.unit, 'period': each.period})}"
-        for each in space.context
+        "\n[[quantities.context]]\n"
+        + tomli_w.dumps({"name": quantity.name, "unit": quantity.unit, "period": quantity.period})
+        for quantity in space.context
     ]
     return "".join(blocks)
 
 
 def _units(space: "StepSpace") -> str:
     """Names and units, as the program answers them."""
-    named = {"state": space.state, "command": space.command}
-    return json.dumps({kind: {each.name: each.unit for each in quantities} for kind, quantities in named.items()})
+    kinds = {"state": space.state, "command": space.command}
+    units = {kind: {quantity.name: quantity.unit for quantity in kinds[kind]} for kind in kinds}
+    return json.dumps(units)

@@ -14,15 +14,15 @@ def location_in_plugin(error: BaseException) -> str:
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         file = Path(frame.filename)
         if any(file.is_relative_to(root) for root in roots):
-            here = file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
-            return f"{here}, line {frame.lineno}"
+            shown = file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
+            return f"{shown}, line {frame.lineno}"
     return ""
 
 
 def _roots() -> list[Path]:
     """Modules and folders of the packages of all plug-ins but StepGap's own."""
-    found = (entry for installed in distributions() for entry in installed.entry_points)
-    packages = {entry.module.partition(".")[0] for entry in found if entry.group.startswith(ENTRY_POINTS)}
+    entries = (entry for distribution in distributions() for entry in distribution.entry_points)
+    packages = {entry.module.partition(".")[0] for entry in entries if entry.group.startswith(ENTRY_POINTS)}
     roots: list[Path] = []
     for package in sorted(packages - {"stepgap"}):
         spec = find_spec(package)

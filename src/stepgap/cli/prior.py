@@ -29,20 +29,22 @@ def prior(*runs: Path, out: Path, quiet: Flag = False) -> None:
     from stepgap.experiment.prior import find_prior, steps_of_robot
 
     check_new(out, "--out")
-    folders = [*{each.resolve(): each for one in runs for each in run_folders(one)}.values()]  # each counts once
+    folders = [folder for argument in runs for folder in run_folders(argument)]
+    folders = [*{folder.resolve(): folder for folder in folders}.values()]  # each counts once
     if not folders:
         raise InputError("RUNS: give the folders of runs, one for each robot, or of a sweep over random twins")
-    found: list[RobotSteps] = []
+    robots: list[RobotSteps] = []
     with progress_bar("reading", quiet) as progress:
         for number, folder in enumerate(folders, 1):
-            found.append(steps_of_robot(folder))
+            robots.append(steps_of_robot(folder))
             progress(number, len(folders))
-    poor = [each.folder for each in found if len(each.observations) < _LEAST_STEPS]
+    poor = [robot.folder for robot in robots if len(robot.observations) < _LEAST_STEPS]
     if poor:
         warn(f"left out, since it has fewer than {_LEAST_STEPS} completed steps: {', '.join(map(str, poor))}")
-    made = find_prior([each for each in found if each.folder not in poor])
-    write_new(out, "--out", made.text())
+    file = find_prior([robot for robot in robots if robot.folder not in poor])
+    write_new(out, "--out", file.text())
     if not quiet:
-        for name, each in zip(made.prior.names, made.prior.coordinates, strict=False):
-            spread = float(each.covariance[0, 0]) ** 0.5
-            print(f"{name}: robots differ by {spread:.2g} half ranges, steps by {each.noise_std:.2g}", file=sys.stderr)
+        for name, belief in zip(file.prior.names, file.prior.coordinates, strict=False):
+            spread = float(belief.covariance[0, 0]) ** 0.5  # of the constant feature
+            sentence = f"robots differ by {spread:.2g} half ranges, steps by {belief.noise_std:.2g}"
+            print(f"{name}: {sentence}", file=sys.stderr)
