@@ -5,9 +5,11 @@ or command by half its range.
 """
 
 from collections.abc import Iterator
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.control.limit_cycle import fixed_point
 from stepgap.control.reach import SMALL_PART
@@ -80,6 +82,12 @@ def _broken_rule(nominal: StepMap, rng: np.random.Generator) -> str:
             f"{np.count_nonzero(endless)} of {POINTS} steps have status OK, but no finite {listed(names)}, for example "
             f"that {where}. Give such steps a status that says how they failed."
         )
+    return _changing(nominal, states, commands, first)
+
+
+def _changing(nominal: StepMap, states: Array, commands: Array, first: Outcome) -> str:
+    """A sentence if steps end otherwise when they are evaluated again, in another order, or alone; else empty."""
+    space = nominal.space
     again = nominal.evaluate(states, commands)
     backwards = nominal.evaluate(states[::-1], commands[::-1])
     alone = [nominal.evaluate(*point) for point in zip(states, commands, strict=True)]
@@ -139,29 +147,36 @@ def check_jacobian(nominal: StepMap, rng: np.random.Generator) -> Iterator[PartR
             f"At {POINTS} points it has the shape {np.shape(given)}; it must be {(POINTS, *scale.shape)}.",
         )
         return
-    differences = scale * np.array([difference_jacobian(nominal, states, commands, step) for step in DIFFERENCES])
+    differences = np.array([difference_jacobian(nominal, states, commands, step) for step in DIFFERENCES])
     doubt = np.ptp(differences, axis=0)
     numeric = np.median(differences, axis=0)
-    off = np.abs(scale * given - numeric) > WRONG_PART * np.abs(numeric) + WRONG_LEAST + 2 * doubt
+    off = np.abs(given - numeric) > WRONG_PART * np.abs(numeric) + WRONG_LEAST / scale + 2 * doubt
     off |= ~np.isfinite(given) & np.isfinite(numeric)
     judged = np.maximum(np.isfinite(numeric + doubt).sum(axis=0), 1)
     wrong = np.argwhere(off.sum(axis=0) > OFTEN * judged)
     if not len(wrong):
         yield PartResult("jacobian", "ok", "Its formula agrees with differences of the map.")
         return
-    sentences = []
-    for row, column in wrong.tolist():
-        point = np.argmax(off[:, row, column] * np.abs(numeric[:, row, column]))
-        by = f"∂{space.state[row].name}/∂{space.names[column]}"
-        formula = given[point, row, column]
-        exact = numeric[point, row, column] / scale[row, column]
-        sentences.append(f"{by} is {formula:.3g} by the formula, but {exact:.3g} by differences{_kind(formula, exact)}")
-    where = "where the map steps, differences are right" if len(wrong) == 1 else "differences are right"
-    yield PartResult(
-        "jacobian",
-        "wrong",
-        f"{'; '.join(sentences)}. Correct the formula ({where}), or write `jacobian = difference_jacobian`.",
-    )
+    sentences = [
+        _entry_in_words(
+            space, row, column, *_example(off[:, row, column], given[:, row, column], numeric[:, row, column])
+        )
+        for row, column in wrong.tolist()
+    ]
+    advice = "Correct the formula, or write `jacobian = difference_jacobian`"
+    yield PartResult("jacobian", "wrong", f"{'; '.join(sentences)}. {advice}.")
+
+
+def _example(off: NDArray[np.bool_], given: Array, numeric: Array) -> tuple[float, float]:
+    """The formula and the difference at the point where a wrong derivative (k,) is largest."""
+    point = np.argmax(off * (np.nan_to_num(np.abs(numeric)) + 1e-300))
+    return float(given[point]), float(numeric[point])
+
+
+def _entry_in_words(space: StepSpace, row: int, column: int, formula: float, exact: float) -> str:
+    """A wrong derivative, and what is probably wrong with it."""
+    name = f"∂{space.state[row].name}/∂{space.names[column]}"
+    return f"{name} is {formula:.3g} by the formula, but {exact:.3g} by differences{_kind(formula, exact)}"
 
 
 def _kind(formula: float, exact: float) -> str:
@@ -182,6 +197,40 @@ PARTS: Final = 8  # Number of parts into which it is divided
 JUMP: Final = 0.02  # Change within the last interval that is a jump [half ranges]
 
 
+@dataclass(frozen=True, eq=False)
+class _Lines:
+    """Lines across the ranges of a map, in half ranges.
+
+    Attributes:
+        nominal: The map.
+        middle: A point of each line; shape (LINES, n + m).
+        direction: Its direction; shape (LINES, n + m).
+    """
+
+    nominal: StepMap
+    middle: Array
+    direction: Array
+
+    @classmethod
+    def drawn(cls, nominal: StepMap, rng: np.random.Generator) -> Self:
+        """Random lines."""
+        size = len(nominal.space.names)
+        direction = rng.normal(size=(LINES, size))
+        middle = 0.5 * rng.uniform(-1, 1, (LINES, size))
+        return cls(nominal, middle, direction / np.abs(direction).max(axis=1, keepdims=True))
+
+    def inputs(self, places: Array) -> tuple[Array, Array]:
+        """States (LINES, k, n) and commands (LINES, k, m) at places (LINES, k) on the lines."""
+        space = self.nominal.space
+        n = len(space.state)
+        points = np.clip(self.middle[:, None] + places[..., None] * self.direction[:, None], -1, 1)
+        return space.state_centre + space.state_scale * points[..., :n], space.command_at(points[..., n:])
+
+    def changes(self, places: Array) -> Array:
+        """Changes of the next state between places; shape (LINES, k − 1, n)."""
+        return np.diff(self.nominal.evaluate(*self.inputs(places)).next_state, axis=1) / self.nominal.space.state_scale
+
+
 def check_smooth(nominal: StepMap, rng: np.random.Generator) -> Iterator[PartResult]:
     """Whether the next state changes without jumps along some lines across the ranges.
 
@@ -192,47 +241,29 @@ def check_smooth(nominal: StepMap, rng: np.random.Generator) -> Iterator[PartRes
         nominal: The map.
         rng: Chooses the lines.
     """
-    space = nominal.space
-    n = len(space.state)
-    size = n + len(space.command)
-    middle = 0.5 * rng.uniform(-1, 1, (LINES, size))
-    direction = rng.normal(size=(LINES, size))
-    direction /= np.abs(direction).max(axis=1, keepdims=True)
-
-    def ends(places: Array) -> tuple[Array, Array]:
-        """Points (LINES, k, n + m) and next states (LINES, k, n) at places (LINES, k) on the lines, in half ranges."""
-        points = np.clip(middle[:, None] + places[..., None] * direction[:, None], -1, 1)
-        states = space.state_centre + space.state_scale * points[..., :n]
-        reached = nominal.evaluate(states, space.command_at(points[..., n:]))
-        return points, (reached.next_state - space.state_centre) / space.state_scale
-
-    places = np.tile(np.linspace(-1.5, 1.5, ALONG), (LINES, 1))
+    lines = _Lines.drawn(nominal, rng)
     rows = np.arange(LINES)
-    points, next_states = ends(places)
-    change = np.diff(next_states, axis=1)
+    places = np.tile(np.linspace(-1.5, 1.5, ALONG), (LINES, 1))
+    change = lines.changes(places)
     beside = 0.5 * (np.roll(change, 1, axis=1) + np.roll(change, -1, axis=1))
     odd = np.nan_to_num(np.abs(change - beside)).max(axis=2)
     for _ in range(ZOOMS):
         chosen = np.argmax(odd, axis=1)
-        low, high = places[rows, chosen], places[rows, chosen + 1]
-        places = np.linspace(low, high, PARTS + 1, axis=1)
-        points, next_states = ends(places)
-        change = np.diff(next_states, axis=1)
-        odd = np.nan_to_num(np.abs(change)).max(axis=2)
-    jump = odd.max(axis=1)
-    line = int(np.argmax(jump))
-    if not jump[line] > JUMP:
+        places = np.linspace(places[rows, chosen], places[rows, chosen + 1], PARTS + 1, axis=1)
+        change = np.nan_to_num(np.abs(lines.changes(places)))
+        odd = change.max(axis=2)
+    line, part = np.unravel_index(np.argmax(odd), odd.shape)
+    if not odd[line, part] > JUMP:
         yield PartResult("smooth", "ok", f"Along {LINES} lines across the ranges, the next state has no jumps.")
         return
-    part = int(np.argmax(odd[line]))
-    at = points[line, part]
-    coordinate = int(np.nanargmax(np.abs(change[line, part])))
-    where = _step_in_words(space, space.state_centre + space.state_scale * at[:n], space.command_at(at[n:]))
+    state, command = (values[line, part] for values in lines.inputs(places))
+    name = nominal.space.state[int(np.argmax(change[line, part]))].name
     yield PartResult(
         "smooth",
         "wrong",
-        f"{space.state[coordinate].name} jumps by {jump[line]:.2g} half ranges {where}. Look for a case distinction or "
-        "an event that is located too coarsely there; controllers and learning need a map without jumps.",
+        f"{name} jumps by {odd[line, part]:.2g} half ranges {_step_in_words(nominal.space, state, command)}. Look for "
+        "a case distinction or an event that is located too coarsely there; controllers and learning need a map "
+        "without jumps.",
     )
 
 

@@ -346,6 +346,7 @@ def _late_in_words(commands: Sequence[str], steps: int) -> str:
 BREAK_EXPLAINS: Final = 0.75  # Part of the unexplained squares that a jump has to explain
 SMALLEST_BREAK: Final = 0.1  # Smallest jump that is a finding [half ranges]
 SMOOTHER: Final = 0.6  # Part of what kinks and cubics leave that a jump may leave at most
+RAMPS: Final = (0.1, 0.2)  # Half widths of ramps, such as of a dead band, that are tried [half ranges]
 KINKS: Final = 15  # Number of places at which a kink is tried
 BESIDE: Final = 4  # Number of steps on each side of a jump, at least
 
@@ -374,6 +375,11 @@ def break_of(found: Derivatives) -> str:
     weights = np.linalg.lstsq(np.column_stack([found.basis, side]), found.error[:, row], rcond=1e-9)[0]
     places = np.quantile(z, np.linspace(0.1, 0.9, KINKS))
     kinks = [_explained(found, np.maximum(z - at, 0)[:, None], residual)[row] for at in places]
+    kinks += [
+        _explained(found, np.clip((z - at) / width, -1, 1)[:, None], residual)[row]
+        for width in RAMPS
+        for at in (*places, place)
+    ]
     cubic = _explained(found, np.column_stack([z**2, z**3]), residual)[row]
     smooth = max(*kinks, cubic) / squares[row]
     if abs(weights[-1]) < SMALLEST_BREAK or 1 - share > SMOOTHER * (1 - smooth):
