@@ -4,6 +4,7 @@ import hashlib
 import math
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stepgap.base.errors import InputError
 from stepgap.learning.steps import LoggedStep
 from stepgap.records import steps_csv
 from stepgap.records.steps_csv import (
@@ -18,6 +20,7 @@ from stepgap.records.steps_csv import (
     StepWriter,
     column_names,
     digest,
+    ends_with_whole_row,
     read_step_log,
     row_of,
     space_of_header,
@@ -288,3 +291,18 @@ def test_a_header_with_a_name_that_is_no_identifier_is_refused(tmp_path: Path, n
     path.write_text(",".join([*columns[:-1], f"{name}_after", "status"]) + "\n")
     with pytest.raises(RecordError, match="line 1: the columns must be"):
         read_step_log(path, SPACE)
+
+
+def test_neither_a_pipe_nor_a_link_is_a_step_log(tmp_path: Path) -> None:
+    """A reader would wait for the other end of a pipe, and a writer would change the file at the end of a link."""
+    path = tmp_path / "steps.csv"
+    os.mkfifo(path)
+    with_space = (partial(reader, space=SPACE) for reader in (read_step_log, StepWriter))
+    for read in (space_of_header, ends_with_whole_row, *with_space):
+        with pytest.raises(InputError, match=r"steps\.csv: a pipe or a device, so it is not read"):
+            read(path)
+    path.unlink()
+    path.symlink_to(tmp_path / "mine.csv")
+    with pytest.raises(InputError, match=r"steps\.csv: a link, through which nothing is written"):
+        StepWriter(path, SPACE)
+    assert not (tmp_path / "mine.csv").exists()

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from stepgap.base.errors import InputError
 from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
 from stepgap.records.summary import parse_summary
 from stepgap.report import drawing
 from stepgap.report.tables import changed_settings, differing, flat_settings
 from stepgap.robots.hopper.paper import paper_reference, paper_result
+from stepgap.study.cli.compare import compare_robots
 from stepgap.study.comparison_page import FEWEST_SEEDS, comparison_html, run_names, seed_groups, spread_tables
 from tests.report.pages import Page, check_alone
 from tests.report.runs import make_run, write_run
@@ -59,6 +61,9 @@ def test_runs_of_another_state_are_refused(folders: list[Path], tmp_path: Path) 
         comparison_html([Run(folders[0]), Run(other)])
     with pytest.raises(ValueError, match="1 runs to compare, but there must be 2 to 12"):
         comparison_html([Run(folders[0])])
+    with pytest.raises(InputError, match="only runs of the same state can be compared"):
+        compare_robots([folders[0], other], out=tmp_path / "page.html")
+    assert not (tmp_path / "page.html").exists()
 
 
 def test_unfinished_runs_are_compared(folders: list[Path], tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ def open_regular(path: Path) -> BinaryIO:
         InputError: It is no regular file.
         OSError: It cannot be opened.
     """
-    return _regular(open(path, "rb", opener=_without_waiting), path)
+    return open(path, "rb", opener=_regular)
 
 
 def open_own(path: Path) -> BinaryIO:
@@ -48,22 +48,21 @@ def open_own(path: Path) -> BinaryIO:
     """
     if path.is_symlink():
         raise InputError(f"{path}: a link, through which nothing is written; put the file itself here")
-    return _regular(open(path, "a+b", opener=_without_following), path)
+    return open(path, "a+b", opener=_own)
 
 
-def _without_waiting(name: str, flags: int) -> int:
-    return os.open(name, flags | os.O_NONBLOCK)
+def _own(name: str, flags: int) -> int:
+    return _regular(name, flags | os.O_NOFOLLOW)
 
 
-def _without_following(name: str, flags: int) -> int:
-    return os.open(name, flags | os.O_NONBLOCK | os.O_NOFOLLOW, 0o666)
-
-
-def _regular(file: BinaryIO, path: Path) -> BinaryIO:
-    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-        file.close()
-        raise InputError(f"{path}: a pipe or a device, so it is not read; give a file")
-    return file
+def _regular(name: str, flags: int) -> int:
+    """Opens a file, or a folder, which `open` refuses itself; raises InputError for a pipe or a device."""
+    descriptor = os.open(name, flags | os.O_NONBLOCK, 0o666)
+    mode = os.fstat(descriptor).st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        os.close(descriptor)
+        raise InputError(f"{name}: a pipe or a device, so it is not read; give a file")
+    return descriptor
 
 
 def read_bounded(path: Path, largest: int) -> bytes:
