@@ -8,7 +8,7 @@ import argparse
 
 import numpy as np
 
-from stepgap.hardware.hopper.jog_trial import answer_of
+from stepgap.hardware.hopper.jog_trial import jog_answer
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from tests.hardware.hopper.test_jog import (
     DISCONNECTED_1,
@@ -49,7 +49,7 @@ def main() -> None:
             right, torques, speeds = 0, [], []
             for seed in seeds:
                 ticks, message, speed = jogged(motor, wiring, GAPS[seed % len(GAPS)], seed)
-                failed = bool(message) or bool(answer_of(ticks, motor).failure())
+                failed = bool(message) or bool(jog_answer(ticks, motor).failure())
                 right += failed == (motor in failing)
                 torques.append(float(np.nanmax(np.abs(ticks[f"applied_{motor}"]))))
                 speeds.append(speed)

@@ -15,7 +15,7 @@ from stepgap.experiment import settings
 from stepgap.experiment.inputs import load_reference, write_experiment
 from stepgap.experiment.settings import METHODS, Experiment, NominalSettings, read_experiment
 from stepgap.experiment.settings_text import described_settings
-from stepgap.learning.settings import GONE, LearningSettings
+from stepgap.learning.settings import GONE_SETTINGS, LearningSettings
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.parameters import CommandBounds, Gains
@@ -304,7 +304,7 @@ def test_former_settings_of_a_robot_are_read_where_they_had_no_effect(tmp_path: 
 
 
 def test_no_setting_is_there_and_gone() -> None:
-    assert not [name for name, _, _ in described_settings(Experiment()) if name in GONE]
+    assert not [name for name, _, _ in described_settings(Experiment()) if name in GONE_SETTINGS]
 
 
 def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from stepgap.records.summary import MEASURES
 from stepgap.robots.hopper.parameters import CommandBounds
-from stepgap.sweep.results_table import as_numbers, columns_of, read_results, rows_of, table_text
+from stepgap.sweep.results_table import as_numbers, columns_of, read_results, rows_of_results, table_text
 
 SPACE = CommandBounds().space()
 NAMES = ("gap.delay", "seed")
@@ -23,7 +23,7 @@ def entry(iteration: int, error: float | None, hops: Any = None) -> dict[str, An
 
 
 def written(path: Path, *cases: tuple[dict[str, Any], Any, str]) -> Path:
-    rows = [row for number, case in enumerate(cases) for row in rows_of(number, *case, SPACE)]
+    rows = [row for number, case in enumerate(cases) for row in rows_of_results(number, *case, SPACE)]
     path.write_text(table_text(columns_of(NAMES, SPACE), rows), encoding="utf-8")
     return path
 
@@ -56,7 +56,7 @@ def test_texts_stay_texts() -> None:
 )
 def test_what_is_no_deployment_is_refused(result: Any) -> None:
     with pytest.raises(ValueError, match="case 4"):
-        rows_of(4, {}, result, "", SPACE)
+        rows_of_results(4, {}, result, "", SPACE)
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])

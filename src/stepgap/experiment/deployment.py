@@ -30,7 +30,7 @@ ExecutedSteps = Generator[LoggedStep, None, None]
 """Generator of steps as they are executed; closing it stops the plant."""
 
 
-NO_COMMAND = (
+NO_PLAN = (
     "the search found no command that makes a step by the map, so the middle of the bounds was commanded; compare the "
     "state with its ranges of use, or raise control.evaluations"
 )
@@ -219,7 +219,7 @@ def deploy(
             on_time("planning", perf_counter() - begin)
             if not (lost or np.isfinite(plan.predicted).all()):
                 lost = True
-                on_warning(f"step {number}: {NO_COMMAND}")
+                on_warning(f"step {number}: {NO_PLAN}")
             replan = partial(_replanned, reference, number, plan, on_time, on_warning)
             record, plan = _taken(plant, controller, plan, replan)
             target = asked(reference, number, plant.space, record.context) if number > 0 else plan.predicted

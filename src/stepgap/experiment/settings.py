@@ -22,7 +22,7 @@ from stepgap.base.settings_file import (
     with_table,
 )
 from stepgap.control.settings import ControlSettings
-from stepgap.learning.settings import GONE, LearningSettings
+from stepgap.learning.settings import GONE_SETTINGS, LearningSettings
 from stepgap.plants.process.process_plant import Timeouts
 from stepgap.records.missing import Missing
 from stepgap.robots.entry_points import load_robot, robot_names, simulations_of
@@ -242,7 +242,7 @@ def read_experiment(
     Args:
         path: TOML file; None for the defaults.
         overrides: Dotted name, or name of a short option, and value as TOML, such as ("gains.stiffness", "2400").
-        recorded: Whether a run wrote the file: what a former version wrote there and is `GONE` is ignored.
+        recorded: Whether a run wrote the file: what a former version wrote there and is `GONE_SETTINGS` is ignored.
 
     Raises:
         InputError: A setting is wrong; the message names file, key and rule.
@@ -379,7 +379,7 @@ def changed_experiment(experiment: Experiment, table: Mapping[str, Any], locate:
 def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: Locate) -> Experiment:
     """As `changed_experiment`, but without the check whether settings of different tables fit together."""
     for name in _gone(table):
-        raise InputError(f"{locate(name)}: {GONE[name]}")
+        raise InputError(f"{locate(name)}: {GONE_SETTINGS[name]}")
     rest = dict(table)
     if ROBOT in rest:
         robot = _robot(rest.pop(ROBOT), locate(ROBOT))
@@ -413,7 +413,7 @@ def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: 
 
 def _gone(table: Mapping[str, Any]) -> list[str]:
     tables = {key: part for key, part in table.items() if isinstance(part, Mapping)}
-    return [name for key, part in tables.items() for inner in part if (name := f"{key}.{inner}") in GONE]
+    return [name for key, part in tables.items() for inner in part if (name := f"{key}.{inner}") in GONE_SETTINGS]
 
 
 def _without_gone(table: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ RESIDUALS: Final = "stepgap.residuals"
 
 _LAGGED: Final = "gone, since beliefs know error and command of the step before; leave it out"
 
-GONE: Final[Mapping[str, str]] = {
+GONE_SETTINGS: Final[Mapping[str, str]] = {
     "learning.monitor": "gone, since beliefs compete by how probable they make the steps of the robot; leave it out",
     "learning.remove_yaw_dependence": "gone, since beliefs know what returns with the yaw; leave it out, or set "
     "learning.drift = false to learn between deployments only",

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from stepgap.experiment.command_response import command_response
-from stepgap.experiment.deployment import NO_COMMAND
+from stepgap.experiment.deployment import NO_PLAN
 from stepgap.experiment.outcome import far_states, offset_sentences
 from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
@@ -45,7 +45,7 @@ def _lost(steps: Steps) -> list[str]:
     first = tracking.number[missing][0]
     return [
         f"In {np.count_nonzero(missing)} of the {len(tracking)} steps of deployment {steps.iterations[0]}, first in "
-        f"step {first}, {NO_COMMAND}."
+        f"step {first}, {NO_PLAN}."
     ]
 
 

@@ -36,7 +36,9 @@ def columns_of(settings: Sequence[str], space: StepSpace) -> list[str]:
     return [_CASE, *settings, *_AFTER_SEED, *errors, *_LAST]
 
 
-def rows_of(number: int, settings: Mapping[str, Any], result: Any, failed: str, space: StepSpace) -> list[list[str]]:
+def rows_of_results(
+    number: int, settings: Mapping[str, Any], result: Any, failed: str, space: StepSpace
+) -> list[list[str]]:
     """Rows of one case as cells; a case that failed has one row with the reason.
 
     Args:

@@ -125,7 +125,6 @@ def _twins(table: Mapping[str, Any], path: Path) -> list[Axis]:
 
 
 def _axes(base: Experiment, table: Mapping[str, Any], path: Path) -> list[Axis]:
-    """Axes of single settings, each with a list of values or a range."""
     found = []
     for name, value in table.items():
         location = f"{path}: [axes] {name}"

@@ -15,7 +15,7 @@ from stepgap.hardware.hopper.jog_trial import (
     MOST_DELAY,
     MOST_DRIVE_DELAY,
     LinkAnswer,
-    answer_of,
+    jog_answer,
     hand_failure,
 )
 from stepgap.hardware.hopper.ring_rig import emulated_settings
@@ -125,7 +125,7 @@ GAPS = {
 @pytest.mark.parametrize("motor", [1, 2])
 def test_a_robot_with_the_right_wiring_passes(motor: int, gap: str) -> None:
     ticks, message, speed = jogged(motor, gap=GAPS[gap], seed=motor)
-    answer = answer_of(ticks, motor)
+    answer = jog_answer(ticks, motor)
     assert (message, answer.failure()) == ("", "")
     assert answer.largest_torque <= LARGEST_TORQUE
     assert radians(0.08) <= answer.amplitude < radians(0.6)
@@ -146,7 +146,7 @@ def test_a_robot_with_the_right_wiring_passes(motor: int, gap: str) -> None:
 )
 def test_a_wrong_wiring_is_found_with_a_small_torque_and_speed(motor: int, wiring: Wiring, failure: str) -> None:
     ticks, _, speed = jogged(motor, wiring, seed=7)
-    answer = answer_of(ticks, motor)
+    answer = jog_answer(ticks, motor)
     assert answer.failure().startswith(failure)
     assert answer.largest_torque <= LARGEST_TORQUE
     assert speed < 6.0, "also without sensors; full torque in the posture made it 83 rad/s"
@@ -154,7 +154,7 @@ def test_a_wrong_wiring_is_found_with_a_small_torque_and_speed(motor: int, wirin
 
 def test_a_frozen_encoder_is_found_or_stops_the_trial() -> None:
     ticks, message, speed = jogged(1, FROZEN_1, seed=8)
-    assert message or answer_of(ticks, 1).failure()
+    assert message or jog_answer(ticks, 1).failure()
     assert speed < 6.0
 
 
@@ -185,7 +185,7 @@ def test_amplitude_and_lag_are_measured_beside_a_slow_motion(amplitude: float, l
     def own(time: float) -> float:
         return amplitude * sin(tau * FREQUENCY * time - lag) + slow[0] * time + slow[1] * time**2
 
-    answer = answer_of(ticks_of(own, lambda time: slow[0] * time**3), 1)
+    answer = jog_answer(ticks_of(own, lambda time: slow[0] * time**3), 1)
     assert answer.amplitude == pytest.approx(amplitude, rel=1e-6)
     assert answer.torque == pytest.approx(0.5)
     assert min(abs(answer.lag - lag), 2 * pi - abs(answer.lag - lag)) < 1e-6
@@ -200,14 +200,14 @@ def test_amplitude_and_lag_are_measured_beside_a_slow_motion(amplitude: float, l
 def test_the_inertia_is_that_of_a_free_link() -> None:
     inertia = 0.003
     amplitude = 0.5 / (inertia * (tau * FREQUENCY) ** 2)
-    answer = answer_of(ticks_of(lambda t: -amplitude * sin(tau * FREQUENCY * t), lambda _: 0.0), 1)
+    answer = jog_answer(ticks_of(lambda t: -amplitude * sin(tau * FREQUENCY * t), lambda _: 0.0), 1)
     assert answer.inertia == pytest.approx(inertia)
     assert answer.failure() == ""
 
 
 def test_a_trial_without_enough_torque_is_no_answer() -> None:
     with pytest.raises(ValueError, match="motor 1 got no torque for long enough"):
-        answer_of(ticks_of(lambda _: 0.0, lambda _: 0.0, torque=0.0), 1)
+        jog_answer(ticks_of(lambda _: 0.0, lambda _: 0.0, torque=0.0), 1)
 
 
 @pytest.mark.parametrize(
@@ -238,7 +238,7 @@ def late_answer(link: float, drive: float) -> LinkAnswer:
     ticks = ticks_of(own, lambda _: 0.0)
     reported = [-31.0 * sin(tau * FREQUENCY * (time - drive)) for time in ticks["time"]]  # it counts backward
     rows = np.column_stack([ticks.rows, reported])
-    return answer_of(TickTable({**ticks.units, "motor_1_torque": "rated torque / 1000"}, rows), 1)
+    return jog_answer(TickTable({**ticks.units, "motor_1_torque": "rated torque / 1000"}, rows), 1)
 
 
 @pytest.mark.parametrize("link", [0.0, 0.001, 0.002, 0.003, 0.005, 0.008])
@@ -257,4 +257,4 @@ def test_delays_of_link_and_drive_are_measured_and_refused_beyond_the_margin(lin
 
 @pytest.mark.parametrize("gap", GAPS)
 def test_a_healthy_robot_is_not_late(gap: str) -> None:
-    assert answer_of(jogged(1, gap=GAPS[gap])[0], 1).lateness() == ""
+    assert jog_answer(jogged(1, gap=GAPS[gap])[0], 1).lateness() == ""

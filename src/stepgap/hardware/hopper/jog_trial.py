@@ -122,7 +122,7 @@ class LinkAnswer:
         return ""
 
 
-def answer_of(ticks: TickTable, motor: int) -> LinkAnswer:
+def jog_answer(ticks: TickTable, motor: int) -> LinkAnswer:
     """Measures the answer in the last part of the trial, in which the amplitude of the torque is constant.
 
     The angle of each link and the torque are fitted by a cubic polynomial of time, for all slow motion, plus a sine and
@@ -257,7 +257,7 @@ def _try_motor(
     loop, consent = supervised(LoopSettings(stand_time=0.01, landing_time=0.01), jog.consent_request, simulated)
     try:
         log, ticks = _ticks_of_step(RealtimeSetup(make_rig, jog, loop), consent, settings)
-        answer = answer_of(ticks, motor)
+        answer = jog_answer(ticks, motor)
     except (RigFault, ValueError) as fault:
         print(f"motor {motor}  not passed: {fault}")
         return {"failure": f"motor {motor}: {fault}"}

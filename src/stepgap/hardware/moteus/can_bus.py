@@ -18,7 +18,7 @@ from stepgap.rigs.rig import RigFault
 
 REPLY_REQUIRED = 0x8000  # Bit of a CAN identifier that requests a reply of the controller
 MOST_LATE = 64  # Largest number of late frames of earlier exchanges that are discarded before a new one
-LONGEST_FRAME = 64  # Largest number of bytes in a CAN-FD frame
+_LONGEST_FRAME = 64  # Largest number of bytes in a CAN-FD frame
 PADDING = b"\x50"  # Subframe without content
 Registers = Mapping[int, float]  # Values of a controller by register
 _Answer = TypeVar("_Answer")  # What a frame of a controller contains
@@ -26,7 +26,7 @@ _Answer = TypeVar("_Answer")  # What a frame of a controller contains
 
 def _subframes(data: bytes) -> Iterator[moteus.Subframe]:
     """The first subframes of a frame; each takes a byte at least, but a frame may claim any number of them."""
-    return islice(moteus.parse_frame(data), LONGEST_FRAME)
+    return islice(moteus.parse_frame(data), _LONGEST_FRAME)
 
 
 def registers_of(data: bytes) -> Registers | None:

@@ -63,7 +63,7 @@ def messages_in(metadata: str) -> int:
     return int(count[1]) if count else 0
 
 
-def missing_parts(folder: Path, metadata: str) -> dict[str, str]:
+def missing_files(folder: Path, metadata: str) -> dict[str, str]:
     """The parts that are named in the metadata, but not in the folder, with the reason for which they are left out."""
     there = {path.name for path in folder.iterdir()}
     lost = [name for name in _names_in(metadata) if not {name, f"{name}.zstd", name.removesuffix(".zstd")} & there]

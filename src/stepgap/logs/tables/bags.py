@@ -24,7 +24,7 @@ from stepgap.logs.tables.bag_files import (
     ZSTD_MAGIC,
     messages_in,
     metadata_in,
-    missing_parts,
+    missing_files,
     opened_database,
     other_parts,
     parts_of,
@@ -212,7 +212,7 @@ def read_ros2_folder(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
     if bool(mcaps) == bool(databases):
         raise RecordError(f"{path}: a ROS 2 bag must have .mcap or .db3 files, not both")
     metadata = metadata_in(path)
-    unread.update(missing_parts(path, metadata))
+    unread.update(missing_files(path, metadata))
     messages = messages_in(metadata)
     if mcaps:
         return read_mcap(mcaps, unread, release_in(metadata), messages)

@@ -63,7 +63,6 @@ def _sweep_file(file: Path | None, out: Path | None, execution: Execution) -> Pa
 
 
 def _write_all(experiments: "Sweep", folder: "CaseFolder", quiet: bool) -> None:
-    """Writes the tables and the report of the finished cases, and prints their paths."""
     from stepgap.sweep.report.page import report_sweep
 
     with folder.alone():
@@ -99,11 +98,13 @@ def write_tables(experiments: "Sweep", folder: "CaseFolder") -> list[Path]:
 
 
 def _rows(experiments: "Sweep", folder: "CaseFolder") -> "Iterator[list[str]]":
-    from stepgap.sweep.results_table import rows_of
+    from stepgap.sweep.results_table import rows_of_results
 
     for number, found in folder.results():
         try:
-            yield from rows_of(number, experiments.settings(number), found.result, found.failed, experiments.space)
+            yield from rows_of_results(
+                number, experiments.settings(number), found.result, found.failed, experiments.space
+            )
         except ValueError as error:
             remedy = "remove this file and continue with --resume"
             raise InputError(f"{folder.result_path(number)}: {error}; {remedy}") from None

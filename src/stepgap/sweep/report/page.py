@@ -97,7 +97,6 @@ def _write_report(folder: Path, cases: SweepCases, figures: bool) -> WrittenRepo
 
 
 def _planned(folder: Path) -> int | Missing:
-    """Number of cases of the whole sweep."""
     try:
         return len(read_sweep(folder / SWEEP_FILE))
     except InputError:
