@@ -129,6 +129,8 @@ def test_a_comma_that_may_separate_thousands_is_refused_or_named(wholes: list[in
         ("sep=;\nt;v\n0,5;1,25\n", {"t": [0.5], "v": [1.25]}),
         ('"sep=,"\nt,v\n0.5,1.25\n', {"t": [0.5], "v": [1.25]}),
         ("sep=\t\nt\tv\n0,5\t1,25\n", {"t": [0.5], "v": [1.25]}),
+        (",t,v\n0,0.5,1.25\n", {"column_1": [0], "t": [0.5], "v": [1.25]}),
+        ('"t" "v m"\n"1" 0.5 1.25\n"2" 1.5 2\n', {"column_1": [1, 2], "t": [0.5, 1.5], "v m": [1.25, 2]}),
     ],
 )
 def test_special_cases(text: str, columns: dict[str, list[float]]) -> None:
@@ -193,6 +195,28 @@ def test_a_file_of_a_data_logger() -> None:
         table = read(text, TextFormat(header="TIMESTAMP"))
     assert table.times("TIMESTAMP").tolist() == [1339074000.05]
     assert table.numbers("v").tolist() == [0.5]
+
+
+def test_times_of_other_countries() -> None:
+    """A day, a month and a year with points are clear; with strokes they are not."""
+    table = read(b"Zeit;v\n01.02.2024 12:00:00,5;0,5\n01.02.2024 12:00:01;0,75\n")
+    assert np.diff(table.times("Zeit")).tolist() == [0.5]
+    assert table.times("Zeit")[1] == 1706788801
+    for cell in ("2/1/2024 12:00:00", "12:00:00 PM"):
+        with pytest.raises(
+            RecordError, match=r"; it must be a number; as a time \(--time\) it must be like 2024-05-01"
+        ):
+            read(f"t,v\n{cell},1\n".encode()).times("t")
+
+
+def test_a_log_that_another_one_is_appended_to() -> None:
+    """As by a logger that lost its power and was started again."""
+    with pytest.warns(StepGapWarning) as caught:
+        table = read(b"t,v\n0,1\n1,2\n2,\n3\nt,v\n0,7\n")
+    assert table.numbers("t").tolist() == [0, 1, 2]
+    said = [str(one.message).partition("log.csv, ")[2] for one in caught]
+    assert said[0] == "line 5: left out, because the log ends in the middle of it: 3"
+    assert said[1].startswith("line 6: the names of the columns again; another log begins there")
 
 
 def test_a_column_of_lists_does_not_hide_the_others() -> None:

@@ -13,7 +13,7 @@ from stepgap.logs.tables.log_table import LogTable
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
 
-TIMES: Final = ("time", "log_time", "t", "timestamp")
+TIMES: Final = ("time", "log_time", "t", "timestamp", "__time")
 """Names of the column of the time, where none is given; the first one that a table has is used."""
 
 LOGGED: Final = "log_time"
@@ -30,6 +30,8 @@ _RATES: Final = (1e-2, 1e2)  # Rates of clocks; stamps with others are in anothe
 _SAME_RATE: Final = 2e-3  # Largest difference of the rates of two clocks that run alike
 _APART: Final = 1.0  # Largest time between a stamp and the clock of the other stamps [s]
 _COARSE: Final = 0.25  # Rounding of times that hides the motion within a step [s]
+_COARSE_SINGLE: Final = 0.02  # The same, if it is that of single precision, which nobody wants [s]
+_FIRST_DAY, _LAST_DAY, _DAYS = 20_000.0, 80_000.0, 2e-6  # Days of Excel, and their steps of less than 0.2 s
 _DELAYED: Final = 0.5  # Largest time by which messages are late from time to time [s]
 
 
@@ -207,7 +209,7 @@ def checked_times(table: LogTable, column: str, factors: Mapping[str, float]) ->
         change = f"{where}: the time goes back from {time[before]:.6f} to {time[after]:.6f} s"
         period = _period(time[known], factor)
         if not period:
-            raise RecordError(f"{change}; split the log there")
+            raise RecordError(f"{change}; split the log there, or name the column of its episodes by --deployment")
         kind = _PERIODS.get(period, "a counter that begins anew")
         _warn(f"{change}, as {kind}; {period:.10g} s are added from there on")
         time = time.copy()
@@ -239,19 +241,28 @@ def _period(time: Array, factor: float) -> float:
 
 
 def _check_rounding(table: LogTable, column: str, time: Array) -> None:
-    """Raises RecordError if most times are equal to the one before, because they were rounded coarser than a step."""
+    """Raises RecordError if times do not tell rows apart, because they were rounded, or are in days."""
+    where = f"{table.source}, column {column!r}"
     steps = np.diff(time)
     later = steps[steps > 0]
-    if len(time) < _FEWEST or 2 * len(later) > len(steps):
+    if len(time) < _FEWEST:
         return
-    rounding = float(later.min()) if len(later) else np.inf
-    if rounding < _COARSE:
+    if not len(later):
+        raise RecordError(
+            f"{where}: all {len(time)} rows have the time {time[0]:.10g}; write more digits, in double precision, "
+            "or name another column by --time"
+        )
+    if time[0] > _FIRST_DAY and np.median(later) < _DAYS and time[-1] < _LAST_DAY:
+        raise RecordError(f"{where}: days, as of Excel; its factor in [factors] of --columns is 86400")
+    rounding = float(later.min())
+    spacing = float(np.spacing(np.float32(np.abs(time).max())))
+    is_single = bool((time.astype(np.float32) == time).all()) and spacing / 2 <= rounding <= 2 * spacing
+    if 2 * len(later) > len(steps) or rounding < (_COARSE_SINGLE if is_single else _COARSE):
         return
-    single = time.astype(np.float32) == time
-    why = "single precision" if single.all() else "too few digits"
+    why = "in single precision" if is_single else "with too few digits"
     raise RecordError(
-        f"{table.source}, column {column!r}: {len(time)} rows have only {len(later) + 1} different times, written with "
-        f"{why}; write them in double precision, or from the begin of the log"
+        f"{where}: {len(time)} rows have only {len(later) + 1} different times, written {why}; write them in double "
+        "precision, or from the begin of the log"
     )
 
 

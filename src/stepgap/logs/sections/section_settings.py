@@ -38,7 +38,7 @@ class SectionSettings:
         command: Coordinates of the command, columns of the plan or of the log.
         target: Coordinates of the target, likewise.
         predicted: Coordinates of the state that the nominal map predicts, likewise.
-        time: Column of the time [s]. [default: time, log_time, t or timestamp]
+        time: Column of the time [s], also of the messages of others in the log. [default: time, log_time, t, timestamp]
         height: Column of the height. Without the next four options, each of its tops is a section.
         phase: Column of the phase of gait, as text or numbers.
         contact: Columns that are 1 where a foot is in contact; flight is where all feet are in the air.

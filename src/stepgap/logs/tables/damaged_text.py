@@ -79,6 +79,19 @@ def _decimals(cell: str) -> int:
     return len(re.split("[.,]", cell, maxsplit=1)[-1]) if re.search("[.,]", cell) else -(not cell)
 
 
+def until_next_header(header: list[str], rows: list[Row], source: str) -> list[Row]:
+    """The rows before the names of the columns come again, because another log was appended."""
+    again = next((at for at, (_, cells) in enumerate(rows) if cells == header), len(rows))
+    if again in (0, len(rows)):
+        return rows
+    last = rows[again - 1][1]
+    if len(last) < len(header):
+        warn_of_cut(source, rows[again - 1][0], ", ".join(last))
+    more = "another log begins there; split the file to read it"
+    _warn(f"{source}, line {rows[again][0]}: the names of the columns again; {more}")
+    return rows[: again - (len(last) < len(header))]
+
+
 def aligned(header: list[str], rows: list[Row]) -> tuple[list[str], list[Row]]:
     """Names and rows without the empty cells that follow a separator at the end of a line."""
     width = max((len(cells) for _, cells in rows), default=len(header))
@@ -90,7 +103,7 @@ def aligned(header: list[str], rows: list[Row]) -> tuple[list[str], list[Row]]:
 
 def warn_of_cut(source: str, number: int, line: str) -> None:
     """Warns that the last line, with this number, is left out."""
-    _warn(f"{source}, line {number}: left out, because the file ends in the middle of it: {line:.60}")
+    _warn(f"{source}, line {number}: left out, because the log ends in the middle of it: {line:.60}")
 
 
 def _warn(message: str) -> None:

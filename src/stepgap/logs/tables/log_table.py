@@ -1,5 +1,6 @@
 """A table of the columns of a log, whatever the format of its file."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, time, timedelta
@@ -80,7 +81,10 @@ class LogTable:
         if values.dtype.kind == "U":
             numbers = list(map(number_in, values.tolist()))
             if None in numbers:
-                raise self._wrong(column, numbers.index(None), right)
+                index = numbers.index(None)
+                if re.match(r"\d+([./-]\d+)+[ T]|\d+:\d", values[index]):
+                    right = "a number; as a time (--time) it must be like 2024-05-01 12:00:00.5 or 01.05.2024 12:00:00"
+                raise self._wrong(column, index, right)
             values = np.array(numbers, float)
         scaled = values * factor
         if (wrong := np.abs(scaled) > LARGEST_VALUE).any():
@@ -123,11 +127,17 @@ def number_in(cell: str) -> float | None:
         return None
 
 
+_GERMAN = re.compile(r"^(\d\d)\.(\d\d)\.(\d{4})(?=[ T])")
+"""A date as day.month.year."""
+
+
 def seconds_in(cell: str) -> float | None:
     """The time in a cell [s]; None if it holds something else.
 
-    It is a date and a time as in ISO 8601, counted from 1970 and in UTC unless there is a zone, or a time of the day.
+    It is a date and a time as in ISO 8601, or day.month.year and a time, counted from 1970 and in UTC unless there is a
+    zone; or a time of the day.
     """
+    cell = _GERMAN.sub(r"\3-\2-\1", cell)
     try:
         moment = datetime.fromisoformat(cell)
     except ValueError:

@@ -59,6 +59,8 @@ def kind_of_other(begin: bytes) -> str:
         return "an archive of tar; unpack it by `tar -xf` before"
     if re.match(rb"\s*\[\s*[{\[]", begin):
         return "an array in JSON; write one object a line (pandas: orient='records', lines=True)"
+    if re.match(rb"\s*\(\d+\.\d+\) \w+ [0-9A-F]+#|\s*\w+ +[0-9A-F]+ +\[\d+\] |date .*\r?\nbase (hex|dec)", begin):
+        return "a log of CAN frames; decode them by the file that describes them (.dbc), and save the signals as CSV"
     if re.match(rb"\s*<(!doctype html|html|\?xml)", begin, re.IGNORECASE):
         return "a web page or XML, such as a page about the log; get the file itself"
     return _kind_in_gzip(begin) if begin.startswith(b"\x1f\x8b") else ""
@@ -85,6 +87,8 @@ def kind_of_archive(names: Sequence[str]) -> str:
         return "a workbook of Excel; save it as CSV"
     if "mimetype" in names:
         return "a document of LibreOffice; save it as CSV"
+    if any(PurePath(name).name == "data.pkl" for name in names):
+        return "a file of PyTorch, which may run code; save its tensors by numpy.savez"
     files = [name for name in names if not name.endswith("/")]
     shown = ", ".join(PurePath(name).name for name in files[:3])
     return f"an archive of {len(files)} files, such as {shown:.100}; unpack it by `unzip` before"

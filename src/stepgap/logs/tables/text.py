@@ -16,6 +16,7 @@ from stepgap.base.errors import StepGapWarning
 from stepgap.logs.tables.damaged_text import (
     Row,
     aligned,
+    until_next_header,
     whole_characters,
     without_cut_quote,
     without_cut_row,
@@ -114,8 +115,8 @@ def delimiter_of(header: str, rows: Sequence[str], source: str) -> str:
     if len(present) == 1:
         return present[0]
     if not present:
-        count = len(header.split())
-        fits = [len(row.split()) == count for row in rows]
+        count = len(_words(header))
+        fits = [len(_words(row)) in (count, count + 1) for row in rows]
         is_split = count > 1 and 2 * sum(fits) >= len(fits)
         return " " if is_split else ""
     counts = {one: {_unquoted(row.rstrip().removesuffix(one)).count(one) for row in rows} for one in present}
@@ -165,6 +166,11 @@ def _ambiguous(source: str, cell: str, fault: str) -> RecordError:
     )
 
 
+def _words(line: str) -> list[str]:
+    """The cells of a line that are separated by spaces; those in quotation marks may have some."""
+    return [word.strip('"') for word in re.findall(r'"[^"]*"|\S+', line)]
+
+
 def _unquoted(line: str) -> str:
     return re.sub(r'"[^"]*"', "", line)
 
@@ -189,7 +195,9 @@ def read_delimited_text(text: str, written: TextFormat, source: str) -> LogTable
     line, header = names
     if not text.endswith(("\n", "\r")):
         rows = without_cut_row(rows, len(header), source)
+    rows = until_next_header(header, rows, source)
     header, rows = aligned(header, rows)
+    header = [name or f"column_{number}" for number, name in enumerate(header, 1)]
     for number, cells in rows:
         if len(cells) != len(header):
             hint = "; a decimal comma needs another separator" if len(cells) > len(header) else ""
@@ -240,6 +248,8 @@ def _names_and_rows(text: str, written: TextFormat, source: str) -> tuple[Row | 
     names = next(_cells(header, delimiter, header_at, source), (header_at + 1, []))
     _check_names(names, samples, source)
     rows = list(_cells("\n".join(lines[body:]), delimiter, body, source))
+    if delimiter == " " and rows and all(len(cells) == len(names[1]) + 1 for _, cells in rows):
+        names = names[0], ["", *names[1]]  # R gives the names of the rows no name
     cells = chain.from_iterable(cells for _, cells in rows)
     if (written.decimal or decimal_of(cells, delimiter, source)) == ",":
         rows = [(number, list(map(_with_point, row))) for number, row in rows]
@@ -298,7 +308,7 @@ def _cells(text: str, delimiter: str, first: int, source: str) -> Iterator[Row]:
     """Yields the rows that are not empty; `first` is the index of the first line."""
     if delimiter == " ":
         lines = enumerate(text.split("\n"), first + 1)
-        yield from ((number, line.split()) for number, line in lines if line.strip())
+        yield from ((number, _words(line)) for number, line in lines if line.strip())
         return
     rows = csv.reader(StringIO(text, newline=""), delimiter=delimiter or "\x1f", strict=True)
     try:
