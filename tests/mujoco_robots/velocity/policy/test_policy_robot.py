@@ -145,6 +145,7 @@ def test_it_starts_on_the_ground_in_its_default_posture_and_drives_as_commanded(
         ({"default_joint_pos": [0.0] * 3}, "default_joint_pos = [0.0, 0.0, 0.0], but it must have 4 numbers, not 3"),
         ({"action_scale": [1.0, 2.0]}, "action_scale = [1.0, 2.0], but it must have 1 or 4 numbers, not 2"),
         ({"period": 0.003}, "period = 0.003, but it must be a multiple of timestep = 0.002"),
+        ({"period": np.inf}, "period = inf, but it must be positive, and at most 1"),
         ({"timestep": 0.0}, "timestep = 0.0, but it must lie between 0 and 0.02"),
         ({"stiffness": []}, "damping = [0.8], but it must have 0 numbers, not 1"),
         ({"stiffness": [-2.0]}, "stiffness = [-2.0], but it must not be negative"),
