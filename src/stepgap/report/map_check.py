@@ -22,9 +22,9 @@ from stepgap.robots.nominal_maps.differenced_map import DifferencedMap, has_no_f
 from stepgap.robots.nominal_maps.surrogate_map import SurrogateMap
 from stepgap.step import Array, Outcome, StepFailed, StepMap, StepSpace, StepStatus, difference_jacobian
 
-POINTS: Final = 16  # Number of points at which a map is evaluated
-REPEATED: Final = 1e-9  # Largest difference between two evaluations of one step [half ranges]
-SPREAD: Final = 0.8  # Part of the half ranges in which these points lie
+_POINTS: Final = 16  # Number of points at which a map is evaluated
+_REPEATED: Final = 1e-9  # Largest difference between two evaluations of one step [half ranges]
+_SPREAD: Final = 0.8  # Part of the half ranges in which these points lie
 
 
 def check_map(nominal: StepMap, rng: np.random.Generator) -> Iterator[PartResult]:
@@ -49,7 +49,7 @@ def check_map(nominal: StepMap, rng: np.random.Generator) -> Iterator[PartResult
     try:
         nominal(space.state_centre, space.command_centre)
     except StepFailed as error:
-        failed = np.mean(nominal.evaluate(*_points(space, rng, 10 * POINTS)).status != StepStatus.OK)
+        failed = np.mean(nominal.evaluate(*_points(space, rng, 10 * _POINTS)).status != StepStatus.OK)
         advice = f"Of random steps within the ranges, {failed:.0%} fail. Choose ranges about a motion of the robot."
         if failed == 1:
             advice = "Nor does it anywhere else: compare the units of the ranges with those of the map."
@@ -64,13 +64,13 @@ def check_map(nominal: StepMap, rng: np.random.Generator) -> Iterator[PartResult
 def _broken_rule(nominal: StepMap, rng: np.random.Generator) -> str:
     """A sentence on the first rule of `StepMap.evaluate` that some random steps break; empty if there is none."""
     space = nominal.space
-    states, commands = _points(space, rng, POINTS)
+    states, commands = _points(space, rng, _POINTS)
     given = states.copy(), commands.copy()
     first = nominal.evaluate(*given)
     if np.shape(first.next_state) != states.shape or np.shape(first.status) != states.shape[:1]:
         return (
-            f"Of {POINTS} steps at once, it returns next states of shape {np.shape(first.next_state)} and a status of "
-            f"shape {np.shape(first.status)}; they must be {states.shape} and {states.shape[:1]}."
+            f"Of {_POINTS} steps at once, it returns next states of shape {np.shape(first.next_state)} and a status "
+            f"of shape {np.shape(first.status)}; they must be {states.shape} and {states.shape[:1]}."
         )
     if not all(np.array_equal(one, other) for one, other in zip(given, (states, commands), strict=True)):
         return "It changes the arrays that it is given: `evaluate` must compute with copies of state and command."
@@ -79,8 +79,8 @@ def _broken_rule(nominal: StepMap, rng: np.random.Generator) -> str:
         names = [space.state[row].name for row in np.flatnonzero(~np.isfinite(first.next_state[endless]).all(axis=0))]
         where = _step_in_words(space, states[endless][0], commands[endless][0])
         return (
-            f"{np.count_nonzero(endless)} of {POINTS} steps have status OK, but no finite {listed(names)}, for example "
-            f"that {where}. Give such steps a status that says how they failed."
+            f"{np.count_nonzero(endless)} of {_POINTS} steps have status OK, but no finite {listed(names)}, for "
+            f"example that {where}. Give such steps a status that says how they failed."
         )
     return _changing(nominal, states, commands, first)
 
@@ -94,35 +94,35 @@ def _changing(nominal: StepMap, states: Array, commands: Array, first: Outcome) 
     of_others = Outcome(backwards.next_state[::-1], backwards.status[::-1])
     by_itself = Outcome(np.array([one.next_state for one in alone]), np.array([one.status for one in alone]))
     for other, fault, advice in (
-        (again, "It is not deterministic: evaluated twice, a step", RANDOM_ADVICE),
-        (of_others, "It mixes up steps: evaluated with others in another order, a step", MIXED_ADVICE),
-        (by_itself, "It mixes up steps: evaluated alone, and together with others, a step", MIXED_ADVICE),
+        (again, "It is not deterministic: evaluated twice, a step", _RANDOM_ADVICE),
+        (of_others, "It mixes up steps: evaluated with others in another order, a step", _MIXED_ADVICE),
+        (by_itself, "It mixes up steps: evaluated alone, and together with others, a step", _MIXED_ADVICE),
     ):
         change = np.nanmax(np.abs(other.next_state - first.next_state) / space.state_scale, axis=0, initial=0)
-        if (change > REPEATED).any() or (other.status != first.status).any():
+        if (change > _REPEATED).any() or (other.status != first.status).any():
             return f"{fault} ends in states that differ by up to {half_ranges(space, change)} half ranges. {advice}"
     return ""
 
 
-RANDOM_ADVICE: Final = "Take random numbers and memory of earlier calls out of it; noise belongs to the plant."
-MIXED_ADVICE: Final = "Compute each step from its own state and command: index them as `state[..., 0]`."
+_RANDOM_ADVICE: Final = "Take random numbers and memory of earlier calls out of it; noise belongs to the plant."
+_MIXED_ADVICE: Final = "Compute each step from its own state and command: index them as `state[..., 0]`."
 
 
 def _points(space: StepSpace, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
     """Random states (k, n) and commands (k, m) within the ranges."""
-    states = space.state_centre + SPREAD * space.state_scale * rng.uniform(-1, 1, (count, len(space.state)))
-    return states, space.command_at(SPREAD * rng.uniform(-1, 1, (count, len(space.command))))
+    states = space.state_centre + _SPREAD * space.state_scale * rng.uniform(-1, 1, (count, len(space.state)))
+    return states, space.command_at(_SPREAD * rng.uniform(-1, 1, (count, len(space.command))))
 
 
 def _step_in_words(space: StepSpace, state: Array, command: Array) -> str:
     return f"from {in_words(space.state, state)} with {in_words(space.command, command)}"
 
 
-DIFFERENCES: Final = (1e-4, 1e-3, 1e-2)
+_DIFFERENCES: Final = (1e-4, 1e-3, 1e-2)
 """Sizes of the differences with which a formula is compared [half ranges]; what they disagree about is not judged."""
-WRONG_PART: Final = 0.1  # Part of a derivative by which its formula may be wrong
-WRONG_LEAST: Final = 0.005  # Error of a derivative that is never wrong [half ranges]
-OFTEN: Final = 0.25  # Part of the points at which a derivative is wrong from which on its formula is
+_WRONG_PART: Final = 0.1  # Part of a derivative by which its formula may be wrong
+_WRONG_LEAST: Final = 0.005  # Error of a derivative that is never wrong [half ranges]
+_OFTEN: Final = 0.25  # Part of the points at which a derivative is wrong from which on its formula is
 
 
 def check_jacobian(nominal: StepMap, rng: np.random.Generator) -> Iterator[PartResult]:
@@ -137,23 +137,23 @@ def check_jacobian(nominal: StepMap, rng: np.random.Generator) -> Iterator[PartR
         yield PartResult("jacobian", "ok", "It has no formula: differences of the map are used.")
         return
     space = nominal.space
-    states, commands = _points(space, rng, POINTS)
+    states, commands = _points(space, rng, _POINTS)
     scale = np.concatenate([space.state_scale, space.command_scale]) / space.state_scale[:, None]
     given = nominal.jacobian(states, commands)
-    if np.shape(given) != (POINTS, *scale.shape):
+    if np.shape(given) != (_POINTS, *scale.shape):
         yield PartResult(
             "jacobian",
             "wrong",
-            f"At {POINTS} points it has the shape {np.shape(given)}; it must be {(POINTS, *scale.shape)}.",
+            f"At {_POINTS} points it has the shape {np.shape(given)}; it must be {(_POINTS, *scale.shape)}.",
         )
         return
-    differences = np.array([difference_jacobian(nominal, states, commands, step) for step in DIFFERENCES])
+    differences = np.array([difference_jacobian(nominal, states, commands, step) for step in _DIFFERENCES])
     doubt = np.ptp(differences, axis=0)
     numeric = np.median(differences, axis=0)
-    off = np.abs(given - numeric) > WRONG_PART * np.abs(numeric) + WRONG_LEAST / scale + 2 * doubt
+    off = np.abs(given - numeric) > _WRONG_PART * np.abs(numeric) + _WRONG_LEAST / scale + 2 * doubt
     off |= ~np.isfinite(given) & np.isfinite(numeric)
     judged = np.maximum(np.isfinite(numeric + doubt).sum(axis=0), 1)
-    wrong = np.argwhere(off.sum(axis=0) > OFTEN * judged)
+    wrong = np.argwhere(off.sum(axis=0) > _OFTEN * judged)
     if not len(wrong):
         yield PartResult("jacobian", "ok", "Its formula agrees with differences of the map.")
         return
@@ -183,18 +183,18 @@ def _kind(formula: float, exact: float) -> str:
     """What is probably wrong with a derivative, as the end of a clause."""
     if not np.isfinite(formula):
         return ""
-    if abs(formula) < WRONG_PART * abs(exact):
+    if abs(formula) < _WRONG_PART * abs(exact):
         return ": this effect is missing"
-    if abs(formula + exact) < WRONG_PART * abs(exact):
+    if abs(formula + exact) < _WRONG_PART * abs(exact):
         return ": its sign is wrong"
     return f": it is {formula / exact:.3g} times as large" if abs(exact) > 1e-9 else ""
 
 
-LINES: Final = 16  # Number of lines across the ranges along which a map is followed
-ALONG: Final = 33  # Number of points on a line
-ZOOMS: Final = 6  # Number of times that the interval with the largest change is divided
-PARTS: Final = 8  # Number of parts into which it is divided
-JUMP: Final = 0.02  # Change within the last interval that is a jump [half ranges]
+_LINES: Final = 16  # Number of lines across the ranges along which a map is followed
+_ALONG: Final = 33  # Number of points on a line
+_ZOOMS: Final = 6  # Number of times that the interval with the largest change is divided
+_PARTS: Final = 8  # Number of parts into which it is divided
+_JUMP: Final = 0.02  # Change within the last interval that is a jump [half ranges]
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,8 +203,8 @@ class _Lines:
 
     Attributes:
         nominal: The map.
-        middle: A point of each line; shape (LINES, n + m).
-        direction: Its direction; shape (LINES, n + m).
+        middle: A point of each line; shape (lines, n + m).
+        direction: Its direction; shape (lines, n + m).
     """
 
     nominal: StepMap
@@ -215,19 +215,19 @@ class _Lines:
     def drawn(cls, nominal: StepMap, rng: np.random.Generator) -> Self:
         """Random lines."""
         size = len(nominal.space.names)
-        direction = rng.normal(size=(LINES, size))
-        middle = 0.5 * rng.uniform(-1, 1, (LINES, size))
+        direction = rng.normal(size=(_LINES, size))
+        middle = 0.5 * rng.uniform(-1, 1, (_LINES, size))
         return cls(nominal, middle, direction / np.abs(direction).max(axis=1, keepdims=True))
 
     def inputs(self, places: Array) -> tuple[Array, Array]:
-        """States (LINES, k, n) and commands (LINES, k, m) at places (LINES, k) on the lines."""
+        """States (lines, k, n) and commands (lines, k, m) at places (lines, k) on the lines."""
         space = self.nominal.space
         n = len(space.state)
         points = np.clip(self.middle[:, None] + places[..., None] * self.direction[:, None], -1, 1)
         return space.state_centre + space.state_scale * points[..., :n], space.command_at(points[..., n:])
 
     def changes(self, places: Array) -> Array:
-        """Changes of the next state between places; shape (LINES, k − 1, n)."""
+        """Changes of the next state between places; shape (lines, k − 1, n)."""
         return np.diff(self.nominal.evaluate(*self.inputs(places)).next_state, axis=1) / self.nominal.space.state_scale
 
 
@@ -242,19 +242,19 @@ def check_smooth(nominal: StepMap, rng: np.random.Generator) -> Iterator[PartRes
         rng: Chooses the lines.
     """
     lines = _Lines.drawn(nominal, rng)
-    rows = np.arange(LINES)
-    places = np.tile(np.linspace(-1.5, 1.5, ALONG), (LINES, 1))
+    rows = np.arange(_LINES)
+    places = np.tile(np.linspace(-1.5, 1.5, _ALONG), (_LINES, 1))
     change = lines.changes(places)
     beside = 0.5 * (np.roll(change, 1, axis=1) + np.roll(change, -1, axis=1))
     odd = np.nan_to_num(np.abs(change - beside)).max(axis=2)
-    for _ in range(ZOOMS):
+    for _ in range(_ZOOMS):
         chosen = np.argmax(odd, axis=1)
-        places = np.linspace(places[rows, chosen], places[rows, chosen + 1], PARTS + 1, axis=1)
+        places = np.linspace(places[rows, chosen], places[rows, chosen + 1], _PARTS + 1, axis=1)
         change = np.nan_to_num(np.abs(lines.changes(places)))
         odd = change.max(axis=2)
     line, part = np.unravel_index(np.argmax(odd), odd.shape)
-    if not odd[line, part] > JUMP:
-        yield PartResult("smooth", "ok", f"Along {LINES} lines across the ranges, the next state has no jumps.")
+    if not odd[line, part] > _JUMP:
+        yield PartResult("smooth", "ok", f"Along {_LINES} lines across the ranges, the next state has no jumps.")
         return
     state, command = (values[line, part] for values in lines.inputs(places))
     name = nominal.space.state[int(np.argmax(change[line, part]))].name
@@ -279,8 +279,8 @@ def check_authority(nominal: StepMap, held: Reference) -> Iterator[PartResult]:
     sentences = []
     idle = []
     for column, quantity in enumerate(space.command):
-        commands = np.tile(point.command, (ALONG, 1))
-        commands[:, column] = np.linspace(quantity.lower, quantity.upper, ALONG)
+        commands = np.tile(point.command, (_ALONG, 1))
+        commands[:, column] = np.linspace(quantity.lower, quantity.upper, _ALONG)
         reached = nominal.evaluate(point.state, commands)
         done = reached.status == StepStatus.OK
         if not done.any():

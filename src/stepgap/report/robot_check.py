@@ -155,11 +155,11 @@ def check_placing(robot: Robot, seed: int) -> Iterator[PartResult]:
 UNEVEN: Final = 3.0
 """A step is too short or too long if its duration differs from the median by more than this factor."""
 
-NOISY: Final = 0.5  # Noise of a step from which on it hides the state [half ranges]
-OFTEN_OUTSIDE: Final = 0.25  # Part of the states of a trial outside a range of use from which on it is a finding
-OUTSIDE: Final = 0.1  # Part of the states outside, where the map predicts them, too, from which on it is one
-FEW_OUTSIDE: Final = 2  # Number of states outside that is no finding
-LARGE_GAP: Final = (
+_NOISY: Final = 0.5  # Noise of a step from which on it hides the state [half ranges]
+_OFTEN_OUTSIDE: Final = 0.25  # Part of the states of a trial outside a range of use from which on it is a finding
+_OUTSIDE: Final = 0.1  # Part of the states outside, where the map predicts them, too, from which on it is one
+_FEW_OUTSIDE: Final = 2  # Number of states outside that is no finding
+_LARGE_GAP: Final = (
     1.0  # Error of the map from which on it predicts no better than the middle of the range [half ranges]
 )
 
@@ -213,9 +213,9 @@ def _ranges(run: Run, steps: Steps, cause: str) -> PartResult:
     ]
     counts = _outside(space, states).sum(axis=0)
     trial = _outside(space, run.steps.completed().next_state)
-    often = trial.sum(axis=0) > max(FEW_OUTSIDE, OFTEN_OUTSIDE * len(trial))
+    often = trial.sum(axis=0) > max(_FEW_OUTSIDE, _OFTEN_OUTSIDE * len(trial))
     expected = (_outside(space, done.next_state) & _outside(space, predicted)).sum(axis=0)
-    often |= expected > max(FEW_OUTSIDE, OUTSIDE * len(done))
+    often |= expected > max(_FEW_OUTSIDE, _OUTSIDE * len(done))
     outside = [
         f"{counts[row]} of {len(states)} states are outside the range of use of {visited[row]}"
         for row in np.flatnonzero(counts)
@@ -224,7 +224,7 @@ def _ranges(run: Run, steps: Steps, cause: str) -> PartResult:
         return PartResult("ranges", "ok", f"The robot visited {', '.join(visited)}.")
     if not often.any():
         return PartResult("ranges", "ok", f"{capitalised('; '.join(outside))}.")
-    far = np.abs(np.median(space.scaled_state(states), axis=0)) > FAR
+    far = np.abs(np.median(space.scaled_state(states), axis=0)) > _FAR
     advice = "Choose the ranges about the states that the robot visits, or targets farther from their ends."
     if far.any():
         names = listed([quantity.name for quantity, is_far in zip(space.state, far, strict=True) if is_far])
@@ -237,7 +237,7 @@ def _outside(space: StepSpace, states: Array) -> NDArray[np.bool_]:
     return (states < space.state_lower) | (states > space.state_upper)
 
 
-FAR: Final = 5.0  # Median distance from the middle of the range that is hardly one of the robot [half ranges]
+_FAR: Final = 5.0  # Median distance from the middle of the range that is hardly one of the robot [half ranges]
 
 
 def _gap(steps: Steps, nominal: StepMap, cause: str) -> PartResult:
@@ -249,21 +249,21 @@ def _gap(steps: Steps, nominal: StepMap, cause: str) -> PartResult:
         return PartResult("gap", "left out", f"The map predicts none of the steps. {cause}".strip())
     size = np.sqrt(np.mean(error**2, axis=0))
     text = f"The map misses the next state by {half_ranges(space, size)} half ranges"
-    if (size <= LARGE_GAP).all():
+    if (size <= _LARGE_GAP).all():
         return PartResult("gap", "ok", f"{text}; a run learns this.")
     offset = np.mean(error, axis=0)
-    constant = np.abs(offset) > CONSTANT * size
+    constant = np.abs(offset) > _CONSTANT * size
     parts = [
         f"{quantity.name} ends {shift:+.2g} half ranges from where the map says: correct the zero of its sensor, or a "
         "constant of the map."
-        for quantity, shift, large in zip(space.state, offset, constant & (size > LARGE_GAP), strict=True)
+        for quantity, shift, large in zip(space.state, offset, constant & (size > _LARGE_GAP), strict=True)
         if large
     ]
     advice = " ".join(parts) or "Compare the parameters of the map with those of the robot."
     return PartResult("gap", "wrong", f"{text}, which is more than one. {cause or advice}")
 
 
-CONSTANT: Final = 0.8  # Part of an error that is the same in all steps from which on it is called an offset
+_CONSTANT: Final = 0.8  # Part of an error that is the same in all steps from which on it is called an offset
 
 
 def _response(steps: Steps, nominal: StepMap, noise: Array) -> Iterator[PartResult]:
@@ -330,7 +330,7 @@ def _noise(run: Run, cause: str) -> PartResult:
     if not (np.isfinite(noise).any() and run.summary.noise_floor_measured):
         return PartResult("noise", "left out", "The plant cannot repeat a step, or each repeated step failed.")
     text = f"A repeated step varies by {half_ranges(run.space, noise)} half ranges"
-    if not np.nanmax(noise) > NOISY:
+    if not np.nanmax(noise) > _NOISY:
         return PartResult("noise", "ok", f"{text}.")
     advice = "Find what varies and make it a state, or choose another section."
     return PartResult("noise", "wrong", f"{text}, so the state hardly says how the next step ends. {cause or advice}")

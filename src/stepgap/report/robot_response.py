@@ -22,19 +22,19 @@ from stepgap.learning.steps import Steps
 from stepgap.records.text import capitalised, listed
 from stepgap.step import Array, Quantity, StepMap, StepSpace
 
-CONFIDENT: Final = 0.9995  # Of the one-sided quantile of the intervals
-ALLOWED: Final = 0.03  # Added to each interval for curvature, of which the regression knows nothing
-UNSEEN: Final = 3e-3  # Part of the largest singular value below which the steps do not show a direction
-WEIGHTY: Final = 0.1  # Smallest derivative by the map that a robot can contradict
-WEAKER: Final = 0.45  # Largest ratio of robot to map that contradicts it
-STRONGER: Final = 2.2  # Smallest one
-REVERSED: Final = -0.2  # Largest one that contradicts a derivative by the state, which may be zero in a robot
-UNEXPECTED: Final = 0.5  # Smallest effect of a command that contradicts a map without it
-EXPLAINED: Final = 0.6  # Part of the squared error that a cause has to explain
-EQUAL: Final = 1.5  # Two causes explain the steps equally well up to this ratio of what they leave
-MOST_ENTRIES: Final = 4  # Number of derivatives that are listed
-FEWEST: Final = 6  # Number of steps by which a mistake is judged, at least
-PREDICTED: Final = 0.5  # Part of the steps that a map has to predict
+_CONFIDENT: Final = 0.9995  # Of the one-sided quantile of the intervals
+_ALLOWED: Final = 0.03  # Added to each interval for curvature, of which the regression knows nothing
+_UNSEEN: Final = 3e-3  # Part of the largest singular value below which the steps do not show a direction
+_WEIGHTY: Final = 0.1  # Smallest derivative by the map that a robot can contradict
+_WEAKER: Final = 0.45  # Largest ratio of robot to map that contradicts it
+_STRONGER: Final = 2.2  # Smallest one
+_REVERSED: Final = -0.2  # Largest one that contradicts a derivative by the state, which may be zero in a robot
+_UNEXPECTED: Final = 0.5  # Smallest effect of a command that contradicts a map without it
+_EXPLAINED: Final = 0.6  # Part of the squared error that a cause has to explain
+_EQUAL: Final = 1.5  # Two causes explain the steps equally well up to this ratio of what they leave
+_MOST_ENTRIES: Final = 4  # Number of derivatives that are listed
+_FEWEST: Final = 6  # Number of steps by which a mistake is judged, at least
+_PREDICTED: Final = 0.5  # Part of the steps that a map has to predict
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class Derivatives:
     @property
     def ratio(self) -> tuple[Array, Array]:
         """Least and largest ratio of robot to map, NaN where the map has a small one."""
-        base = np.where(np.abs(self.by_map) > WEIGHTY, self.by_map, np.nan)
+        base = np.where(np.abs(self.by_map) > _WEIGHTY, self.by_map, np.nan)
         ends = (self.by_robot - self.margin) / base, (self.by_robot + self.margin) / base
         return np.minimum(*ends), np.maximum(*ends)
 
@@ -85,9 +85,9 @@ class Derivatives:
         n = len(self.space.state)
         least, largest = self.ratio
         apart = np.abs(self.by_robot - self.by_map)
-        wrong = ((largest < WEAKER) | (least > STRONGER)) & (apart > WEIGHTY)
-        wrong |= (np.abs(self.by_map) < WEIGHTY) & (np.abs(self.by_robot) - self.margin > UNEXPECTED)
-        by_state = (largest < REVERSED) & (apart > 3 * WEIGHTY)
+        wrong = ((largest < _WEAKER) | (least > _STRONGER)) & (apart > _WEIGHTY)
+        wrong |= (np.abs(self.by_map) < _WEIGHTY) & (np.abs(self.by_robot) - self.margin > _UNEXPECTED)
+        by_state = (largest < _REVERSED) & (apart > 3 * _WEIGHTY)
         return np.hstack([by_state[:, :n], wrong[:, n:]])
 
     def in_words(self, row: int, column: int) -> str:
@@ -123,13 +123,13 @@ def measured_derivatives(steps: Steps, nominal: StepMap) -> Derivatives | None:
     inputs = space.scaled_state(used.state), space.point_of(used.requested)
     basis = np.hstack([np.ones((len(used), 1)), *inputs])
     _, singular, right = np.linalg.svd(basis - np.mean(basis, axis=0) * (np.arange(size) > 0), full_matrices=False)
-    shown = singular > UNSEEN * singular[0]
+    shown = singular > _UNSEEN * singular[0]
     weights = np.linalg.lstsq(basis, error, rcond=1e-9)[0][1:].T
     freedom = len(used) - int(shown.sum())
     scatter = np.sqrt(np.sum(_left(basis, error) ** 2, axis=0) / freedom)
     spread = np.sqrt(np.sum((right[shown] / singular[shown, None]) ** 2, axis=0))[1:]
-    hidden = (right[~shown] ** 2).sum(axis=0)[1:] > WEIGHTY**2
-    margin = stdtrit(freedom, CONFIDENT) * np.outer(scatter, spread) + ALLOWED
+    hidden = (right[~shown] ** 2).sum(axis=0)[1:] > _WEIGHTY**2
+    margin = stdtrit(freedom, _CONFIDENT) * np.outer(scatter, spread) + _ALLOWED
     scale = np.concatenate([space.state_scale, space.command_scale]) / space.state_scale[:, None]
     by_map = np.median(matrices[usable], axis=0) * scale
     return Derivatives(used, basis, error, by_map, by_map + weights, np.where(hidden, np.inf, margin))
@@ -138,7 +138,7 @@ def measured_derivatives(steps: Steps, nominal: StepMap) -> Derivatives | None:
 def frozen_states(steps: Steps) -> list[str]:
     """Sentences on states that a robot measures, but that never change."""
     ends = steps.space.scaled_state(steps.next_state[np.isfinite(steps.next_state).all(axis=1)])
-    if len(ends) < FEWEST:
+    if len(ends) < _FEWEST:
         return []
     return [
         f"{capitalised(quantity.name)} is the same after all {len(ends)} steps: look whether the robot's program "
@@ -152,8 +152,8 @@ def contradictions(found: Derivatives) -> list[str]:
     """Sentences on what contradicts the map, derivative by derivative, the largest differences first."""
     entries = np.argwhere(found.contradicting)
     entries = entries[np.argsort(-np.abs(found.by_robot - found.by_map)[tuple(entries.T)])].tolist()
-    listed_ones = "; ".join(found.in_words(*entry) for entry in entries[:MOST_ENTRIES])
-    more = f"; and {len(entries) - MOST_ENTRIES} others" if len(entries) > MOST_ENTRIES else ""
+    listed_ones = "; ".join(found.in_words(*entry) for entry in entries[:_MOST_ENTRIES])
+    more = f"; and {len(entries) - _MOST_ENTRIES} others" if len(entries) > _MOST_ENTRIES else ""
     return [f"In half ranges, {listed_ones}{more}."] if entries else []
 
 
@@ -168,23 +168,23 @@ def causes(steps: Steps, nominal: StepMap, found: Derivatives | None) -> list[st
     scale = steps.space.state_scale
     ends = steps.next_state / scale
     error = ends - nominal.evaluate(steps.state, steps.requested).next_state / scale
-    if np.isfinite(error).all(axis=1).mean() < PREDICTED:  # a map that predicts nothing leaves all to be explained
+    if np.isfinite(error).all(axis=1).mean() < _PREDICTED:  # a map that predicts nothing leaves all to be explained
         error = ends - steps.space.state_centre / scale
     tried = []
     for sentence, predicted in _mistakes(steps, nominal, found):
         remaining = ends - predicted / scale
         rows = np.isfinite(remaining + error).all(axis=1)
-        if rows.sum() < max(FEWEST, PREDICTED * np.isfinite(error).all(axis=1).sum()):
+        if rows.sum() < max(_FEWEST, _PREDICTED * np.isfinite(error).all(axis=1).sum()):
             continue
         after = remaining[rows]
         before = error[rows]
         varies = _squares(after - after.mean(axis=0)) / _squares(before - before.mean(axis=0))
         tried.append((varies, _squares(after) / _squares(before), sentence))
-    if not tried or min(tried)[0] > 1 - EXPLAINED:
+    if not tried or min(tried)[0] > 1 - _EXPLAINED:
         return []
     for measure in (0, 1):
         least = min(one[measure] for one in tried)
-        tried = [one for one in tried if one[measure] <= EQUAL * least + 0.002]
+        tried = [one for one in tried if one[measure] <= _EQUAL * least + 0.002]
     first, *others = [sentence for _, _, sentence in tried]
     return [f"{capitalised(first)}.", *(f"Or, which the steps do not tell apart, {other}." for other in others[:1])]
 
@@ -264,11 +264,11 @@ def _state_gains(space: StepSpace, found: Derivatives | None) -> Iterator[tuple[
     """Factors with which each state may be measured: −1, those of other units, and what its responses say."""
     n = len(space.state)
     for row, quantity in enumerate(space.state):
-        usual = [-1.0, *UNITS.get(quantity.unit, {})]
+        usual = [-1.0, *_UNITS.get(quantity.unit, {})]
         yield from ((row, factor) for factor in usual)
         if found and found.contradicting[row].any():
             gain = _ratio_of(found.by_map[row, n:], found.by_robot[row, n:], found.margin[row, n:])
-            if abs(gain) > SMALLEST_GAIN and not any(1 / ALIKE < gain / factor < ALIKE for factor in usual):
+            if abs(gain) > _SMALLEST_GAIN and not any(1 / _ALIKE < gain / factor < _ALIKE for factor in usual):
                 yield row, gain
 
 
@@ -279,10 +279,10 @@ def _ratio_of(by_map: Array, by_robot: Array, margin: Array) -> float:
     return float(by_map[seen] @ by_robot[seen]) / squares if squares else 0.0
 
 
-SMALLEST_GAIN: Final = 0.12  # Factor of an effect below which there is none
-ALIKE: Final = 1.4  # Two factors are alike up to this ratio
+_SMALLEST_GAIN: Final = 0.12  # Factor of an effect below which there is none
+_ALIKE: Final = 1.4  # Two factors are alike up to this ratio
 
-UNITS: Final = {
+_UNITS: Final = {
     "m": {100.0: "cm", 1000.0: "mm"},
     "m/s": {3.6: "km/h", 100.0: "cm/s", 1000.0: "mm/s"},
     "rad": {180 / np.pi: "degrees"},
@@ -291,7 +291,7 @@ UNITS: Final = {
 }
 """Factors and names of other units in which a quantity is often measured, by its unit."""
 
-GAINS: Final = {180 / np.pi: "degrees and radians", 1000.0: "a thousand", 100.0: "a hundred", 9.81: "gravity"}
+_GAINS: Final = {180 / np.pi: "degrees and radians", 1000.0: "a thousand", 100.0: "a hundred", 9.81: "gravity"}
 """Factors of commands that have a usual reason."""
 
 
@@ -299,21 +299,21 @@ def _gain_in_words(found: Derivatives, column: int, gain: float) -> str:
     """What a factor of a command means, and what to do."""
     n = len(found.space.state)
     command = found.space.command[column].name
-    effects = np.maximum(np.abs(found.by_map), np.abs(found.by_robot))[:, n + column] > WEIGHTY
+    effects = np.maximum(np.abs(found.by_map), np.abs(found.by_robot))[:, n + column] > _WEIGHTY
     moved = listed([each.name for each, moves in zip(found.space.state, effects, strict=True) if moves])
-    if abs(gain) < SMALLEST_GAIN:
+    if abs(gain) < _SMALLEST_GAIN:
         return (
             f"{command} has no effect on {moved} in the robot; look whether the robot's program takes this command, "
             "and whether its drive receives it"
         )
     size = f"{abs(gain):.2g} times as strongly as by the map"
     if gain < 0:
-        also = "" if 1 / ALIKE < -gain < ALIKE else f", {size}"
+        also = "" if 1 / _ALIKE < -gain < _ALIKE else f", {size}"
         return (
             f"{command} acts on {moved} with the opposite sign{also}; reverse its sign, either in the robot's program "
             "or in the map"
         )
-    usual = [f" (is it {name}?)" for factor, name in GAINS.items() if abs(max(gain, 1 / gain) / factor - 1) < 0.1]
+    usual = [f" (is it {name}?)" for factor, name in _GAINS.items() if abs(max(gain, 1 / gain) / factor - 1) < 0.1]
     return (
         f"{command} acts on {moved} {size}{''.join(usual)}; compare the unit of the command, its gain in the robot's "
         "program, and limits of the drive with the map"
@@ -323,11 +323,11 @@ def _gain_in_words(found: Derivatives, column: int, gain: float) -> str:
 def _scale_in_words(quantity: Quantity, gain: float) -> str:
     """What a factor of a measured state means, and what to do."""
     name = quantity.name
-    if unit := UNITS.get(quantity.unit, {}).get(gain):
+    if unit := _UNITS.get(quantity.unit, {}).get(gain):
         return (
             f"{name} is measured in {unit} instead of {quantity.unit}; divide it by {gain:.4g} where the robot gives it"
         )
-    if 1 / ALIKE < -gain < ALIKE:
+    if 1 / _ALIKE < -gain < _ALIKE:
         return f"{name} is measured with the opposite sign (mirrored); reverse its sign where the robot gives its state"
     sign = " with the opposite sign and" if gain < 0 else ""
     return f"{name} is measured{sign} {abs(gain):.2g} times too large; check its unit and its sensor"
@@ -343,12 +343,12 @@ def _late_in_words(commands: Sequence[str], steps: int) -> str:
     )
 
 
-BREAK_EXPLAINS: Final = 0.75  # Part of the unexplained squares that a jump has to explain
-SMALLEST_BREAK: Final = 0.1  # Smallest jump that is a finding [half ranges]
-SMOOTHER: Final = 0.6  # Part of what kinks and cubics leave that a jump may leave at most
-RAMPS: Final = (0.1, 0.2)  # Half widths of ramps, such as of a dead band, that are tried [half ranges]
-KINKS: Final = 15  # Number of places at which a kink is tried
-BESIDE: Final = 4  # Number of steps on each side of a jump, at least
+_BREAK_EXPLAINS: Final = 0.75  # Part of the unexplained squares that a jump has to explain
+_SMALLEST_BREAK: Final = 0.1  # Smallest jump that is a finding [half ranges]
+_SMOOTHER: Final = 0.6  # Part of what kinks and cubics leave that a jump may leave at most
+_RAMPS: Final = (0.1, 0.2)  # Half widths of ramps, such as of a dead band, that are tried [half ranges]
+_KINKS: Final = 15  # Number of places at which a kink is tried
+_BESIDE: Final = 4  # Number of steps on each side of a jump, at least
 
 
 def break_of(found: Derivatives) -> str:
@@ -362,27 +362,27 @@ def break_of(found: Derivatives) -> str:
     best = (0.0, 0, 0, 0.0)
     for column in range(1, found.basis.shape[1]):
         values = np.sort(found.basis[:, column])
-        for place in 0.5 * (values[BESIDE - 1 : -BESIDE] + values[BESIDE : len(values) - BESIDE + 1]):
+        for place in 0.5 * (values[_BESIDE - 1 : -_BESIDE] + values[_BESIDE : len(values) - _BESIDE + 1]):
             side = (found.basis[:, column] > place).astype(float)
             shares = _explained(found, side[:, None], residual) / np.maximum(squares, 1e-300)
-            row = int(np.argmax(np.where(squares > len(residual) * (0.2 * SMALLEST_BREAK) ** 2, shares, 0)))
+            row = int(np.argmax(np.where(squares > len(residual) * (0.2 * _SMALLEST_BREAK) ** 2, shares, 0)))
             best = max(best, (float(shares[row]), row, column, float(place)))
     share, row, column, place = best
-    if share < BREAK_EXPLAINS:
+    if share < _BREAK_EXPLAINS:
         return ""
     z = found.basis[:, column]
     side = (z > place).astype(float)
     weights = np.linalg.lstsq(np.column_stack([found.basis, side]), found.error[:, row], rcond=1e-9)[0]
-    places = np.quantile(z, np.linspace(0.1, 0.9, KINKS))
+    places = np.quantile(z, np.linspace(0.1, 0.9, _KINKS))
     kinks = [_explained(found, np.maximum(z - at, 0)[:, None], residual)[row] for at in places]
     kinks += [
         _explained(found, np.clip((z - at) / width, -1, 1)[:, None], residual)[row]
-        for width in RAMPS
+        for width in _RAMPS
         for at in (*places, place)
     ]
     cubic = _explained(found, np.column_stack([z**2, z**3]), residual)[row]
     smooth = max(*kinks, cubic) / squares[row]
-    if abs(weights[-1]) < SMALLEST_BREAK or 1 - share > SMOOTHER * (1 - smooth):
+    if abs(weights[-1]) < _SMALLEST_BREAK or 1 - share > _SMOOTHER * (1 - smooth):
         return ""
     space = found.space
     name = space.names[column - 1]
@@ -406,9 +406,9 @@ def _explained(found: Derivatives, columns: Array, residual: Array) -> Array:
 
 REMEMBERED: Final = 0.15  # Smallest deviation due to the steps before that is a finding [half ranges]
 LEAST_REMEMBERED: Final = 0.05  # The same, where the effects of state and command contradict the map
-MOST_OF_IT: Final = 0.5  # Part of the unexplained squares that the steps before have to explain
-UNEXPLAINED: Final = 0.3  # Smallest deviation that nothing explains and that is a finding [half ranges]
-ABOVE_NOISE: Final = 3.0  # It is more than this number of deviations of a repeated step
+_MOST_OF_IT: Final = 0.5  # Part of the unexplained squares that the steps before have to explain
+_UNEXPLAINED: Final = 0.3  # Smallest deviation that nothing explains and that is a finding [half ranges]
+_ABOVE_NOISE: Final = 3.0  # It is more than this number of deviations of a repeated step
 
 
 def unmeasured_state(found: Derivatives, noise: Array, least: float = REMEMBERED) -> Iterator[str]:
@@ -434,15 +434,15 @@ def unmeasured_state(found: Derivatives, noise: Array, least: float = REMEMBERED
         left = _squares(_left(both, error)) / max(len(rows) - both.shape[1], 1)
         part = 1 - left / total
         unexplained = float(np.sqrt(total))
-        noisy = max(UNEXPLAINED, ABOVE_NOISE * float(np.nan_to_num(noise[row])))
-        if part > MOST_OF_IT and np.sqrt(part) * unexplained > least:
+        noisy = max(_UNEXPLAINED, _ABOVE_NOISE * float(np.nan_to_num(noise[row])))
+        if part > _MOST_OF_IT and np.sqrt(part) * unexplained > least:
             yield (
                 f"The robot remembers: {part:.0%} of the squared error of {quantity.name} that state and command do "
                 f"not explain ({unexplained:.2g} half ranges) follows from the steps before. Something that lasts is "
                 "not measured, such as a velocity, a spring, or which leg stands: make it a state, or take two steps "
                 "as one."
             )
-        elif unexplained > noisy and _curved(found, residual, row) < MOST_OF_IT:
+        elif unexplained > noisy and _curved(found, residual, row) < _MOST_OF_IT:
             yield (
                 f"State and command do not explain {unexplained:.2g} half ranges of {quantity.name}. A state is not "
                 "measured, or the robot is not smooth: look for what else differs between two steps from one state "
