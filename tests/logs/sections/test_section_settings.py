@@ -59,7 +59,7 @@ def test_options_override_the_file(tmp_path: Path) -> None:
         ({"every": -0.5}, "--every = -0.5, but it must be a positive number, or 0"),
         ({"every": 0.5, "crossing": "x"}, "--every = '0.5', but it must not be given beside crossing"),
         ({"every": 0.5, "state": ("y",), "delay": float("inf")}, "--delay = inf, but it must be a number of seconds"),
-        ({"window": float("nan")}, "--window = nan, but it must be a positive number, or 0"),
+        ({"window": float("nan")}, "--window = nan, but it must be a number"),
         ({"height": "y", "state": ("y", "y")}, "--state = 'y,y', but it must be at most 100 coordinates"),
         (
             {"height": "y", "state": ("x", "y"), "target": ("z",)},

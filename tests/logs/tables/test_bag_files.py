@@ -121,7 +121,15 @@ METADATA = (
 )
 
 
+def test_logs_with_numbers_in_one_folder_are_no_parts(tmp_path: Path) -> None:
+    bag(tmp_path / "hop_1.db3", 0, 2)
+    bag(tmp_path / "hop_2.db3", 2, 2)
+    assert numbers(tmp_path / "hop_1.db3") == V.tolist()[:2]
+
+
 def test_a_bag_of_several_parts(tmp_path: Path) -> None:
+    tmp_path = tmp_path / "hop"
+    tmp_path.mkdir()
     bag(tmp_path / "hop_0.db3", 0, 2)
     bag(tmp_path / "hop_1.db3", 2, 2)
     assert numbers(tmp_path) == V.tolist()

@@ -141,6 +141,7 @@ def test_which_axis_is_that_of_the_rows() -> None:
     assert list(tables_of(("q", Q), ("t", T))[""].columns) == ["q[0]", "q[1]", "t"]
     assert list(tables_of(("t", T[:3]), ("q", np.zeros((3, 7))), ("gains", np.zeros(7)))) == ["(3 rows)", "(7 rows)"]
     assert len(tables_of(("q", np.zeros((40, 60))))[""]) == 40
+    assert "q[2]" in tables_of(("q", np.zeros((1000, 3))), ("gains", np.zeros(3)))["(1000 rows)"].columns
     with pytest.warns(StepGapWarning, match="log: q has 2 rows of 250 values, which are taken as columns"):
         assert list(tables_of(("q", Q))[""].columns) == ["q[0]", "q[1]"]
 

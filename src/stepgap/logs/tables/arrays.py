@@ -93,7 +93,7 @@ def _with_rows_first(source: str, name: str, values: Any, rows: int) -> Any:
     if values.ndim < 2 or values.size == max(values.shape):
         return values
     first, *_, last = values.shape
-    if rows == last != first:
+    if rows == last > first:
         return np.moveaxis(values, -1, 0)
     if not rows and values.ndim == 2 and last > _LONG and last > _SLIM * first:
         shown = f"{source}: {name or 'the array'} has {first} rows of {last} values, which are taken as columns"

@@ -74,7 +74,7 @@ def other_parts(part: Path) -> dict[str, str]:
     """The parts that are in one bag with this one, with the reason for which they are left out."""
     numbered = re.fullmatch(r"(.*)_\d+(\.(db3|mcap)(\.zstd)?)", part.name)
     named = _names_in(metadata_in(part.parent))
-    if part.name not in named and numbered:
+    if part.name not in named and numbered and numbered[1] == part.resolve().parent.name:  # as rosbag2 calls them
         alike = re.compile(re.escape(numbered[1]) + r"_\d+" + re.escape(numbered[2]))
         named = sorted(path.name for path in part.parent.iterdir() if alike.fullmatch(path.name))
     return {name: "another part of this bag; give its folder to read all" for name in named if name != part.name}

@@ -55,12 +55,18 @@ class _Datasets:
         self._matlab = matlab
         self._unread = unread
         self._count = 0
-        file.visititems_links(self._visit)  # each group once, also where groups form a cycle
+        if fault := file.visititems_links(self._visit):  # each group once, also where groups form a cycle
+            raise fault
 
-    def _visit(self, place: str, link: Any) -> None:
+    def _visit(self, place: str, link: Any) -> RecordError | None:
+        """Visits a link; an error, which h5py must not see raised, ends the visit."""
         names = tuple(place.split("/"))
-        if not any(name.startswith("#") for name in names):  # those are what MATLAB refers to
-            self._add(names, self._file, place, link)
+        try:
+            if not any(name.startswith("#") for name in names):  # those are what MATLAB refers to
+                self._add(names, self._file, place, link)
+        except RecordError as error:
+            return error
+        return None
 
     def _add(self, names: tuple[str, ...], group: Any, place: str, link: Any) -> None:
         """Adds the dataset at a link of a group."""
