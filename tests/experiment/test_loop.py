@@ -93,6 +93,14 @@ def gaussian(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def warm(unbroken: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that knows the steps of `unbroken` from the beginning."""
+    folder = tmp_path_factory.mktemp("warm")
+    run_in(folder, known=read_step_log(unbroken / "steps.csv", NOMINAL.space), seed=7)
+    return folder
+
+
 @pytest.fixture
 def copy(unbroken: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(unbroken, tmp_path / "copy"))
@@ -359,7 +367,7 @@ def test_the_noise_floor_is_measured_under_the_same_map_after_an_interruption(tm
     def go(folder: Path) -> bytes:
         folder.mkdir(exist_ok=True)
         plants = Plants(plant_of(REALITY), measure_noise_floor=measure)
-        run_experiment(Setup(NOMINAL, plants, REFERENCE, GAUSSIAN, seed=3), folder)
+        run_experiment(Setup(NOMINAL, plants, REFERENCE, replace(GAUSSIAN, iterations=1), seed=3), folder)
         return (folder / "summary.json").read_bytes()
 
     with pytest.raises(KeyboardInterrupt):
@@ -390,16 +398,16 @@ def test_a_file_is_written_whole(tmp_path: Path) -> None:
 # Steps known before
 
 
-def test_known_steps_are_used_from_the_first_deployment_on(unbroken: Path, tmp_path: Path) -> None:
-    known = read_step_log(unbroken / "steps.csv", NOMINAL.space)
+def test_known_steps_are_used_from_the_first_deployment_on(unbroken: Path, warm: Path) -> None:
     cold = json.loads((unbroken / "summary.json").read_text())["iterations"]
-    done = run_in(tmp_path / "warm", known=known, seed=7)
+    summary = json.loads((warm / "summary.json").read_text())
+    done = summary["iterations"]
     assert [entry["residual"] for entry in cold] == ["none", "linear", "linear"]
-    assert [deployment.residual for deployment in done] == ["linear"] * 3
-    assert (done[0].rmse < 0.4 * np.array(list(cold[0]["rmse"].values()))).all(), "only the noise remains"
-    log = read_step_log(tmp_path / "warm" / "steps.csv", NOMINAL.space)
+    assert [entry["residual"] for entry in done] == ["linear"] * 3
+    for name, error in cold[0]["rmse"].items():
+        assert done[0]["rmse"][name] < 0.4 * error, "only the noise remains"
+    log = read_step_log(warm / "steps.csv", NOMINAL.space)
     assert log.iterations == [0, 1, 2], "known steps are not recorded as steps of this run"
-    summary = json.loads((tmp_path / "warm" / "summary.json").read_text())
     assert summary["warm_start"]["steps"] == 48
 
 
@@ -414,9 +422,9 @@ def test_errors_of_known_steps_are_those_of_this_nominal_map(unbroken: Path, tmp
     assert model.mean(point) == pytest.approx(truth, abs=0.01)
 
 
-def test_a_run_with_known_steps_is_resumed(unbroken: Path, tmp_path: Path) -> None:
+def test_a_run_with_known_steps_is_resumed(unbroken: Path, warm: Path, tmp_path: Path) -> None:
     known = read_step_log(unbroken / "steps.csv", NOMINAL.space)
-    run_in(tmp_path / "warm", known=known, seed=7)
+    shutil.copytree(warm, tmp_path / "warm")
     whole = contents(tmp_path / "warm")
     for rows in (5, 20):
         rows_kept(tmp_path / "warm", rows)
@@ -498,7 +506,7 @@ class Killed(BaseException):
 
 
 def test_a_run_killed_after_any_step_gives_the_same_result(gaussian: Path, tmp_path: Path) -> None:
-    for last in (1, 16, 17, 47, 48):
+    for last in (16, 47):
         folder, count = tmp_path / str(last), iter(range(1, 100))
 
         def on_step(logged: LoggedStep, last: int = last, count: Iterator[int] = count) -> None:
@@ -573,8 +581,19 @@ BREAKS: dict[str, Callable[[Path], object]] = {
 }
 
 
-@pytest.mark.parametrize("point", BREAKS)
-@pytest.mark.parametrize("with_summary", [True, False])
+WITHOUT_SUMMARY = (
+    "between steps and summary",
+    "a summary was cut off",
+    "a summary of something else",
+    "nothing at all",
+)
+"""Breaks after which it makes no difference that the summary is missing, too."""
+
+
+@pytest.mark.parametrize(
+    ("point", "with_summary"),
+    [*((point, True) for point in BREAKS), *((point, False) for point in BREAKS if point not in WITHOUT_SUMMARY)],
+)
 def test_a_run_interrupted_at_any_point_gives_the_same_result(
     copy: Path, unbroken: Path, point: str, with_summary: bool
 ) -> None:
@@ -763,7 +782,7 @@ class FailingPlant(ModelPlant):
         self._stopped.append(True)
 
 
-@pytest.mark.parametrize("fails_at", [0, 1, 5])
+@pytest.mark.parametrize("fails_at", [0, 5])
 def test_a_run_with_a_failed_rig_can_be_resumed(tmp_path: Path, unbroken: Path, fails_at: int) -> None:
     stopped: list[bool] = []
     with pytest.raises(RigFault):

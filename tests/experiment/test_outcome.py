@@ -89,7 +89,7 @@ def test_missed_targets_are_reachable_but_have_an_error_of_more_than_three_noise
 def test_what_torque_limits_remove_is_learned() -> None:
     """With limits that cut every command, the redeployment predicts and tracks as without limits."""
     nominal = ApexMap()
-    reference = Reference(nominal.space.state_names, paper_reference().targets[80:120])
+    reference = Reference(nominal.space.state_names, paper_reference().targets[80:100])
     gap = RealityGap(torque_limit=13.0)
 
     def deployed(log: Steps, iteration: int) -> Steps:
@@ -102,9 +102,9 @@ def test_what_torque_limits_remove_is_learned() -> None:
     first = deployed(Steps(nominal.space), 0)
     second = deployed(first, 1)
     before, after = (summarise(log, reference, "") for log in (first, second))
-    assert before.cut > 37
-    assert after.cut > 37
-    assert (after.bias < [0.01, 0.001]).all()
+    assert before.cut > 18
+    assert after.cut > 18
+    assert (np.abs(after.bias) < [0.01, 0.002]).all()
     assert (after.rmse < [0.03, 0.006]).all()
     assert (before.rmse > [0.08, 0.015]).all()
     inside = np.abs(second.next_state - second.predicted) < 1.96 * second.std

@@ -28,7 +28,7 @@ PAIRS = [*(("ball", method) for method in NAMES), *zip(OTHERS, cycle(NAMES), str
 @pytest.mark.usefixtures("no_repeats", "no_report", "package")
 def test_a_run_of_every_method_learns_resumes_and_is_read(name: str, method: str, stepgap: Command) -> None:
     robot, folder = load_robot(name), Path("out")
-    write_targets(robot, Path("targets.csv"))
+    write_targets(robot, Path("targets.csv"), repeats=2)
     options = ("--robot", name, "--reference", "targets.csv", "--out", folder, *SHORT)
     assert stepgap("run", *options, "--method", method).code == 0
     run = load_run(folder)
@@ -37,7 +37,7 @@ def test_a_run_of_every_method_learns_resumes_and_is_read(name: str, method: str
     assert (settings.control, settings.nominal.linear) == (control, linear)
     assert settings.learning == replace(learning, iterations=1, early_stop=False)
     assert isinstance(run.nominal, AffineMap) or not linear
-    assert [len(run.steps.of_iteration(iteration)) for iteration in (0, 1)] == [12, 12]
+    assert [len(run.steps.of_iteration(iteration)) for iteration in (0, 1)] == [8, 8]
     assert run.residual_name(1) == learning.residual
     for iteration in (0, 1):
         steps = run.steps.of_iteration(iteration)

@@ -37,8 +37,8 @@ def robot(request: pytest.FixtureRequest, package: Path) -> Robot:
 
 @pytest.fixture
 def run(stepgap: Command, robot: Robot) -> Callable[..., Path]:
-    """Runs a short experiment, and returns its folder."""
-    write_targets(robot, Path("targets.csv"))
+    """Runs an experiment of four steps a deployment, and returns its folder."""
+    write_targets(robot, Path("targets.csv"), repeats=1)
 
     def made(*options: str) -> Path:
         result = stepgap("run", "--robot", robot.name, "--reference", "targets.csv", "--out", "out", *SHORT, *options)
@@ -48,10 +48,11 @@ def run(stepgap: Command, robot: Robot) -> Callable[..., Path]:
     return made
 
 
-def write_targets(robot: Robot, path: Path) -> None:
-    """Writes a reference of twelve targets near the centre of the robot's states."""
+def write_targets(robot: Robot, path: Path, repeats: int = 3) -> None:
+    """Writes a reference of four targets near the centre of the robot's states, all of them held for some steps."""
     space = robot.space
-    rows = [space.state_centre + 0.2 * share * space.state_scale for share in (-1, 1, 0, -0.5) for _ in range(3)]
+    shares = [share for share in (-1, 1, 0, -0.5) for _ in range(repeats)]
+    rows = [space.state_centre + 0.2 * share * space.state_scale for share in shares]
     tracked = np.flatnonzero(space.tracked)
     lines = [",".join(space.state_names[row] for row in tracked), *(",".join(map(str, row[tracked])) for row in rows)]
     path.write_text("\n".join(lines) + "\n")
