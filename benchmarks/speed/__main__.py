@@ -70,13 +70,13 @@ def bench_run_(experiment: Path | None = None, /, *, out: Path | None = None, ov
         out: New JSON file for the result. [default: bench_run.json or the next free name]
     """
     from benchmarks.speed.run import bench_run, describe_run
-    from stepgap.cli.run import Display, run
+    from stepgap.cli.run import Display, run_verb
     from stepgap.experiment.settings import read_experiment
 
     settings = read_experiment(experiment, overrides or [])
     file, display = _new_file(out, "bench_run.json"), Display(quiet=True)
     with TemporaryDirectory() as folder, redirect_stdout(sys.stderr):
-        whole = partial(run, experiment, out=Path(folder) / "run", display=display, overrides=overrides)
+        whole = partial(run_verb, experiment, out=Path(folder) / "run", display=display, overrides=overrides)
         result = bench_run(settings, whole)
     print(describe_run(result))
     _write_json(file, result)

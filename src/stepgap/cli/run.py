@@ -92,7 +92,7 @@ NORMAL = Display()
 
 
 @announces_compilation
-def run(
+def run_verb(
     experiment: Path | None = None,
     /,
     *,
