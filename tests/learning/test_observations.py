@@ -82,13 +82,30 @@ def with_status(log: Steps, *statuses: tuple[int, StepStatus]) -> Steps:
 
 
 def test_a_step_with_a_doubtful_sensor_and_those_before_it_are_not_learned_from() -> None:
-    """Those before only in the same deployment; the step is no failure that a controller avoids, either."""
-    marked = with_status(log_of(3, 34, 2), (3, StepStatus.DOUBTFUL), (36, StepStatus.DOUBTFUL))
-    assert np.flatnonzero(marked.doubtful).tolist() == [3, *range(36 - TAINTED[StepStatus.DOUBTFUL], 37)]
-    np.testing.assert_array_equal(observe(marked, NOMINAL).state, marked.state[[0, 1, 2, 4, 5, 37, 38]])
+    """Nor is it a failure that a controller avoids."""
+    marked = with_status(log_of(37, 2), (36, StepStatus.DOUBTFUL))
+    assert np.flatnonzero(marked.doubtful).tolist() == [*range(36 - TAINTED[StepStatus.DOUBTFUL], 37)]
+    np.testing.assert_array_equal(observe(marked, NOMINAL).state, marked.state[[*range(6), 37, 38]])
     learner, last = Learner.start(NOMINAL, marked, LearningSettings(), 3), list(marked)[3]
     assert len(learner.failures) == 0
     assert len(learner.after(replace(last, iteration=3, step=1)).failures) == 0
+
+
+def test_steps_of_earlier_deployments_of_the_run_are_doubtful_too() -> None:
+    """A sensor that was wrong a little is found in the third deployment, and the beliefs forget the ones before."""
+    marked = with_status(log_of(20, 12, 12, 4), (40, StepStatus.DOUBTFUL))
+    assert np.flatnonzero(marked.doubtful).tolist() == [*range(40 - TAINTED[StepStatus.DOUBTFUL], 41)]
+    apart = marked.with_columns(iteration=np.where(marked.iteration < 1, -4, marked.iteration))
+    assert np.flatnonzero(apart.doubtful).tolist() == [*range(20, 41)]  # another run
+
+
+def test_beliefs_do_not_contain_what_a_later_deployment_made_doubtful() -> None:
+    right = with_status(log_of(12, 12, 12), (20, StepStatus.DOUBTFUL))
+    wrong = right.with_columns(next_state=np.where(right.doubtful[:, None], right.next_state + 0.5, right.next_state))
+    settings = LearningSettings(residual="posterior")
+    ours, others = (Learner.start(NOMINAL, steps, settings, 3).step_map() for steps in (right, wrong))
+    points = apexes(5, seed=2)
+    np.testing.assert_array_equal(ours.evaluate(*points).next_state, others.evaluate(*points).next_state)
 
 
 def test_a_fall_makes_the_step_before_it_doubtful_and_is_avoided() -> None:

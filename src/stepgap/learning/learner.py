@@ -7,6 +7,7 @@ from math import nan
 from typing import Final, Self, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.learning.alarm import Alarm
 from stepgap.learning.beliefs import Beliefs, Observed
@@ -236,20 +237,22 @@ def _begun(nominal: StepMap, known: Steps, residual: Residual, priors: Sequence[
     if residual.kind != "none":
         return Beliefs.start(features, (n, m), (), residual.noise_std / space.state_scale)
     beliefs = Beliefs.start(features, (n, m), [prior.family(space, features) for prior in priors], None)
-    runs = [list(_observed_in(known.selected(np.isin(known.iteration, run)), nominal)) for run in runs_before(known)]
+    doubtful = known.doubtful  # a doubt reaches back into earlier deployments
+    of_runs = [np.isin(known.iteration, run) for run in runs_before(known)]
+    runs = [list(_observed_in(known.selected(rows), doubtful[rows], nominal)) for rows in of_runs]
     if any(runs):
         beliefs = beliefs.with_runs([run for run in runs if run])
     for iteration in (number for number in known.iterations if number >= 0):
-        for step, follows in _observed_in(known.of_iteration(iteration), nominal):
+        rows = known.iteration == iteration
+        for step, follows in _observed_in(known.selected(rows), doubtful[rows], nominal):
             beliefs = (beliefs if follows else beliefs.unlinked()).after(step)
         beliefs = beliefs.redeployed()
     return beliefs
 
 
-def _observed_in(steps: Steps, nominal: StepMap) -> Iterator[tuple[Observed, bool]]:
+def _observed_in(steps: Steps, doubtful: NDArray[np.bool_], nominal: StepMap) -> Iterator[tuple[Observed, bool]]:
     """The steps of one or more deployments that have an error and no doubtful state; whether each follows the last."""
     phases = steps.phase
-    doubtful = steps.doubtful
     follows = steps.follows
     last = -1
     for row, logged in enumerate(steps):

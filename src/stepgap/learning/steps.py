@@ -16,7 +16,10 @@ _OF_STATE = ("state", "target", "next_state", "true_next_state", "predicted", "s
 _OF_COMMAND = ("command", "requested", "applied")
 _LEAST_ROOM = 64  # Least number of steps for which memory is reserved
 TAINTED = {StepStatus.DOUBTFUL: 30, StepStatus.FELL: 1, StepStatus.UNSTABLE: 1}
-"""Number of steps before one with such a status whose states are doubtful, too: small faults are found late."""
+"""Number of steps before one with such a status whose states are doubtful, too: small faults are found late.
+
+A sensor is the same in the next deployment of a run, so the steps before a doubt may be of earlier ones.
+"""
 _Values = TypeVar("_Values", Array, Labels, Codes)
 
 
@@ -221,14 +224,17 @@ class Steps:
         """Whether a sensor was doubtful in a step, or in one that soon followed it, by `TAINTED`; shape (N,).
 
         The fault may have begun before it was found, so that the states at the ends of the steps before are doubtful,
-        too. The same holds for a fall, which may be due to a wrong state.
+        too, also in earlier deployments of the same run. Before a fall, which may be due to a wrong state, only the
+        step that it follows is.
         """
         follows = self.follows
+        begins_again = np.diff(self.iteration, prepend=self.iteration[:1]) == 1
         doubtful = self.status == StepStatus.DOUBTFUL
         for status, count in TAINTED.items():
             reached = self.status == status
+            goes_back = follows | begins_again if status == StepStatus.DOUBTFUL else follows
             for _ in range(count):
-                reached = np.roll(reached & follows, -1)
+                reached = np.roll(reached & goes_back, -1)
                 doubtful |= reached
         return doubtful
 
