@@ -43,6 +43,7 @@ MISSING_LIMITS = (
     "jump_angle",
     "frozen_time",
     "ground_height",
+    "motion_torque",
 )
 """Limits that may be left out where there is no torque."""
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"

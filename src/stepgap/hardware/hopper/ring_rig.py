@@ -158,6 +158,7 @@ def _limits(torque: float, jitter: float, ground: float) -> SafetyLimits:
         sample_jitter=jitter,
         frozen_time=0.016,
         ground_height=ground,
+        motion_torque=2.0,
     )
 
 

@@ -19,11 +19,12 @@ from stepgap.robots.hopper.model.dynamics import masses_of
 from stepgap.robots.hopper.model.joint_control import joint_law
 from stepgap.robots.hopper.model.leg import foot, four_bar, leg_of
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.tick.drive_motion import Disobedience
 from stepgap.robots.hopper.tick.hop_state import Apex, HopState, Landing, TickSettings
 from stepgap.robots.hopper.tick.hop_tick import interrupted_hop, tick
 from stepgap.robots.hopper.tick.limits import SafetyLimits
 from stepgap.robots.hopper.tick.phases import Phase
-from stepgap.robots.hopper.tick.safety import JointMotion, Limited
+from stepgap.robots.hopper.tick.safety import DISOBEYS, JointMotion, Limited
 from stepgap.robots.hopper.tick.sensors import HopperReading, HopperSensorModel, hopper_sensors
 from stepgap.robots.hopper.tick.stage import Stage
 from stepgap.robots.hopper.tick.tick_row import TICK_BITS, TICK_COLUMN, TICK_NAMES, TICK_UNITS
@@ -166,12 +167,23 @@ class HopControl(TickControl):
         """Reasons for which the safety function stopped the robot, as text."""
         stopped = Limited(int(self._memory["watch"]["stopped"][0]))
         names = ", ".join(reason.name.lower().replace("_", " ") for reason in stopped if reason.name)
+        if stopped & DISOBEYS:
+            return f"{names} ({self._disobedience()})"
         if Limited.JOINT_SPEED not in stopped:
             return names
         motion = self.motion
         stage = from_record(Stage, self._memory["stage"])
         speed = abs(motion.rate_1) + abs(motion.rate_2)
         return f"{names} ({speed:.1f} rad/s; at most {stage.joint_speed:.1f} in this stage)"
+
+    def _disobedience(self) -> str:
+        """What the motors were commanded when a drive was doubted, and what they did."""
+        torques = from_record(Disobedience, self._memory["drives"]["doubted"])
+        return (
+            f"motor 1 was commanded {torques.sent_1:.1f} N·m and moved as by {torques.moved_1:.1f}, motor 2 "
+            f"{torques.sent_2:.1f} and {torques.moved_2:.1f}: the drive gives another torque than it was commanded, or "
+            "else an encoder or the contact force is wrong"
+        )
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import numpy as np
 from stepgap.plants.tick_control import Mode
 from stepgap.robots.hopper.model.dynamics import Masses
 from stepgap.robots.hopper.model.joint_control import JointLaw
+from stepgap.robots.hopper.tick.drive_motion import DriveMotion
 from stepgap.robots.hopper.tick.estimator import FlightFit, JointRates
 from stepgap.robots.hopper.tick.limits import SafetyLimits
 from stepgap.robots.hopper.tick.load import Load
@@ -171,6 +172,7 @@ class HopState(NamedTuple):
         landing: The last touchdown.
         apex: Result of the last hop.
         sensors: State of the plausibility checks.
+        drives: Whether the leg moves as commanded.
         watch: State of the safety function.
         asked_1: Torque that the law requested of motor 1 [N·m].
         asked_2: Torque that the law requested of motor 2 [N·m].
@@ -190,6 +192,7 @@ class HopState(NamedTuple):
     landing: Landing = Landing()
     apex: Apex = Apex()
     sensors: SensorWatch = SensorWatch()
+    drives: DriveMotion = DriveMotion()
     watch: Watch = Watch()
     asked_1: float = 0.0
     asked_2: float = 0.0

@@ -17,6 +17,7 @@ from stepgap.plants.tick_control import Mode, TickFlag
 from stepgap.robots.hopper.model.joint_control import landing_posture
 from stepgap.robots.hopper.model.leg import foot, four_bar
 from stepgap.robots.hopper.model.reduced import uprightness
+from stepgap.robots.hopper.tick.drive_motion import judge_motion
 from stepgap.robots.hopper.tick.estimator import after_vertex, fitted_apex
 from stepgap.robots.hopper.tick.hop_state import (
     STEP_TIMEOUT,
@@ -78,6 +79,8 @@ def hop_tick(settings, state, inputs):
     asked = wanted_torque(settings.law, phase, motion, flight, hop, inputs)
     requested = (0.0, 0.0) if inputs.mode == Mode.LIMP else asked  # a limp robot only logs what the law asks for
     sensors, doubts = judge_sensors(settings, state, sampled, phase, motion, body, flight, inputs)
+    drives, disobeys = judge_motion(settings, state, sampled, motion, inputs)
+    doubts |= disobeys if doubts == 0 else 0  # a sensor that is known to be wrong explains the motion
     load, overload = add_load(
         settings.limits, settings.sensor_model.tick, state.load, motion, inputs.applied_1, inputs.applied_2
     )
@@ -97,8 +100,9 @@ def hop_tick(settings, state, inputs):
         flags |= _TOUCHDOWN
     after = HopState(
         mode=inputs.mode, phase=phase, sampled=sampled, motion=motion, rates=rates, flight=flight, hop=hop,
-        landing=landing, apex=apex, sensors=sensors, watch=checked.watch, asked_1=asked[0], asked_2=asked[1],
-        limited=checked.limited, hops=state.hops + int(flags & _STEP_ENDED != 0), stage=stage, load=load,
+        landing=landing, apex=apex, sensors=sensors, drives=drives, watch=checked.watch, asked_1=asked[0],
+        asked_2=asked[1], limited=checked.limited, hops=state.hops + int(flags & _STEP_ENDED != 0), stage=stage,
+        load=load,
     )  # fmt: skip
     return after, (checked.torque_1, checked.torque_2), flags
 

@@ -25,6 +25,7 @@ _POSITIVE = frozenset(
         "jump_angle",
         "frozen_time",
         "ground_height",
+        "motion_torque",
     }
 )
 
@@ -62,6 +63,8 @@ class SafetyLimits(RigLimits):
             of it hold for the pitch in flight and for a foot at the ground without contact force.
         ground_height: Largest height of the foot above or below the ground in stance, by leg and boom [m]: the sum of
             roughness, slope, penetration, bending of the boom and errors of the zeros.
+        motion_torque: Torque by which the motion of the leg may deviate from the commands until a drive is doubted
+            [N·m], in addition to 30 % of the command; more where the robot's own first hops show more.
     """
 
     torque: float
@@ -88,6 +91,7 @@ class SafetyLimits(RigLimits):
     sample_jitter: float = 1.0
     frozen_time: float = inf
     ground_height: float = inf
+    motion_torque: float = inf
 
     def __post_init__(self) -> None:
         super().__post_init__()

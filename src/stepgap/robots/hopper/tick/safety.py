@@ -45,6 +45,8 @@ class Limited(IntFlag):
     PITCH_NOISY = 1 << 27
     PITCH_AGAINST_LEG = 1 << 28
     PITCH_AGAINST_FLIGHT = 1 << 29
+    MOTOR_1_DISOBEYS = 1 << 30
+    MOTOR_2_DISOBEYS = 1 << 31
 
     @property
     def stops(self) -> bool:
@@ -63,8 +65,11 @@ Nor is a doubtful sensor. Where an angle or a height beyond its limit is itself 
 brake is harmless: its torque is limited, and it is released if the speed grows.
 """
 
+DISOBEYS = Limited.MOTOR_1_DISOBEYS | Limited.MOTOR_2_DISOBEYS
+"""Reasons to doubt a drive, which `drive_motion` finds."""
+
 DOUBTS = Limited(sum(reason for reason in Limited if reason >= Limited.MOTOR_1_FROZEN)) & ~(
-    Limited.OVERLOAD | Limited.POWER
+    Limited.OVERLOAD | Limited.POWER | DISOBEYS
 )
 """Reasons to doubt a sensor, which `plausibility` finds."""
 
@@ -155,7 +160,7 @@ def check_torque(limits, stage, watch, motion, health, doubts, torque_1, torque_
         watch: Watch of the previous tick; fields as in `Watch`.
         motion: JointMotion at this tick; fields as in `JointMotion`.
         health: Health at this tick; fields as in `Health`.
-        doubts: Reasons to doubt a sensor at this tick, and an overload, as the number of a `Limited`.
+        doubts: Reasons to doubt a sensor or a drive at this tick, and an overload, as the number of a `Limited`.
         torque_1: Torque requested of motor 1 [N·m].
         torque_2: Torque requested of motor 2 [N·m].
 
