@@ -3,15 +3,21 @@
 The twin hops after random targets that change every 4 to 8 hops, each run 60 hops on another ground and place. `blind`
 and `touchdown` know 227 hops on flat ground; blind is the same controller without a new plan at touchdown, which knows
 the ground of the hop before alone. `again` has hopped 227 hops on that ground before. All but `nominal` learn from hop
-to hop. Errors are those of the true state above the ground that was measured.
+to hop; `online` knows nothing before the first one. Errors are those of the true state above the ground that was
+measured. `bumps` are random heights of 3 mm (standard deviation) every 5 cm, and `teeth` 0 and 3 mm in turn every
+2.5 cm, as a scanned profile has them; another ground for each seed.
 
     ./go python -m benchmarks.uneven_ground [--grounds stairs_56,ramps_10] [--ways touchdown] [--seeds 1,2,3,4,5]
         [--hops 60]
+    ./go python -W ignore -m benchmarks.uneven_ground --grounds bumps,teeth --ways nominal,online --hops 61
 """
 
 import argparse
 from collections.abc import Iterator, Mapping
 from contextlib import closing
+from math import tau
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
@@ -42,7 +48,10 @@ GROUNDS: Mapping[str, UnevenGround] = {
 }
 """Grounds by name."""
 
-WAYS = ("nominal", "blind", "touchdown", "again")
+BUMPS = {"bumps": 0.05, "teeth": 0.025}
+"""Grounds with a scanned profile, and the distance of its rows [m]."""
+
+WAYS = ("nominal", "blind", "touchdown", "again")  # and online
 
 
 class Case(NamedTuple):
@@ -117,13 +126,31 @@ def hops_of(learner: Learner, plant: Plant, reference: Reference, iteration: int
     return log, latest[-1]
 
 
+def scan(case: Case, file: Path) -> UnevenGround:
+    """The ground of a case of `BUMPS`, with its profile in a file."""
+    place = np.arange(0, tau * Hopper().parameters.boom_length - 0.02, BUMPS[case.ground])
+    heights = np.where(np.arange(len(place)) % 2, 0.003, 0.0)
+    if case.ground == "bumps":
+        heights = np.clip(np.random.default_rng(case.seed).normal(0, 0.003, len(place)), -0.009, 0.009)
+    np.savetxt(file, np.column_stack([place, heights]), delimiter=",", header="place,height", comments="", fmt="%.6f")
+    return UnevenGround(profile=str(file))
+
+
 def measured(case: Case) -> Found:
     """One run."""
-    uneven, flat = Hopper(ground=GROUNDS[case.ground]), Hopper(ground=GROUNDS["flat"])
+    if case.ground not in BUMPS:
+        return measured_on(case, GROUNDS[case.ground])
+    with TemporaryDirectory() as folder:
+        return measured_on(case, scan(case, Path(folder) / "profile.csv"))
+
+
+def measured_on(case: Case, floor: UnevenGround) -> Found:
+    """One run on a floor."""
+    uneven, flat = Hopper(ground=floor), Hopper(ground=GROUNDS["flat"])
     nominal, known = uneven.apex_map(), Steps(uneven.space)
     none = LearningSettings(residual="none")
     with one_blas_thread():
-        if case.way != "nominal":
+        if case.way not in ("nominal", "online"):
             before = uneven if case.way == "again" else flat
             plant = before.simulations()["twin"](random_stream(case.seed, 9)).plant(random_stream(case.seed, 0))
             known, _ = hops_of(Learner.start(nominal, known, none, 0), plant, paper_reference(), 0)

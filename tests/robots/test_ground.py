@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stepgap.base.errors import InputError
-from stepgap.robots.ground import FLAT_GROUND, GAP_DEPTH, LARGEST_SLOPE, RUN_UP, UnevenGround
+from stepgap.base.errors import InputError, StepGapWarning
+from stepgap.robots.ground import FELT, FLAT_GROUND, GAP_DEPTH, LARGEST_SLOPE, RUN_UP, UnevenGround
 
 LENGTH = 11.65
 
@@ -101,14 +101,16 @@ def height_at(treads, place):
     return treads.height[piece] + treads.slope[piece] * (place - treads.start[piece])
 
 
-PROFILES = st.lists(st.tuples(st.integers(0, 1100), st.integers(-50, 50)), min_size=1, max_size=12).map(sorted)
+PROFILES = st.lists(st.tuples(st.integers(0, 110), st.integers(-50, 50)), min_size=1, max_size=12).map(sorted)
 
 
 @given(rows=PROFILES)
 def test_a_profile_is_read_as_it_is_written(rows, tmp_path_factory):
-    """The ground has the height of each row at its place, whatever the file; steep ones are refused."""
+    """The ground has the height of each row at its place where rows are farther apart than a foot feels; steep ones
+    are refused.
+    """
     path = tmp_path_factory.mktemp("profile") / "profile.csv"
-    place, height = np.array(rows).T / [[100], [1000]]
+    place, height = np.array(rows).T / [[10], [1000]]
     path.write_text("height,place\n" + "".join(f"{y!r},{x!r}\n" for x, y in np.column_stack([place, height]).tolist()))
     ground = UnevenGround(profile=str(path))
     gaps = np.asarray(np.diff(np.append(place, place[0] + LENGTH)), float)
@@ -125,6 +127,74 @@ def test_a_profile_is_read_as_it_is_written(rows, tmp_path_factory):
     assert ground.largest_change == pytest.approx(np.ptp(height))
 
 
+def felt_ground(tmp_path, place, height):
+    """Treads of a scanned profile on a ground 6 m long, which is smoothed with a word."""
+    path = tmp_path / "scan.csv"
+    rows = np.column_stack([place, height]).tolist()
+    path.write_text("place,height\n" + "".join(f"{x!r},{y!r}\n" for x, y in rows))
+    with pytest.warns(StepGapWarning, match=r"scan.csv: rows are 0\.0\d+ m apart; a foot feels 0.06 m of ground"):
+        return UnevenGround(profile=str(path)).treads(6.0, np.random.default_rng(0))
+
+
+def test_bumps_that_are_as_long_as_a_foot_feels_are_level(tmp_path):
+    """Rows of 0 and 3 mm in turn: a wave as long as the mean has none of it left."""
+    place = np.arange(200) * FELT / 2
+    treads = felt_ground(tmp_path, place, np.where(np.arange(200) % 2, 0.003, 0.0))
+    assert treads.height == pytest.approx(np.full(len(treads.height), 0.0015), abs=1e-12)
+    assert treads.slope == pytest.approx(np.zeros(len(treads.slope)), abs=1e-9)
+
+
+@pytest.mark.parametrize("spacing", [0.01, 0.02])
+@pytest.mark.parametrize("waves", [7, 20, 60])
+def test_a_wave_is_felt_by_the_sinc_of_its_length(tmp_path, spacing, waves):
+    """The mean over w of sin(k x) is sin(k x) sin(k w / 2) / (k w / 2); straight pieces between rows cost a sinc²."""
+    place = np.arange(round(6 / spacing)) * spacing
+    number = 2 * np.pi * waves / 6
+    treads = felt_ground(tmp_path, place, 0.003 * np.sin(number * place))
+    share = np.sinc(waves / 6 * FELT) * np.sinc(waves / 6 * spacing) ** 2
+    inner = np.arange(0, 6, 0.01)
+    assert height_at(treads, inner) == pytest.approx(0.003 * share * np.sin(number * inner), abs=2e-4)
+    fitted = 2 * np.mean(height_at(treads, inner) * np.sin(number * inner))
+    assert fitted == pytest.approx(0.003 * share, abs=1e-5)
+
+
+def test_a_corner_is_rounded_over_a_foot_and_a_riser_stays(tmp_path):
+    """A corner of a bend s is raised by s w / 8, and what is farther from it than w / 2 stays; so does a riser."""
+    place = np.arange(600) / 100
+    height = np.interp(place, [0, 2, 3, 4, 5], [0, 0, 0.1, 0.1, 0])
+    riser = np.searchsorted(place, 3.5)
+    place, height = np.insert(place, riser, place[riser]), np.insert(height, riser, height[riser])
+    height[riser + 1 :] += 0.02
+    height[np.searchsorted(place, 5) :] = 0.02
+    straight = np.interp(np.arange(0, 5.9, 0.001), place, height)
+    treads = felt_ground(tmp_path, np.append(place, 5.995), np.append(height, 0.0))
+    felt = height_at(treads, np.arange(0, 5.9, 0.001))
+    near = np.abs(np.subtract.outer(np.arange(0, 5.9, 0.001), [0, 2, 3, 4, 5, 6])).min(axis=1) < FELT / 2
+    edge = np.abs(np.arange(0, 5.9, 0.001) - 3.5) < 1e-6
+    assert felt[~near & ~edge] == pytest.approx(straight[~near & ~edge], abs=1e-9)
+    assert felt[2000] == pytest.approx(0.1 * FELT / 8)
+    assert felt[3000] == pytest.approx(0.1 - 0.1 * FELT / 8)
+    assert felt[3499], felt[3501] == pytest.approx([0.1, 0.12])
+
+
+def test_level_treads_and_far_rows_are_not_smoothed(tmp_path):
+    """Short treads between risers have no slope to smooth, so there is no word of it."""
+    path = tmp_path / "treads.csv"
+    path.write_text("place,height\n0,0\n0.03,0\n0.03,0.003\n0.06,0.003\n0.06,0\n")
+    treads = UnevenGround(profile=str(path)).treads(6.0, np.random.default_rng(0))
+    assert treads.start == pytest.approx([0, 0.03, 0.06])
+    assert treads.height == pytest.approx([0, 0.003, 0])
+
+
+def test_short_ramps_and_waves_are_felt_too():
+    """They are bumps like those of a profile: ramps of half the length of a foot make level ground."""
+    ramps = UnevenGround(slope=0.1, ramp_length=FELT / 2).treads(6.0, np.random.default_rng(0))
+    assert ramps.slope == pytest.approx(np.zeros(len(ramps.slope)), abs=1e-9)
+    rough = UnevenGround(roughness=0.001, wave_length=0.1).treads(6.0, np.random.default_rng(0))
+    shares = np.sinc(np.arange(1, 61) / 6 * FELT)
+    assert np.std(rough.height) == pytest.approx(0.001 * np.sqrt(np.mean(shares**2)), rel=0.03)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -135,7 +205,7 @@ def test_a_profile_is_read_as_it_is_written(rows, tmp_path_factory):
         ("place,height\n0.3,2\n", r"row 1: height 2 m; it must be within ±1 m"),
         ("place,height\n12,0\n", r"place 12 m is not on the ground; it must be from 0 to below 11.65 m"),
         ("place,height\n-1,0\n2,0\n", r"place -1 m is not on the ground"),
-        ("place,height\n0,0\n0.1,0.1\n", "row 1: the ground rises by 0.1 m within 0.1 m; it may by 0.5 of that"),
+        ("place,height\n0,0\n0.1,0.1\n", "row 1: the ground rises by 0.1 m within 0.1 m, a slope of 1; it may be 0.5"),
     ],
 )
 def test_a_wrong_profile_is_named(text, message, tmp_path):

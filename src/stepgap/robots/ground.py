@@ -5,6 +5,7 @@ stones with gaps between them, and patches of another stiffness and friction. Th
 a turn of a boom. The same seed gives the same ground.
 """
 
+import warnings
 from dataclasses import dataclass, fields
 from math import isfinite, pi, sqrt
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stepgap.base.errors import InputError
+from stepgap.base.errors import InputError, StepGapWarning
 from stepgap.base.files import read_bounded_text
 from stepgap.base.ranges import require
 from stepgap.control.reference import parse_rows
@@ -23,7 +24,13 @@ LARGEST_SLOPE = 0.5  # Steepest ramp, rise over length
 FINEST = 0.01
 """Length of the straight pieces of a random field [m], or a tenth of its wave length where that is shorter."""
 
+FELT = 0.06
+"""Length of ground that a foot feels as one slope [m]: the width of its sole, some 3 cm, by how much it slides in a
+stance, up to 2 cm, and how well the place of a foothold is measured, 1 cm."""
+
 SHORTEST = 0.02  # Shortest length of a tread, a ramp, a wave or a patch [m]
+
+_ROUNDING = 1e-9  # Height of a riser that is none [m]
 
 GAP_DEPTH = 0.5
 """Depth of the gaps between stones [m]: a leg that steps into one finds no ground, and the robot falls."""
@@ -81,6 +88,40 @@ class _Pieces(NamedTuple):
         piece = np.searchsorted(self.start, place, "right") - 1
         return self.height[piece] + self.slope[piece] * (place - self.start[piece]), self.slope[piece]
 
+    def integrated(self, place: Array) -> Array:
+        """Integral of the height from the start of the first piece to places [m²], with nothing added at risers."""
+        long = np.diff(self.start)
+        before = np.append(0.0, np.cumsum(long * (self.height[:-1] + self.slope[:-1] * long / 2)))
+        piece = np.searchsorted(self.start, place, "right") - 1
+        along = place - self.start[piece]
+        return before[piece] + along * (self.height[piece] + self.slope[piece] * along / 2)
+
+    def felt(self, length: float) -> "_Pieces":
+        """This part as a foot feels it: between risers, which stay, the mean height over w = `FELT`.
+
+        With the integral C of the height without risers, the mean is (C(x + w/2) − C(x − w/2)) / w. It is computed
+        every `FINEST` and at the risers, and straight between them.
+
+        Args:
+            length: Length after which the ground repeats [m], longer than w; the first piece starts at 0.
+        """
+        rise = self.slope * np.diff(self.start, append=length)
+        smooth = self.height[0] + np.append(0.0, np.cumsum(rise))  # without risers, to the end of the last piece
+        riser = np.append(0.0, self.height[1:] - self.height[:-1] - rise[:-1])
+        riser[np.abs(riser) < _ROUNDING] = 0.0
+        turns = np.array([[-1.0], [0.0], [1.0]])
+        around = _Pieces(
+            start=(self.start + turns * length).ravel(),
+            height=(smooth[:-1] + turns * (smooth[-1] - smooth[0])).ravel(),
+            slope=np.tile(self.slope, 3),
+        )
+        evenly = np.linspace(0, length, round(length / FINEST), endpoint=False)
+        start = np.union1d(evenly, self.start[riser != 0])
+        ends = np.append(start, length)
+        mean = (around.integrated(ends + FELT / 2) - around.integrated(ends - FELT / 2)) / FELT
+        raised = np.cumsum(riser)[np.searchsorted(self.start, start, "right") - 1]
+        return _Pieces(start, mean[:-1] + raised, np.diff(mean) / np.diff(ends))
+
 
 @dataclass(frozen=True)
 class UnevenGround:
@@ -92,9 +133,11 @@ class UnevenGround:
         slope: Rise over length of ramps that rise and fall in turn.
         ramp_length: Length of a ramp [m].
         roughness: Standard deviation of a smooth random height [m].
-        wave_length: Its shortest wave [m]; all longer ones that fit have the same amplitude.
+        wave_length: Its shortest wave [m]; all longer ones that fit have the same amplitude. From less than 12 cm on,
+            and ramps of less than 6 cm, the ground is what a foot feels of it, its mean height over 6 cm.
         profile: A measured profile: a CSV file of place and height [m], relative to the experiment's file. It is
-            straight between its rows, two rows of one place are a riser, and its end leads to its beginning.
+            straight between its rows, two rows of one place are a riser, and its end leads to its beginning. Where rows
+            are nearer than 6 cm, it is smoothed between risers to what a foot feels.
         stone_spacing: Mean distance of the middles of stones, between which a foot finds no ground [m]; 0: no stones.
             A deployment begins at the first one, at place 0.
         stone_spread: By how much each of these distances may be shorter or longer [m]; they are drawn independently
@@ -184,9 +227,11 @@ class UnevenGround:
         if self.stair_height:
             parts.append(self._stairs(length, rng))
         if self.roughness:
-            parts.append(self._field(length, rng))
+            field = self._field(length, rng)
+            parts.append(field.felt(length) if self.wave_length < 2 * FELT else field)
         if self.slope:
-            parts.append(self._ramps(length))
+            ramps = self._ramps(length)
+            parts.append(ramps.felt(length) if self.ramp_length < FELT else ramps)
         if self.profile:
             parts.append(_profile(self.profile, length))
         if self.stone_spacing:
@@ -274,7 +319,9 @@ def _rows_of(path: str) -> Array:
 
 
 def _profile(path: str, length: float) -> _Pieces:
-    """A measured profile of a ground with a length [m].
+    """A measured profile of a ground with a length [m]; where rows are nearer than `FELT`, as a foot feels it.
+
+    A `StepGapWarning` says so.
 
     Raises:
         InputError: It cannot be read, goes beyond the ground, or is steeper than a ramp.
@@ -286,22 +333,43 @@ def _profile(path: str, length: float) -> _Pieces:
     place = np.append(place, place[0] + length)
     height = np.append(height, height[0])
     long = np.diff(place)
-    rise = np.diff(height)
-    steep = np.flatnonzero((np.abs(rise) > LARGEST_SLOPE * long) & (long > 0))
-    if len(steep):
-        row = int(steep[0])
-        raise InputError(
-            f"{path}, row {row + 1}: the ground rises by {rise[row]:g} m within {long[row]:g} m; it may by "
-            f"{LARGEST_SLOPE:g} of that, and a riser is two rows of one place"
-        )
     is_piece = long > 0  # two rows of one place are a riser
     start = place[:-1][is_piece]
-    height = height[:-1][is_piece]
-    slope = rise[is_piece] / long[is_piece]
+    slope = np.diff(height)[is_piece] / long[is_piece]
+    pieces = _from_zero(_Pieces(start, height[:-1][is_piece], slope), length)
+    if long[is_piece].min() < FELT - _ROUNDING and np.ptp(slope) > 0:
+        pieces = pieces.felt(length)
+        warnings.warn(
+            f"{path}: rows are {long[is_piece].min():g} m apart; a foot feels {FELT:g} m of ground as one slope, so "
+            "between risers (two rows of one place) the profile is the mean over that length",
+            StepGapWarning,
+            stacklevel=2,
+        )
+    _check_slopes(path, place, height, pieces)
+    return pieces
+
+
+def _from_zero(pieces: _Pieces, length: float) -> _Pieces:
+    """Pieces whose last one leads to the first one, with a start at 0."""
+    start, height, slope = pieces
     if start[0] == 0:
-        return _Pieces(start, height, slope)
+        return pieces
     at_zero = height[-1] + slope[-1] * (length - start[-1])
     return _Pieces(np.append(0.0, start), np.append(at_zero, height), np.append(slope[-1], slope))
+
+
+def _check_slopes(path: str, place: Array, height: Array, pieces: _Pieces) -> None:
+    """Raises InputError if a profile with rows of these places and heights [m] is steeper than a ramp."""
+    steep = np.flatnonzero(np.abs(pieces.slope) > LARGEST_SLOPE * (1 + _ROUNDING))
+    if not len(steep):
+        return
+    start = pieces.start[steep[0]]
+    row = max(int(np.searchsorted(place, start, "right")) - 1, 0)
+    raise InputError(
+        f"{path}, row {row + 1}: the ground rises by {height[row + 1] - height[row]:g} m within "
+        f"{place[row + 1] - place[row]:g} m, a slope of {pieces.slope[steep[0]]:.2g}; it may be {LARGEST_SLOPE:g}, and "
+        "a riser is two rows of one place"
+    )
 
 
 def _evenly(length: float, piece: float) -> Array:
