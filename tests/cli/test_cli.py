@@ -298,7 +298,7 @@ def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, part
     [
         ("[gains]\nstifness = 3\n", ["bad.toml: [gains] stifness: unknown key; did you mean stiffness?"]),
         ("[gains]\nstiffness = 'a\\nb'\n", ["bad.toml: [gains] stiffness = 'a\\\\nb', but it must be a number"]),
-        ("[parameters]\ngravity = nan\n", ["bad.toml: [parameters] gravity = nan, but it must be finite"]),
+        ("[parameters]\ngravity = nan\n", ["bad.toml: [parameters] gravity = nan, but it must be a number"]),
         ("'a\nb' = 1", ["not TOML"]),
         ('"a\\nb" = 1', ["unknown key"]),
     ],
