@@ -78,7 +78,7 @@ def test_a_device_that_answers_seldom_is_absent(lost_of, share):
     reasons = [losses.missed() if tick % lost_of else losses.received() for tick in range(200)]
     first = next(tick for tick, reason in enumerate(reasons) if reason)
     assert 1 - share**0.5 < first / 50 < 2
-    assert reasons[first].endswith("% of the last ticks")
+    assert str(reasons[first]).endswith("% of the last ticks")
 
 
 @given(st.integers(0, 2**32 - 1))

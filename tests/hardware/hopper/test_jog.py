@@ -15,8 +15,8 @@ from stepgap.hardware.hopper.jog_trial import (
     MOST_DELAY,
     MOST_DRIVE_DELAY,
     LinkAnswer,
-    jog_answer,
     hand_failure,
+    jog_answer,
 )
 from stepgap.hardware.hopper.ring_rig import emulated_settings
 from stepgap.hardware.realtime.board import Board, Request
