@@ -177,7 +177,7 @@ def check_robot_steps(run: Run, probes: Steps) -> Iterator[PartResult]:
     steps = joined([run.steps, probes]) if len(probes) else run.steps
     response = list(_response(steps, nominal, run.noise_floor / run.space.state_scale))
     noise = _noise(run, _first(response))
-    gap = _gap(steps, nominal, _first([*response, noise]))
+    gap = _gap(run.steps, nominal, _first([*response, noise]))
     first = _first([*response, noise, gap])
     yield from (_motion(run, first), _ranges(run, steps, first), gap, *response, noise)
 
@@ -275,7 +275,7 @@ def _response(steps: Steps, nominal: StepMap, noise: Array) -> Iterator[PartResu
     if not sentences and (found is None or found.contradicting.any() or found.unexplained > REMEMBERED):
         sentences = causes(steps, nominal, found)
     evidence = contradictions(found) if found else []
-    least = LEAST_REMEMBERED if evidence else REMEMBERED
+    least = LEAST_REMEMBERED if found and (evidence or found.doubtful) else REMEMBERED
     remembered = list(unmeasured_state(found, noise, least)) if found and not sentences else []
     if evidence and not sentences and not remembered:
         advice = "No single mistake explains this: compare these effects in the map with those in the robot's program."

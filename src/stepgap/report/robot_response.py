@@ -25,6 +25,7 @@ from stepgap.step import Array, Quantity, StepMap, StepSpace
 _CONFIDENT: Final = 0.9995  # Of the one-sided quantile of the intervals
 _ALLOWED: Final = 0.03  # Added to each interval for curvature, of which the regression knows nothing
 _UNSEEN: Final = 3e-3  # Part of the largest singular value below which the steps do not show a direction
+_NEAR: Final = 2.0  # Steps from states up to here are compared [half ranges from the middle]
 _WEIGHTY: Final = 0.1  # Smallest derivative by the map that a robot can contradict
 _WEAKER: Final = 0.45  # Largest ratio of robot to map that contradicts it
 _STRONGER: Final = 2.2  # Smallest one
@@ -80,6 +81,17 @@ class Derivatives:
         return np.minimum(*ends), np.maximum(*ends)
 
     @property
+    def _reversed(self) -> NDArray[np.bool_]:
+        """Derivatives that are of the other sign than by the map, which may be small there; shape (n, n + m)."""
+        apart = np.abs(self.by_robot - self.by_map)
+        return (self.ratio[1] < _REVERSED) & (apart > 3 * _WEIGHTY)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether a derivative by a state is of the other sign, however small it is by the map: it may be curvature."""
+        return bool(self._reversed[:, : len(self.space.state)].any())
+
+    @property
     def contradicting(self) -> NDArray[np.bool_]:
         """Which derivatives of the robot contradict those of the map."""
         n = len(self.space.state)
@@ -87,7 +99,7 @@ class Derivatives:
         apart = np.abs(self.by_robot - self.by_map)
         wrong = ((largest < _WEAKER) | (least > _STRONGER)) & (apart > _WEIGHTY)
         wrong |= (np.abs(self.by_map) < _WEIGHTY) & (np.abs(self.by_robot) - self.margin > _UNEXPECTED)
-        by_state = (largest < _REVERSED) & (apart > 3 * _WEIGHTY)
+        by_state = self._reversed & (np.abs(self.by_map) > 3 * _WEIGHTY)
         return np.hstack([by_state[:, :n], wrong[:, n:]])
 
     def in_words(self, row: int, column: int) -> str:
@@ -115,8 +127,11 @@ def measured_derivatives(steps: Steps, nominal: StepMap) -> Derivatives | None:
     matrices = nominal.jacobian(steps.state, steps.requested)
     usable = np.isfinite(steps.next_state + predicted).all(axis=1) & ~steps.doubtful
     usable &= np.isfinite(matrices).all(axis=(1, 2))
-    used = steps.selected(usable)
     size = 1 + n + len(space.command)
+    # Far outside of its ranges a robot that is about to fall is not linear; a wrong unit is far outside in every step.
+    near = usable & (np.abs(space.scaled_state(steps.state)) <= _NEAR).all(axis=1)
+    usable = near if near.sum() >= 2 * size else usable
+    used = steps.selected(usable)
     if len(used) < 2 * size:
         return None
     error = (used.next_state - predicted[usable]) / space.state_scale
@@ -435,6 +450,9 @@ def unmeasured_state(found: Derivatives, noise: Array, least: float = REMEMBERED
         part = 1 - left / total
         unexplained = float(np.sqrt(total))
         noisy = max(_UNEXPLAINED, _ABOVE_NOISE * float(np.nan_to_num(noise[row])))
+        # Curvature looks like memory, since states of neighbouring steps are alike.
+        if _curved(found, residual, row) >= _MOST_OF_IT:
+            continue
         if part > _MOST_OF_IT and np.sqrt(part) * unexplained > least:
             yield (
                 f"The robot remembers: {part:.0%} of the squared error of {quantity.name} that state and command do "
@@ -442,7 +460,7 @@ def unmeasured_state(found: Derivatives, noise: Array, least: float = REMEMBERED
                 "not measured, such as a velocity, a spring, or which leg stands: make it a state, or take two steps "
                 "as one."
             )
-        elif unexplained > noisy and _curved(found, residual, row) < _MOST_OF_IT:
+        elif unexplained > noisy:
             yield (
                 f"State and command do not explain {unexplained:.2g} half ranges of {quantity.name}. A state is not "
                 "measured, or the robot is not smooth: look for what else differs between two steps from one state "
