@@ -7,9 +7,9 @@ horizontal part; Q₁ alone takes the foot as pinned, and only tells the drives 
 
 Commands and torques of the motion pass the same low-pass filter, and are compared as
 
-    torque of the motion ≈ gain · command + lag · change of the command in two ticks.
+    torque of the motion ≈ gain · command some ticks before.
 
-Gain and lag are the robot's own, as is the largest deviation: it learns them in its first stances. Then a motion that
+Gain and delay are the robot's own, as is the largest deviation: it learns them in its first stances. Then a motion that
 deviates by more than its bound for some ticks stops the robot. An error of scale, which is a smaller deviation, shows
 in the gain of a whole stance, which a healthy robot repeats to some percent.
 """
@@ -30,24 +30,31 @@ FILTER_TIME, SIDEWAYS_TIME = 2.5e-3, 10e-3
 LEARNING_STANCES = 3
 """Number of stances after which a robot is judged by what it has learned of itself."""
 
-LEAST_GAIN, MOST_GAIN = 0.2, 1.5
+_LEAST_GAIN, _MOST_GAIN = 0.2, 1.5
 """Range of the gain: a motor that saturates, with a rotor that the model does not have, gives half of its command."""
 
-FAST, SLOW = 0.02, 5e-4
-"""Steps by which gain and lag follow in the first stances and later; what changes slowly is wear, not a fault."""
+_FAST, _SLOW = 0.02, 5e-4
+"""Steps by which the gain follows in the first stances and later; what changes slowly is wear, not a fault."""
 
-FIRST_SHARE, SHARE = 0.8, 0.3
-"""Part of the command, and of its change, by which the motion may deviate besides its bound; first and later."""
+SHORTEST_TICK = 8e-4
+"""Shortest tick that is judged [s]; in shorter ones, drives and their filters are late by more ticks than are tried."""
 
-FIRST_BOUND, MARGIN, MOST_LEARNED = 3.0, 1.6, 6.0
+_MOST_DELAY = 3  # Largest delay that is tried, besides that of one tick [ticks]
+
+_FIRST_SHARE, _SHARE = 0.8, 0.3
+"""Part of the command by which the motion may deviate besides its bound, in the first stances and later."""
+
+_FIRST_BOUND, _MARGIN, _MOST_LEARNED = 3.0, 1.6, 6.0
 """Bound in the first stances as a multiple of `motion_torque`; later as one of the largest own deviation, and the most
 that is learned of that as a multiple of `motion_torque`: links of some robots ring in flight."""
 
 WRONG_TICKS = 3
 """Number of ticks in a row in which the motion deviates, after which a drive is doubted."""
 
-LEARNED_FROM = 5
-"""Number of ticks after a change of contact from which gain and lag are learned."""
+_CLEARLY = 2  # Number of ticks for which a tick counts whose motion deviates by twice the bound or more
+
+_JUDGED_FROM, _LEARNED_FROM = 3, 8
+"""Number of ticks after a change of contact, or a gap, from which motion is judged, besides the delay; and learned."""
 
 LOADED_FROM, LEAST_LOADED = 10, 30
 """Number of ticks of a stance from which its gain is measured, and the least number of such ticks."""
@@ -55,18 +62,18 @@ LOADED_FROM, LEAST_LOADED = 10, 30
 LEAST_RATIO, MOST_RATIO = 0.8, 1.25
 """Range of the gain of a stance, as a multiple of the slow mean of those before."""
 
-MEAN_GAIN = 0.1  # Weight of the latest stance in that mean
+_MEAN_GAIN = 0.1  # Weight of the latest stance in that mean
 
 GRIP = 0.7
 """Horizontal force, as a part of the vertical one, beyond which the foot slips; an impact would seem to need more."""
 
-JITTER = 0.1
+_JITTER = 0.1
 """Largest error of the time between readings from which the acceleration is taken, in ticks: it counts as no error."""
 
 ALONE = 3.0
 """Ratio of the deviations of two motors from which one drive alone is doubted."""
 
-BETWEEN, FLIGHT, STANCE = 0, 1, 2
+_BETWEEN, _FLIGHT, _STANCE = 0, 1, 2
 """Contact in three readings in a row: it changed, there was none, or there was."""
 
 _MOTOR_1 = int(Limited.MOTOR_1_DISOBEYS)
@@ -78,12 +85,10 @@ class Follows(NamedTuple):
 
     Attributes:
         gain: Torque of the motion per command.
-        lag: The same per change of the command in two ticks.
-        most: Largest deviation beyond `SHARE` of the command in the first stances, in torques commanded [N·m].
+        most: Largest deviation beyond `_SHARE` of the command in the first stances, in torques commanded [N·m].
     """
 
     gain: float = 0.7
-    lag: float = 0.0
     most: float = 0.0
 
 
@@ -93,12 +98,34 @@ class Compared(NamedTuple):
     Attributes:
         moved: Torque that the motion needs.
         sent: Command.
-        changed: Change of the command in two ticks.
+        sent_1, sent_2, sent_3: Commands 1 to 3 ticks before.
     """
 
     moved: float = 0.0
     sent: float = 0.0
-    changed: float = 0.0
+    sent_1: float = 0.0
+    sent_2: float = 0.0
+    sent_3: float = 0.0
+
+
+class Delays(NamedTuple):
+    """Sums in the first flights, by which the delay is found.
+
+    Attributes:
+        product_0, product_1, product_2, product_3: Σ of the torque of the motion times the command with each delay.
+        square_0, square_1, square_2, square_3: Σ of the square of that command.
+        delay: Delay with which commands explain the motion best [ticks].
+    """
+
+    product_0: float = 0.0
+    product_1: float = 0.0
+    product_2: float = 0.0
+    product_3: float = 0.0
+    square_0: float = 0.0
+    square_1: float = 0.0
+    square_2: float = 0.0
+    square_3: float = 0.0
+    delay: int = 1
 
 
 class Loaded(NamedTuple):
@@ -135,14 +162,12 @@ class Disobedience(NamedTuple):
 
 
 class Applied(NamedTuple):
-    """Torques applied in the last three intervals between ticks, the latest first [N·m]."""
+    """Torques applied in the last two intervals between ticks, the latest first [N·m]."""
 
     latest_1: float = 0.0
     latest_2: float = 0.0
     before_1: float = 0.0
     before_2: float = 0.0
-    earlier_1: float = 0.0
-    earlier_2: float = 0.0
 
 
 class DriveMotion(NamedTuple):
@@ -152,27 +177,31 @@ class DriveMotion(NamedTuple):
         applied: Torques before this tick.
         force: Contact force of the latest reading [N]; 0 below the threshold.
         force_before: That of the reading before [N].
-        contact: `BETWEEN`, `FLIGHT` or `STANCE`.
+        contact: `_BETWEEN`, `_FLIGHT` or `_STANCE`.
         ticks: Number of ticks compared since it changed.
+        settled: Number of them since a reading was missing.
         flight_1, flight_2: How the motion follows the commands in flight, in directions 1 and 2.
         stance: The same in stance, in direction 2.
         compared_1, compared_2: What is compared now.
         loaded: The stances.
-        wrong: Number of ticks in a row in which the motion deviates.
+        delays: The delay of the commands.
+        wrong: Number of ticks in a row in which the motion deviates; a clear one counts as `_CLEARLY`.
         doubted: Torques when a drive was doubted.
     """
 
     applied: Applied = Applied()
     force: float = 0.0
     force_before: float = 0.0
-    contact: int = BETWEEN
+    contact: int = _BETWEEN
     ticks: int = 0
+    settled: int = 0
     flight_1: Follows = Follows()
     flight_2: Follows = Follows()
     stance: Follows = Follows()
     compared_1: Compared = Compared()
     compared_2: Compared = Compared()
     loaded: Loaded = Loaded()
+    delays: Delays = Delays()
     wrong: int = 0
     doubted: Disobedience = Disobedience()
 
@@ -189,27 +218,31 @@ def judge_motion(settings, state, sampled, motion, inputs):
         inputs: `TickInputs`.
     """
     before = state.drives
-    if settings.limits.motion_torque == np.inf or inputs.mode != Mode.STEP or state.watch.stopped != 0:
+    is_judged = settings.limits.motion_torque < np.inf and settings.sensor_model.tick >= SHORTEST_TICK
+    if not is_judged or inputs.mode != Mode.STEP or state.watch.stopped != 0:
         return before, 0
     force = inputs.contact_force if inputs.contact_force > settings.sensor_model.touchdown_force else 0.0
     after = before
     doubts = 0
-    if _is_regular(state.rates, sampled, settings.sensor_model.tick):
+    if not _is_regular(state.rates, sampled, settings.sensor_model.tick):
+        after = _restarted(before)  # torques in a gap would be missing in the filters
+    else:
         contact = _contact(force, before.force, before.force_before)
         if contact != before.contact:
             after, doubts = _begun(before, contact)
-        if contact != BETWEEN:
+        if contact != _BETWEEN:
             after = _compared(settings, state, after, motion, inputs)
             after, wrong = _judged(settings.limits.motion_torque, after)
             doubts |= wrong
     applied = Applied(
         latest_1=inputs.applied_1, latest_2=inputs.applied_2, before_1=before.applied.latest_1,
-        before_2=before.applied.latest_2, earlier_1=before.applied.before_1, earlier_2=before.applied.before_2,
+        before_2=before.applied.latest_2,
     )  # fmt: skip
     return DriveMotion(
         applied=applied, force=force, force_before=before.force, contact=after.contact, ticks=after.ticks,
-        flight_1=after.flight_1, flight_2=after.flight_2, stance=after.stance, compared_1=after.compared_1,
-        compared_2=after.compared_2, loaded=after.loaded, wrong=after.wrong, doubted=after.doubted,
+        settled=after.settled, flight_1=after.flight_1, flight_2=after.flight_2, stance=after.stance,
+        compared_1=after.compared_1, compared_2=after.compared_2, loaded=after.loaded, delays=after.delays,
+        wrong=after.wrong, doubted=after.doubted,
     ), doubts  # fmt: skip
 
 
@@ -217,15 +250,15 @@ def judge_motion(settings, state, sampled, motion, inputs):
 def _is_regular(rates, sampled, tick):
     """Whether the last three readings are a tick apart."""
     late = max(abs(sampled - rates.time - tick), abs(rates.time - rates.time_before - tick))
-    return rates.readings == 2 and late < JITTER * tick
+    return rates.readings == 2 and late < _JITTER * tick
 
 
 @as_written
 def _contact(latest, before, earlier):
     """Contact in three readings with these forces [N]."""
     if latest > 0.0 and before > 0.0 and earlier > 0.0:
-        return STANCE
-    return BETWEEN if latest > 0.0 or before > 0.0 or earlier > 0.0 else FLIGHT
+        return _STANCE
+    return _BETWEEN if latest > 0.0 or before > 0.0 or earlier > 0.0 else _FLIGHT
 
 
 @as_written
@@ -241,22 +274,38 @@ def _begun(before, contact):
         stances += 1
         ratio = gain / mean if stances > LEARNING_STANCES else 1.0
         if LEAST_RATIO <= ratio <= MOST_RATIO:
-            mean += max(1.0 / stances, MEAN_GAIN) * (gain - mean)
+            mean += max(1.0 / stances, _MEAN_GAIN) * (gain - mean)
         else:
             scale = 1.0 / (loaded.ticks * mean)
             doubted, doubts = _disobedience(
                 loaded.sent_1 / loaded.ticks, loaded.sent_2 / loaded.ticks, scale * loaded.moved_1,
                 scale * loaded.moved_2,
             )  # fmt: skip
-    none = Compared(moved=0.0, sent=0.0, changed=0.0)
     stood = Loaded(
         ticks=0, product=0.0, square=0.0, sent_1=0.0, sent_2=0.0, moved_1=0.0, moved_2=0.0, stances=stances, mean=mean
     )
     return DriveMotion(
         applied=before.applied, force=before.force, force_before=before.force_before, contact=contact, ticks=0,
-        flight_1=before.flight_1, flight_2=before.flight_2, stance=before.stance, compared_1=none, compared_2=none,
-        loaded=stood, wrong=before.wrong, doubted=doubted,
+        settled=0, flight_1=before.flight_1, flight_2=before.flight_2, stance=before.stance, compared_1=_nothing(),
+        compared_2=_nothing(),
+        loaded=stood, delays=_with_delay(before.delays), wrong=before.wrong, doubted=doubted,
     ), doubts  # fmt: skip
+
+
+@as_written
+def _restarted(before):
+    """`DriveMotion` with empty filters."""
+    return DriveMotion(
+        applied=before.applied, force=before.force, force_before=before.force_before, contact=before.contact,
+        ticks=before.ticks, settled=0, flight_1=before.flight_1, flight_2=before.flight_2, stance=before.stance,
+        compared_1=_nothing(), compared_2=_nothing(), loaded=before.loaded, delays=before.delays, wrong=before.wrong,
+        doubted=before.doubted,
+    )  # fmt: skip
+
+
+@as_written
+def _nothing():
+    return Compared(moved=0.0, sent=0.0, sent_1=0.0, sent_2=0.0, sent_3=0.0)
 
 
 @as_written
@@ -279,43 +328,86 @@ def _disobedience(sent_1, sent_2, moved_1, moved_2):
 def _compared(settings, state, drives, motion, inputs):
     """`DriveMotion` with this tick's torques in the filters and, in stance, in the sums."""
     tick = settings.sensor_model.tick
-    grounded = drives.contact == STANCE
+    grounded = drives.contact == _STANCE
     moved_1, moved_2, k = _moving_torques(settings.masses, state.rates, tick, motion, drives.force, grounded)
     past = drives.applied
     mean_1 = 0.5 * (past.latest_1 + past.before_1)
     mean_2 = 0.5 * (past.latest_2 + past.before_2)
-    change_1 = 0.5 * (inputs.applied_1 + past.latest_1 - past.before_1 - past.earlier_1)
-    change_2 = 0.5 * (inputs.applied_2 + past.latest_2 - past.before_2 - past.earlier_2)
     quick = tick / (FILTER_TIME + tick)
     slow = tick / (SIDEWAYS_TIME + tick) if grounded else quick
     sent_1 = mean_1 + mean_2
-    compared_1 = _filtered(drives.compared_1, slow, moved_1, sent_1, change_1 + change_2)
-    compared_2 = _filtered(
-        drives.compared_2, quick, moved_2 - k * moved_1, mean_1 - mean_2 - k * sent_1,
-        change_1 - change_2 - k * (change_1 + change_2),
-    )  # fmt: skip
+    compared_1 = _filtered(drives.compared_1, slow, moved_1, sent_1)
+    compared_2 = _filtered(drives.compared_2, quick, moved_2 - k * moved_1, mean_1 - mean_2 - k * sent_1)
     loaded = drives.loaded
-    if grounded and drives.ticks >= LOADED_FROM:
+    delays = drives.delays
+    if not grounded and drives.settled >= _LEARNED_FROM and loaded.stances < LEARNING_STANCES:
+        delays = _delays(delays, compared_2)
+    if grounded and drives.ticks >= LOADED_FROM and drives.settled >= _JUDGED_FROM + delays.delay:
+        sent_2 = _delayed(compared_2, delays.delay)
         loaded = Loaded(
-            ticks=loaded.ticks + 1, product=loaded.product + compared_2.moved * compared_2.sent,
-            square=loaded.square + compared_2.sent * compared_2.sent, sent_1=loaded.sent_1 + compared_1.sent,
-            sent_2=loaded.sent_2 + compared_2.sent, moved_1=loaded.moved_1 + compared_1.moved,
+            ticks=loaded.ticks + 1, product=loaded.product + compared_2.moved * sent_2,
+            square=loaded.square + sent_2 * sent_2, sent_1=loaded.sent_1 + compared_1.sent,
+            sent_2=loaded.sent_2 + sent_2, moved_1=loaded.moved_1 + compared_1.moved,
             moved_2=loaded.moved_2 + compared_2.moved, stances=loaded.stances, mean=loaded.mean,
         )  # fmt: skip
     return DriveMotion(
         applied=past, force=drives.force, force_before=drives.force_before, contact=drives.contact,
-        ticks=drives.ticks + 1, flight_1=drives.flight_1, flight_2=drives.flight_2, stance=drives.stance,
-        compared_1=compared_1, compared_2=compared_2, loaded=loaded, wrong=drives.wrong, doubted=drives.doubted,
+        ticks=drives.ticks + 1, settled=drives.settled + 1, flight_1=drives.flight_1, flight_2=drives.flight_2,
+        stance=drives.stance, compared_1=compared_1, compared_2=compared_2, loaded=loaded, delays=delays,
+        wrong=drives.wrong, doubted=drives.doubted,
     )  # fmt: skip
 
 
 @as_written
-def _filtered(before, weight, moved, sent, changed):
+def _filtered(before, weight, moved, sent):
     return Compared(
-        moved=before.moved + weight * (moved - before.moved),
-        sent=before.sent + weight * (sent - before.sent),
-        changed=before.changed + weight * (changed - before.changed),
+        moved=before.moved + weight * (moved - before.moved), sent=before.sent + weight * (sent - before.sent),
+        sent_1=before.sent, sent_2=before.sent_1, sent_3=before.sent_2,
+    )  # fmt: skip
+
+
+@as_written
+def _delays(sums, compared):
+    """`Delays` with the torques of another tick."""
+    return Delays(
+        product_0=sums.product_0 + compared.moved * compared.sent,
+        product_1=sums.product_1 + compared.moved * compared.sent_1,
+        product_2=sums.product_2 + compared.moved * compared.sent_2,
+        product_3=sums.product_3 + compared.moved * compared.sent_3,
+        square_0=sums.square_0 + compared.sent * compared.sent,
+        square_1=sums.square_1 + compared.sent_1 * compared.sent_1,
+        square_2=sums.square_2 + compared.sent_2 * compared.sent_2,
+        square_3=sums.square_3 + compared.sent_3 * compared.sent_3,
+        delay=sums.delay,
     )
+
+
+@as_written
+def _with_delay(sums):
+    """`Delays` with the delay by which the least squares of the motion are least, that is Σ² product / square most."""
+    most = 0.0
+    delay = sums.delay
+    for tried, product, square in (
+        (0, sums.product_0, sums.square_0), (1, sums.product_1, sums.square_1), (2, sums.product_2, sums.square_2),
+        (_MOST_DELAY, sums.product_3, sums.square_3),
+    ):  # fmt: skip
+        if product > 0.0 and product * product > most * square:
+            most = product * product / square
+            delay = tried
+    return Delays(
+        product_0=sums.product_0, product_1=sums.product_1, product_2=sums.product_2, product_3=sums.product_3,
+        square_0=sums.square_0, square_1=sums.square_1, square_2=sums.square_2, square_3=sums.square_3, delay=delay,
+    )  # fmt: skip
+
+
+@as_written
+def _delayed(compared, delay):
+    """Command in one direction that acts now [N·m]."""
+    if delay == 0:
+        return compared.sent
+    if delay == 1:
+        return compared.sent_1
+    return compared.sent_2 if delay == 2 else compared.sent_3
 
 
 @compiled
@@ -351,53 +443,55 @@ def _moving_torques(masses, rates, tick, motion, force, grounded):
 def _judged(limit, drives):
     """`DriveMotion` after the comparison, from which it learns, and the drives to doubt."""
     learns = drives.loaded.stances < LEARNING_STANCES
-    is_learned = drives.ticks >= LEARNED_FROM
+    moved_1 = drives.compared_1.moved
+    moved_2 = drives.compared_2.moved
+    sent_1 = _delayed(drives.compared_1, drives.delays.delay)
+    sent_2 = _delayed(drives.compared_2, drives.delays.delay)
     flight_1 = drives.flight_1
     flight_2 = drives.flight_2
     stance = drives.stance
-    if drives.contact == FLIGHT:
-        off_1, ratio_1 = _deviation(flight_1, drives.compared_1, limit, learns)
-        off_2, ratio_2 = _deviation(flight_2, drives.compared_2, limit, learns)
-        ratio = max(ratio_1, ratio_2)
-        if is_learned:
-            flight_1 = _learned(flight_1, drives.compared_1, off_1, limit, learns)
-            flight_2 = _learned(flight_2, drives.compared_2, off_2, limit, learns)
+    if drives.contact == _FLIGHT:
+        off_1 = moved_1 / flight_1.gain - sent_1
+        off_2 = moved_2 / flight_2.gain - sent_2
+        most = max(flight_1.most, flight_2.most)
+        ratio = max(_excess(most, sent_1, off_1, limit, learns), _excess(most, sent_2, off_2, limit, learns))
+        if drives.settled >= _LEARNED_FROM:
+            flight_1 = _learned(flight_1, sent_1, off_1, limit, learns)
+            flight_2 = _learned(flight_2, sent_2, off_2, limit, learns)
     else:
-        off_2, ratio = _deviation(stance, drives.compared_2, limit, learns)
-        off_1 = drives.compared_1.moved / stance.gain - drives.compared_1.sent
-        if is_learned:
-            stance = _learned(stance, drives.compared_2, off_2, limit, learns)
-    wrong = drives.wrong + 1 if ratio > 1.0 else 0
+        off_1 = moved_1 / stance.gain - sent_1
+        off_2 = moved_2 / stance.gain - sent_2
+        ratio = _excess(stance.most, sent_2, off_2, limit, learns)
+        if drives.settled >= _LEARNED_FROM:
+            stance = _learned(stance, sent_2, off_2, limit, learns)
+    wrong = drives.wrong
+    if drives.settled >= _JUDGED_FROM + drives.delays.delay:
+        wrong = wrong + min(int(ratio), _CLEARLY) if ratio > 1.0 else 0
     doubted = drives.doubted
     doubts = 0
     if wrong >= WRONG_TICKS:
-        sent_1 = drives.compared_1.sent
-        sent_2 = drives.compared_2.sent
         doubted, doubts = _disobedience(sent_1, sent_2, sent_1 + off_1, sent_2 + off_2)
     return DriveMotion(
         applied=drives.applied, force=drives.force, force_before=drives.force_before, contact=drives.contact,
-        ticks=drives.ticks, flight_1=flight_1, flight_2=flight_2, stance=stance, compared_1=drives.compared_1,
-        compared_2=drives.compared_2, loaded=drives.loaded, wrong=wrong, doubted=doubted,
+        ticks=drives.ticks, settled=drives.settled, flight_1=flight_1, flight_2=flight_2, stance=stance,
+        compared_1=drives.compared_1, compared_2=drives.compared_2, loaded=drives.loaded, delays=drives.delays,
+        wrong=wrong, doubted=doubted,
     ), doubts  # fmt: skip
 
 
 @as_written
-def _deviation(follows, compared, limit, learns):
-    """Deviation of the motion in one direction, in torques commanded [N·m], and its ratio to the largest allowed."""
-    off = (compared.moved - follows.lag * compared.changed) / follows.gain - compared.sent
-    bound = FIRST_BOUND * limit if learns else max(limit, MARGIN * follows.most)
-    share = FIRST_SHARE if learns else SHARE
-    return off, abs(off) / (bound + share * (abs(compared.sent) + abs(compared.changed)))
+def _excess(most, sent, off, limit, learns):
+    """Deviation of the motion in one direction as a multiple of the largest one allowed."""
+    if learns:
+        return abs(off) / (_FIRST_BOUND * limit + _FIRST_SHARE * abs(sent))
+    return abs(off) / (max(limit, _MARGIN * most) + _SHARE * abs(sent))
 
 
 @as_written
-def _learned(follows, compared, off, limit, learns):
+def _learned(follows, sent, off, limit, learns):
     """`Follows` after a step of normalised least mean squares."""
-    sent = compared.sent
-    changed = compared.changed
-    step = (FAST if learns else SLOW) * follows.gain * off / (sent * sent + changed * changed + 1.0)
+    step = (_FAST if learns else _SLOW) * follows.gain * off * sent / (sent * sent + 1.0)
     most = follows.most
     if learns:
-        most = min(max(most, abs(off) - SHARE * (abs(sent) + abs(changed))), MOST_LEARNED * limit)
-    gain = min(max(follows.gain + step * sent, LEAST_GAIN), MOST_GAIN)
-    return Follows(gain=gain, lag=follows.lag + step * changed, most=most)
+        most = min(max(most, abs(off) - _SHARE * abs(sent)), _MOST_LEARNED * limit)
+    return Follows(gain=min(max(follows.gain + step, _LEAST_GAIN), _MOST_GAIN), most=most)
