@@ -93,7 +93,8 @@ def hops_of(robot, nominal, replanned=True):
     learner = Learner.start(nominal, Steps(nominal.space), LearningSettings(residual="none"), 0)
     plant = plant_of(robot)
     if not replanned:
-        plant.take_replanned_step = lambda command, at_touchdown: plant.take_step(command)
+        replan = plant.take_replanned_step
+        plant.take_replanned_step = lambda command, at_touchdown: replan(command, lambda _: command)
     with closing(deploy(learner, plant, reference.of(nominal.space), 0)) as steps:
         return [each for each in steps if each.planned]
 
