@@ -48,7 +48,7 @@ WITHIN_A_HOP = {
     "pitch freezes": (Fault("frozen", 0, "boom_vertical"), ASCENT, "pitch frozen"),
     "pitch freezes in stance": (Fault("frozen", 0, "boom_vertical"), STANCE, "foot below ground"),
     "yaw freezes": (Fault("frozen", 0, "boom_horizontal"), ASCENT, "yaw against leg"),
-    "force freezes at zero": (Fault("frozen", 0, "contact_force"), ASCENT, "ground without contact"),
+    "force freezes at zero": (Fault("frozen", 0, "contact_force"), ASCENT, "the contact force is wrong"),
     "force freezes in stance": (Fault("frozen", 0, "contact_force"), STANCE, "contact"),
 }
 """Faults that only the rest of a hop reveals, the tick in which they begin, and the reason."""

@@ -69,9 +69,9 @@ DISOBEYS = Limited.MOTOR_1_DISOBEYS | Limited.MOTOR_2_DISOBEYS
 """Reasons to doubt a drive, which `drive_motion` finds."""
 
 DOUBTS = Limited(sum(reason for reason in Limited if reason >= Limited.MOTOR_1_FROZEN)) & ~(
-    Limited.OVERLOAD | Limited.POWER | DISOBEYS
+    Limited.OVERLOAD | Limited.POWER
 )
-"""Reasons to doubt a sensor, which `plausibility` finds."""
+"""Reasons to doubt a sensor or a drive, which `plausibility` and `drive_motion` find."""
 
 BRAKE_GROWTH = 10.0
 """Growth of the joint speed at which motors stop to brake, since the brake accelerates them [rad/s]."""
