@@ -56,7 +56,8 @@ def test_processes_of_multiprocessing_import_nothing_of_the_current_folder(folde
 
 
 def test_programs_of_the_user_may_import_what_lies_beside_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    monkeypatch.setenv("PYTHONSAFEPATH", "")  # so that the end of the test takes away what the program sets
+    monkeypatch.delenv("PYTHONSAFEPATH")
     before = dict(os.environ)
     import_nothing_from_here()
     assert os.environ["PYTHONSAFEPATH"]
