@@ -1,29 +1,34 @@
-"""The commands and code of docs/tutorial.md, one after the other, with three steps to each speed instead of six."""
+"""The code of docs/tutorial.md, one block after the other, with three steps to each speed instead of six."""
 
 import re
-import shlex
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import pytest
 
-from tests.cli.command_line import Command
+from docs.notebook import notebook_of
 
-PAGE = (Path(__file__).parent.parent / "docs" / "tutorial.md").read_text("utf-8")
-SHORTER = PAGE.replace("in range(6)", "in range(3)")
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "tutorial.md").read_text("utf-8")
+BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
-@pytest.mark.usefixtures("no_repeats", "no_report")
-def test_the_tutorial_runs(stepgap: Command, capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.usefixtures("no_repeats")
+def test_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    for language, block in re.findall(r"```(\w+)\n(.*?)```", SHORTER, re.DOTALL):
-        if language == "python":
-            exec(compile(block, "tutorial.md", "exec"), names)  # noqa: S102  (our own page)
-        else:
-            _, _, *arguments = shlex.split(block)
-            assert stepgap(*arguments, *(["--quiet"] if arguments[0] == "run" else [])).code == 0
+    for block in BLOCKS:
+        exec(compile(block.replace("0.2], 6)", "0.2], 3)"), "tutorial.md", "exec"), names)  # noqa: S102  (our own page)
     assert len(names["run"].steps) == 30
-    assert (names["rmse"](names["run"], 1) < names["rmse"](names["run"], 0)).all()
+    first, last = names["run"].deployments
+    assert (last.rmse < first.rmse).all()
     assert names["other"].settings.learning.residual == "linear"
-    for name in ("prediction_errors.png", "learned.png", "comparison.html"):
+    for name in ("tracking.png", "prediction_errors.png", "learned.png", "comparison.html"):
         assert Path(name).stat().st_size
+    assert mpl.rcParams["font.size"] == mpl.rcParamsDefault["font.size"]
+
+
+def test_the_notebook_is_that_of_the_page() -> None:
+    notebook = ROOT / "examples" / "notebooks" / "tutorial.ipynb"
+    assert notebook.read_text("utf-8") == notebook_of(PAGE)

@@ -8,7 +8,8 @@ The flow, from the model to a robot that tracks:
 4. Every step becomes a `StepRecord`; `fit_residual` learns actual − nominal from them (Eq. 12).
 5. `CorrectedMap` is nominal + residual (Eq. 13), again a `StepMap`, so 2 to 4 repeat with it.
 
-`run` makes the whole experiment in a folder, as the command `stepgap run` does; `run_experiment` is its loop.
+`run` makes the whole experiment in a folder, as the command `stepgap run` does; `run_experiment` is its loop. The other
+verbs of the command line are functions of `stepgap.verbs`.
 """
 
 import re
@@ -106,6 +107,15 @@ It is imported when the name is first used, so that the command line starts quic
 _RENAMED = {"LoadedRun": "Run", "StepLog": "Steps"}
 """Public names of earlier versions, with those that replace them."""
 
+_FIRST = (
+    *("run", "load_run", "Run", "Deployment", "Steps", "Reference", "paper_reference", "verbs"),
+    *("Robot", "Hopper", "MjcfRobot", "Simulation", "Plant", "RigPlant", "ModelPlant", "Rig", "Twin", "RealityGap"),
+    *("StepMap", "StepSpace", "Quantity", "StepRecord", "StepStatus", "ApexMap", "CorrectedMap", "Residual"),
+    *("StepController", "ControlSettings", "LearningSettings", "ResidualModel", "fit_residual", "fixed_point"),
+    *("reachable_set", "run_experiment", "Setup", "InputError", "StepGapError", "StepFailed"),
+)
+"""Names that `dir` shows, with which people begin; the others are parts of these."""
+
 __all__ = sorted(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
@@ -115,6 +125,8 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version  # its import takes a tenth of that of the command line
 
         return version("stepgap")
+    if name == "verbs":
+        return import_module("stepgap.verbs")
     if name in _RENAMED:
         raise AttributeError(f"stepgap has no {name!r} any more; use stepgap.{_RENAMED[name]}")
     if name not in _MODULES:
@@ -124,5 +136,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names."""
-    return [*__all__, *(name for name in globals() if name.startswith("__"))]
+    """The names with which people begin; `__all__` has all public ones."""
+    return [*_FIRST, *(name for name in globals() if name.startswith("__"))]

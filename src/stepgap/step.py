@@ -223,6 +223,15 @@ class StepSpace:
         """Names of the quantities of the context."""
         return tuple(quantity.name for quantity in self.context)
 
+    @property
+    def in_a_line(self) -> str:
+        """Names and units of state and command, for a line that describes an object."""
+        state, command = (
+            ", ".join(f"{quantity.name} [{quantity.unit}]" if quantity.unit else quantity.name for quantity in part)
+            for part in (self.state, self.command)
+        )
+        return f"state {state}; command {command or 'none'}"
+
     def named_context(self, values: Sequence[float]) -> dict[str, float]:
         """Context of a step by name, from all its numbers in the order of `context`, or from none."""
         return dict(zip(self.context_names if values else (), values, strict=True))
@@ -396,6 +405,9 @@ class StepMap(ABC):
     A subclass defines `space`, `evaluate` and `jacobian`; state (…, n) and command (…, m) broadcast
     over their leading axes.
     """
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.space.in_a_line}>"
 
     @property
     @abstractmethod

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stepgap.base.errors import InputError
-from stepgap.experiment.run import load_run
+from stepgap.experiment.run import Run, load_run
 from stepgap.robots.hopper.robot import Hopper
 from tests.cli.command_line import Command
 
@@ -112,3 +112,19 @@ def test_any_robot_is_loaded(stepgap: Command) -> None:
     logged = next(iter(run.steps.of_iteration(1)))
     plan = controller.plan(logged.record.state, logged.target)
     np.testing.assert_allclose(plan.command, logged.record.command, rtol=0, atol=1e-9)
+
+
+def test_a_run_shows_itself_in_a_notebook(folder: Path, tmp_path: Path) -> None:
+    run = load_run(folder)
+    for part in (run, run.final, run.nominal, run.corrected(), run.learner(), run.deployments[0], run.steps):
+        assert "\n" not in repr(part)
+        assert len(repr(part)) < 300
+    assert f"{len(run.recorded)} steps" in repr(run)
+    assert "RMSE of deployment 1" in run._repr_html_()
+    picture = run.plot()._repr_png_()  # pyright: ignore[reportAttributeAccessIssue]
+    assert picture.startswith(b"\x89PNG")
+    with pytest.raises(InputError, match=r"figure 'commandos': this run has .*did you mean 'commands'"):
+        run.figure("commandos")
+    empty = Run(tmp_path)
+    assert "not readable" in repr(empty)
+    assert "not readable" in empty._repr_html_()

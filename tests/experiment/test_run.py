@@ -10,8 +10,9 @@ from stepgap.base.errors import InputError
 from stepgap.experiment.run import Run
 from stepgap.experiment.settings import Experiment, SettingsFile
 from stepgap.learning.settings import LearningSettings
+from stepgap.learning.steps import column_names
 from stepgap.records import steps_csv
-from stepgap.records.steps_csv import StepWriter, column_names, digest, space_of_header
+from stepgap.records.steps_csv import StepWriter, digest, space_of_header
 from stepgap.step import ContextQuantity, Quantity, StepSpace, StepStatus
 from tests.report.runs import logged, write_run, write_summary
 

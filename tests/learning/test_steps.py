@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepgap.learning.steps import LoggedStep, Steps
+from stepgap.learning.steps import LoggedStep, Steps, column_names
 from stepgap.step import ContextQuantity, Quantity, StepRecord, StepSpace, StepStatus
 from tests.control.maps import YAW
 
@@ -94,3 +94,23 @@ def test_the_context_is_that_of_the_space() -> None:
     steps = Steps(replace(SPACE, context=(wind, YAW)), Steps(SPACE, [measured]))
     np.testing.assert_array_equal(steps.context, [[math.nan, 0.3]])
     assert steps.in_space(replace(SPACE, context=())).context.shape == (1, 0)
+
+
+def test_steps_are_indexed_and_described_in_a_line() -> None:
+    log = Steps(SPACE, [step(), step(number=2, status=StepStatus.FELL), step(1, 1)])
+    assert (log[-1].iteration, log[1].record.status, log[1:].iterations) == (1, StepStatus.FELL, [0, 1])
+    assert len(log[log.status == StepStatus.OK]) == 2
+    assert repr(log).startswith("<3 steps (2 of deployment 0, 1 of deployment 1): state ")
+    assert repr(Steps(SPACE)).startswith("<0 steps: ")
+    assert log._repr_html_().count("<tr>") == 1 + 3
+
+
+def test_the_columns_are_those_of_the_file() -> None:
+    log = Steps(SPACE, [step(), step(number=2, status=StepStatus.FELL)])
+    columns = log.to_dict()
+    assert list(columns) == column_names(SPACE)
+    assert columns["status"].tolist() == ["ok", "fell"]
+    np.testing.assert_array_equal(columns["step"], [1, 2])
+    for row, name in enumerate(SPACE.state_names):
+        np.testing.assert_array_equal(columns[f"next_{name}"], log.next_state[:, row])
+    assert all(len(values) == 0 for values in Steps(SPACE).to_dict().values())

@@ -13,12 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stepgap.base.errors import InputError
-from stepgap.learning.steps import LoggedStep
+from stepgap.learning.steps import LoggedStep, column_names
 from stepgap.records import steps_csv
 from stepgap.records.steps_csv import (
     RecordError,
     StepWriter,
-    column_names,
     digest,
     ends_with_whole_row,
     read_step_log,

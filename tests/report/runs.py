@@ -11,11 +11,11 @@ from stepgap.control.reference import Reference
 from stepgap.experiment.loop import Plants, Setup, run_experiment
 from stepgap.experiment.run import Given, Run
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.steps import LoggedStep
+from stepgap.learning.steps import LoggedStep, column_names
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.records.missing import Missing
 from stepgap.records.motion_file import INTERVAL
-from stepgap.records.steps_csv import column_names, row_of
+from stepgap.records.steps_csv import row_of
 from stepgap.records.summary import MEASURES
 from stepgap.report.run_report import write_report
 from stepgap.robots.scene import Link, Motion, Scene

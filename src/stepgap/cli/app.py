@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None, verbs: Callable[[str], App] = c
     debug = "--debug" in arguments
     try:
         with _warnings_as_lines():
-            _run_verb([argument for argument in arguments if argument != "--debug"], program, verbs)
+            run_words([argument for argument in arguments if argument != "--debug"], program, verbs)
     except KeyboardInterrupt as interrupt:
         warn(f"stopped{interrupt}")
         sys.exit(STOPPED)
@@ -71,7 +71,7 @@ def _is_interrupted(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _run_verb(arguments: Sequence[str], program: list[str], verbs: Callable[[str], App]) -> None:
+def run_words(arguments: Sequence[str], program: list[str], verbs: Callable[[str], App]) -> None:
     """Parses a command line and calls its verb.
 
     Raises:

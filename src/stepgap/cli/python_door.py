@@ -63,7 +63,7 @@ def run(
         InputError: A setting or a target is wrong, or the folder already holds a run.
         KeyboardInterrupt: It was interrupted; `resume=True` goes on.
     """
-    changes = [*_entries(settings)]
+    changes = [*setting_entries(settings)]
     folder_of_run = None if out is None else Path(fspath(out))
     if resume:
         given = changes or robot is not None or targets is not None
@@ -114,11 +114,11 @@ def _reference(experiment: Experiment, targets: ArrayLike) -> Reference:
         raise InputError(f"targets: {error}") from None
 
 
-def _entries(settings: Mapping[str, Any], table: str = "") -> Iterator[tuple[str, str]]:
+def setting_entries(settings: Mapping[str, Any], table: str = "") -> Iterator[tuple[str, str]]:
     """Dotted names and TOML values of nested settings."""
     for key, value in settings.items():
         if isinstance(value, Mapping):
-            yield from _entries(value, f"{table}{key}.")
+            yield from setting_entries(value, f"{table}{key}.")
             continue
         plain = value.item() if isinstance(value, np.generic) else value
         plain = fspath(plain) if isinstance(plain, PathLike) else plain

@@ -21,7 +21,7 @@ LARGEST_REFERENCE = 2**20  # Largest file of a reference that is read [bytes]
 SETTLING_STEPS = 4  # Steps after a change of the target that count as transient
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Reference:
     """The targets of all steps of a deployment.
 
@@ -50,6 +50,13 @@ class Reference:
             raise ValueError("there is no target; at least one number must be wanted")
         targets.flags.writeable = False
         object.__setattr__(self, "targets", targets)
+
+    def __repr__(self) -> str:
+        ranges = [
+            f"{name} {np.nanmin(column):g} to {np.nanmax(column):g}" if np.isfinite(column).any() else f"{name} free"
+            for name, column in zip(self.names, self.targets.T, strict=True)
+        ]
+        return f"<Reference of {len(self)} steps: {', '.join(ranges)}>"
 
     @classmethod
     def from_segments(cls, names: Sequence[str], segments: Sequence[tuple[int, Sequence[float]]], steps: int) -> Self:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from stepgap.step import Array, Outcome, StepMap, StepSpace, StepStatus
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class WrappedMap(StepMap):
     """A map with the uncertainty of another one; a subclass defines `space`, `evaluate` and `jacobian`.
 

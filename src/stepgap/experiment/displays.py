@@ -13,7 +13,11 @@ if TYPE_CHECKING:  # a report is written without what builds plants
     from stepgap.plants.compiled_rig import Rows
 
 DISPLAYS: Final = "stepgap.displays"
-"""Entry points of this group: `report`, which is `report.run_report.write_report`, and `live`, a `LivePage`."""
+"""Entry points of this group show a run.
+
+They are `report`, which is `report.run_report.write_report`; `figure`, which draws one figure of it; `summary`, its
+first sentences and table; and `live`, a `LivePage`.
+"""
 
 REPORTS: Final = "stepgap.reports"
 """Entry points of this group are `FolderReport`: reports of folders that are not those of runs."""

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable, Mapping
 from functools import cached_property, reduce
+from html import escape
 from math import isclose, isfinite
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self, TypedDict, TypeVar, Unpack, final
+from typing import TYPE_CHECKING, Any, Self, TypedDict, TypeVar, Unpack, final
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from stepgap.base.json_data import LARGEST_NUMBER
 from stepgap.base.normal import std_interval_95
 from stepgap.control.reference import mean_of_known
 from stepgap.experiment.deployment import DeploymentController
+from stepgap.experiment.displays import load_display
 from stepgap.experiment.inputs import load_known, load_priors
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import (
@@ -40,6 +42,9 @@ from stepgap.robots.entry_points import load_robot
 from stepgap.robots.published_result import PublishedResult
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap, StepSpace
+
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from matplotlib.figure import Figure
 
 _Part = TypeVar("_Part")
 
@@ -88,6 +93,34 @@ class Run:
             raise TypeError(f"a run has no part {min(unknown)!r}; its parts are {', '.join(Given.__annotations__)}")
         self.folder = Path(folder)
         vars(self).update(given)
+
+    def __repr__(self) -> str:
+        try:
+            return f"<run in {self.folder}: {self.recorded}>"
+        except InputError as error:
+            return f"<run in {self.folder}, not readable: {error}>"
+
+    def _repr_html_(self) -> str:
+        """What the run achieved, as the top of its report says it: notebooks show it."""
+        try:
+            return load_display("summary")(self.checked())
+        except InputError:
+            return escape(repr(self))
+
+    def plot(self) -> "Figure":
+        """Draws state and target against the step number, in the first and in the last deployment."""
+        return self.figure("tracking")
+
+    def figure(self, name: str) -> "Figure":
+        """Draws a figure of the report.
+
+        Args:
+            name: Name of its file in `figures/`, such as `tracking`, `commands` or `errors`.
+
+        Raises:
+            InputError: There is no such figure of this run; the message has the names of those that there are.
+        """
+        return load_display("figure")(self, name)
 
     def checked(self) -> Self:
         """Returns this run, after all of `steps.csv`, `summary.json` and `experiment.toml` was checked.

@@ -12,7 +12,7 @@ from stepgap.step import Array, Outcome, StepMap, StepSpace
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CorrectedMap(StepMap):
     """Nominal map plus residual (Eq. 13).
 

@@ -37,7 +37,7 @@ REFIT_GROWTH = 1.1
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Learner:
     """State of learning between two steps of a deployment; `Learner.start` returns the first one, `after` the next one.
 
@@ -62,6 +62,9 @@ class Learner:
     beliefs: Beliefs | None
     history: Array
     alarms: tuple[Alarm, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<Learner of deployment {self.iteration}, with residual '{self.settings.residual}': {self.known!r}>"
 
     @classmethod
     def start(

@@ -50,7 +50,7 @@ class HistoryInputs:
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Residual:
     """Predicts actual − nominal of the next state, with one regression for each coordinate.
 
@@ -74,6 +74,9 @@ class Residual:
     command_size: int
     history_inputs: HistoryInputs = HistoryInputs()
     history_values: Array | None = None
+
+    def __repr__(self) -> str:
+        return f"<Residual '{self.model.name}' of {len(self.regressions)} state coordinates>"
 
     def __post_init__(self) -> None:
         for regression in self.regressions:

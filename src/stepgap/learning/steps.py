@@ -2,11 +2,15 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Generic, Self, TypeVar, final
+from html import escape
+from importlib import import_module
+from typing import Any, Generic, Self, TypeVar, final, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stepgap.base.errors import InputError
+from stepgap.base.versions import INSTALL
 from stepgap.step import Array, Codes, StepRecord, StepSpace, StepStatus
 
 Labels = NDArray[np.intp]
@@ -14,6 +18,10 @@ Labels = NDArray[np.intp]
 
 _OF_STATE = ("state", "target", "next_state", "true_next_state", "predicted", "std")
 _OF_COMMAND = ("command", "requested", "applied")
+_NUMBERS = ("state", "target", *_OF_COMMAND, "next_state", "true_next_state", "predicted", "std", "context")
+_MOST_COUNTS = 6  # Number of deployments above which a line on steps does not count those of each
+_SHOWN_ROWS = 10  # Number of steps that notebooks show
+AFTER = "_after"  # End of the names of the columns of the context
 _LEAST_ROOM = 64  # Least number of steps for which memory is reserved
 TAINTED = {StepStatus.DOUBTFUL: 30, StepStatus.FELL: 1, StepStatus.UNSTABLE: 1}
 """Number of steps before one with such a status whose states are doubtful, too: small faults are found late.
@@ -118,6 +126,52 @@ class Steps:
     def selected(self, rows: NDArray[np.bool_] | Labels | slice) -> Self:
         """Some of the steps, given by a mask (N,), by their indices or by a slice."""
         return self._of_rows(self.rows[rows])
+
+    @overload
+    def __getitem__(self, rows: int) -> LoggedStep: ...
+
+    @overload
+    def __getitem__(self, rows: NDArray[np.bool_] | Labels | slice) -> Self: ...
+
+    def __getitem__(self, rows: int | NDArray[np.bool_] | Labels | slice) -> LoggedStep | Self:
+        """One step by its index, such as `steps[-1]`, or some of them, as `selected` takes them."""
+        if isinstance(rows, int | np.integer):
+            return _logged(self.space, self.rows[rows])
+        return self.selected(rows)
+
+    def __repr__(self) -> str:
+        counts = [f"{len(self.of_iteration(number))} of deployment {number}" for number in self.iterations]
+        of_deployments = f" ({', '.join(counts)})" if len(counts) <= _MOST_COUNTS else f" of {len(counts)} deployments"
+        return f"<{len(self)} steps{of_deployments if counts else ''}: {self.space.in_a_line}>"
+
+    def _repr_html_(self) -> str:
+        """The first steps as a table, which notebooks show."""
+        columns = self[:_SHOWN_ROWS].to_dict()
+        heads = "".join(f"<th>{escape(name)}</th>" for name in columns)
+        rows = [
+            "".join(f"<td>{value if isinstance(value, str) else format(value, '.4g')}</td>" for value in row)
+            for row in zip(*columns.values(), strict=True)
+        ]
+        body = "".join(f"<tr>{row}</tr>" for row in rows)
+        return f"<p>{escape(repr(self))}</p><table><tr>{heads}</tr>{body}</table>"
+
+    def to_dict(self) -> dict[str, NDArray[Any]]:
+        """The columns of `steps.csv` by their names, each with one value per step (N,); `status` is a word."""
+        numbers = np.hstack([self.rows[name] for name in _NUMBERS]).T
+        labels = np.array([StepStatus(code).label for code in self.status.tolist()], np.str_)
+        return dict(zip(column_names(self.space), [self.iteration, self.number, *numbers, labels], strict=True))
+
+    def to_pandas(self) -> Any:
+        """The columns of `to_dict` as a `pandas.DataFrame`.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        try:
+            pandas = import_module("pandas")  # most installations do not have it
+        except ImportError:
+            raise InputError(f"Steps.to_pandas needs pandas: {INSTALL} pandas; Steps.to_dict needs nothing") from None
+        return pandas.DataFrame(self.to_dict())
 
     def _of_rows(self, rows: NDArray[np.void], memory: "_Memory | None" = None) -> Self:
         steps = type(self)(self.space)
@@ -334,3 +388,20 @@ def as_past(known: Steps) -> Steps:
     """Steps renumbered as deployments before number 0."""
     count = max(known.iterations, default=-1) + 1
     return known.with_columns(iteration=known.iteration - count)
+
+
+def column_names(space: StepSpace) -> list[str]:
+    """Columns of `Steps.to_dict` and of `steps.csv`."""
+    state = space.state_names
+    command = space.command_names
+    return [
+        "iteration",
+        "step",
+        *state,
+        *(f"target_{name}" for name in state),
+        *command,
+        *(f"{kind}_{name}" for kind in ("requested", "applied") for name in command),
+        *(f"{kind}_{name}" for kind in ("next", "true_next", "predicted", "std") for name in state),
+        *(f"{name}{AFTER}" for name in space.context_names),
+        "status",
+    ]

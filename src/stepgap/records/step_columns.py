@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepgap.base.errors import InputError
-from stepgap.learning.steps import Steps
-from stepgap.records.steps_csv import AFTER, column_names, values_of
+from stepgap.learning.steps import AFTER, Steps
 from stepgap.step import Quantity, StepSpace
 
 STATE_MEANINGS = {
@@ -56,11 +55,7 @@ def step_columns(recorded: Steps, iteration: int | None = None) -> list[Column]:
         there = ", ".join(map(str, recorded.iterations))
         raise InputError(f"--deployment {iteration}: no step of it in the run; there are {there}")
     legend = _legend(steps.space)
-    rows = [list(values_of(logged, steps.space).values()) for logged in steps]
-    return [
-        Column(name, *legend[name], np.array(values))
-        for name, values in zip(column_names(steps.space), zip(*rows, strict=True), strict=True)
-    ]
+    return [Column(name, *legend[name], values) for name, values in steps.to_dict().items()]
 
 
 def _legend(space: StepSpace) -> dict[str, tuple[str, str]]:

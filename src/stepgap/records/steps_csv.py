@@ -14,7 +14,7 @@ import numpy as np
 from stepgap.base.errors import InputError
 from stepgap.base.files import naming, open_own, open_regular, read_bounded
 from stepgap.base.names import is_name
-from stepgap.learning.steps import LoggedStep, Steps
+from stepgap.learning.steps import AFTER, LoggedStep, Steps, column_names
 from stepgap.step import ContextQuantity, Quantity, StepRecord, StepSpace, StepStatus
 
 LARGEST_STEPS_FILE = 256 * 2**20  # Largest `steps.csv` that is read [bytes]
@@ -30,25 +30,7 @@ class RecordError(InputError):
 
 
 _FORMER = "place_after"  # Name of a column of the context in the first versions
-AFTER = "_after"  # End of the names of the columns of the context
 RECOVERY = "; `stepgap recover` saves what comes before it"  # End of the message about a damaged row
-
-
-def column_names(space: StepSpace) -> list[str]:
-    """Columns of `steps.csv`."""
-    state = space.state_names
-    command = space.command_names
-    return [
-        "iteration",
-        "step",
-        *state,
-        *(f"target_{name}" for name in state),
-        *command,
-        *(f"{kind}_{name}" for kind in ("requested", "applied") for name in command),
-        *(f"{kind}_{name}" for kind in ("next", "true_next", "predicted", "std") for name in state),
-        *(f"{name}{AFTER}" for name in space.context_names),
-        "status",
-    ]
 
 
 def check_names(space: StepSpace) -> None:

@@ -30,7 +30,7 @@ class OtherSchema(StepGapError, ValueError):
     """A summary of another version; the message is one line that names the file."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Deployment:
     """Tracking errors of one deployment, next state − target, over the steps that ended at their section.
 
@@ -69,6 +69,11 @@ class Deployment:
     unreachable: Array
     missed: Array
     alarms: tuple[Alarm, ...] = ()
+
+    def __repr__(self) -> str:
+        rmse = ", ".join(f"{error:.3g}" for error in self.rmse)
+        end = ", the last one failed" if self.failed_steps else ""
+        return f"<Deployment {self.iteration} with residual '{self.residual}': {self.steps} steps{end}, RMSE {rmse}>"
 
     @property
     def errors(self) -> Mapping[str, Array]:

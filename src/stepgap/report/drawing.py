@@ -39,6 +39,7 @@ MOST_VECTORS: Final = 2000
 
 LONGEST_LABEL: Final = 26  # Largest number of drawn characters of a name
 DOTS_PER_INCH: Final = 200  # Resolution of the PNG files
+NOTEBOOK_DOTS: Final = 80  # Resolution in the cells of notebooks, whose files stay small
 
 LOOK: Final[dict[Any, Any]] = {
     "font.size": 8,
@@ -106,6 +107,18 @@ def new_figure(height: float) -> "Figure":
     return Figure(figsize=(WIDTH, height), layout="constrained")
 
 
+def shown_in_notebooks(make: Callable[[], "Figure"]) -> "Figure":
+    """Draws a figure that notebooks show as a picture; without `pyplot`, they would show its name alone.
+
+    Args:
+        make: Returns the figure; it may import other modules.
+    """
+    with own_style(LOOK):
+        figure = make()
+    vars(figure)["_repr_png_"] = partial(_written, figure, "png", NOTEBOOK_DOTS)
+    return figure
+
+
 def _drawn(make: Callable[[], Any]) -> Drawing:
     with own_style(LOOK):
         figure = make()
@@ -154,8 +167,12 @@ def _lay_out(figure: Any) -> None:
 
 
 def _saved(figure: Any, file_format: str) -> bytes:
+    return _written(figure, file_format, DOTS_PER_INCH)
+
+
+def _written(figure: Any, file_format: str, dots: int) -> bytes:
     stream = BytesIO()
-    figure.savefig(stream, format=file_format, dpi=DOTS_PER_INCH, metadata=dict(UNDATED.get(file_format, {})))
+    figure.savefig(stream, format=file_format, dpi=dots, metadata=dict(UNDATED.get(file_format, {})))
     return stream.getvalue()
 
 

@@ -101,17 +101,27 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
     return page(title, [_top(analysis, title), *parts], script)
 
 
+def run_summary(run: Run) -> str:
+    """HTML of what a run achieved: a sentence, a table, and what was unusual.
+
+    Raises:
+        InputError: A file of the run is not valid.
+    """
+    return _summary(Analysis(run.checked()))
+
+
+def _summary(analysis: Analysis) -> str:
+    run = analysis.run
+    offsets = offset_sentences(run.steps.of_iteration(run.steps.iterations[-1]))
+    unusual = [*sentences(run), *offsets, *growth_sentences(analysis.loops)]
+    return f'<p class="headline">{safe(headline(run))}</p>\n{summary_table(run)}{bullets(unusual)}'
+
+
 def _top(analysis: Analysis, title: str) -> str:
     """The first screen: the result in a sentence and a table."""
-    run = analysis.run
     links = "".join(f'<a href="#{name}">{heading}</a>' for name, heading in CONTENTS.items())
-    offsets = offset_sentences(run.steps.of_iteration(run.steps.iterations[-1]))
-    note = " ".join([recorded(run), *times_in_words(run)])
-    return (
-        f'<h1>{safe(title)}</h1>\n<nav>{links}</nav>\n<p class="headline">{safe(headline(run))}</p>\n'
-        f"{summary_table(run)}{bullets([*sentences(run), *offsets, *growth_sentences(analysis.loops)])}"
-        f'<p class="note">{safe(note)}</p>'
-    )
+    note = " ".join([recorded(analysis.run), *times_in_words(analysis.run)])
+    return f'<h1>{safe(title)}</h1>\n<nav>{links}</nav>\n{_summary(analysis)}<p class="note">{safe(note)}</p>'
 
 
 def _numbers(run: Run) -> list[str]:

@@ -56,7 +56,7 @@ _OK, _FELL, _NO_TAKE_OFF, _INVALID = (
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SpringMassMap(StepMap):
     """(speed, height) of an apex, (fx, fz) → (speed, height) of the next apex.
 

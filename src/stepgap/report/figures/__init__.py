@@ -5,11 +5,18 @@ from dataclasses import dataclass
 from importlib import import_module
 from operator import attrgetter
 from pkgutil import iter_modules
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from stepgap.base.blas import one_blas_thread
+from stepgap.base.errors import InputError
+from stepgap.base.plugins import one_of
+from stepgap.experiment.run import Run
 from stepgap.records.missing import Missing
 from stepgap.report.analysis import Analysis
-from stepgap.report.drawing import Drawing, draw_figure
+from stepgap.report.drawing import Drawing, draw_figure, shown_in_notebooks
+
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -60,23 +67,67 @@ class DrawnFigure(NamedTuple):
 def run_figures() -> list[RunFigure]:
     """The figures that the modules of this folder define, in their order."""
     modules = [import_module(f"{__name__}.{module.name}") for module in iter_modules(__path__)]
-    found = {each.name: each for module in modules for each in vars(module).values() if isinstance(each, RunFigure)}
-    return sorted(found.values(), key=attrgetter("place"))
+    figures = {part.name: part for module in modules for part in vars(module).values() if isinstance(part, RunFigure)}
+    return sorted(figures.values(), key=attrgetter("place"))
 
 
 def drawn_figures(analysis: Analysis) -> list[DrawnFigure]:
     """Draws the figures of a run."""
-    return [drawn for figure in run_figures() if figure.is_known(analysis) for drawn in _drawn(figure, analysis)]
+    return [part.drawn() for part in _parts(analysis)]
 
 
-def _drawn(figure: RunFigure, analysis: Analysis) -> Iterator[DrawnFigure]:
-    """The figure, or that of each state coordinate."""
-    if not figure.of_each_state:
-        drawing = draw_figure(lambda: figure.draw(analysis), figure.subject)
-        yield DrawnFigure(figure.section, figure.name, f"{figure.name}-", figure.caption(analysis), drawing=drawing)
-        return
-    for row, name in enumerate(analysis.run.space.state_names):
-        drawing = draw_figure(lambda row=row: figure.draw(analysis, row), f"{figure.subject} of {name}")
-        caption = figure.caption(analysis, row)
-        prefix = f"{figure.name}_{row}-"
-        yield DrawnFigure(figure.section, f"{figure.name}_{name}", prefix, caption, drawing=drawing)
+def run_figure(run: Run, name: str) -> "Figure":
+    """Draws one figure of the report of a run.
+
+    Args:
+        run: The run.
+        name: Name of the figure's file, such as `tracking`.
+
+    Raises:
+        InputError: There is no such figure of this run, or a file of the run is not valid; the message has the names.
+    """
+    parts = {part.file: part for part in _parts(Analysis(run.checked()))}
+    if name not in parts:
+        raise InputError(f"figure {name!r:.80}: this run has {one_of(name, parts)}")
+    with one_blas_thread():
+        return shown_in_notebooks(parts[name].draw)
+
+
+class _Part(NamedTuple):
+    """A figure that is not drawn yet: of the whole run, or of the state coordinate with index `row`."""
+
+    figure: RunFigure
+    analysis: Analysis
+    row: int | None
+
+    @property
+    def file(self) -> str:
+        return self.figure.name if self.row is None else f"{self.figure.name}_{self._coordinate}"
+
+    @property
+    def _coordinate(self) -> str:
+        return "" if self.row is None else self.analysis.run.space.state_names[self.row]
+
+    @property
+    def _arguments(self) -> tuple[Any, ...]:
+        return (self.analysis,) if self.row is None else (self.analysis, self.row)
+
+    def draw(self) -> "Figure":
+        return self.figure.draw(*self._arguments)
+
+    def drawn(self) -> DrawnFigure:
+        of_what = "" if self.row is None else f" of {self._coordinate}"
+        return DrawnFigure(
+            section=self.figure.section,
+            file=self.file,
+            prefix=f"{self.figure.name}-" if self.row is None else f"{self.figure.name}_{self.row}-",
+            caption=self.figure.caption(*self._arguments),
+            drawing=draw_figure(self.draw, f"{self.figure.subject}{of_what}"),
+        )
+
+
+def _parts(analysis: Analysis) -> Iterator[_Part]:
+    for figure in run_figures():
+        if figure.is_known(analysis):
+            rows = range(len(analysis.run.space.state)) if figure.of_each_state else [None]
+            yield from (_Part(figure, analysis, row) for row in rows)

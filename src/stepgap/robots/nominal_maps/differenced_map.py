@@ -31,7 +31,7 @@ COMPARED_POINTS = 3, 12  # Smallest and largest number of points at which Jacobi
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DifferencedMap(StepMap):
     """Another map, whose derivatives are differences with a given step.
 

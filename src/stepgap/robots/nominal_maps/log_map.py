@@ -29,7 +29,7 @@ NAMED_COMPONENT = 0.01
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LogMap(StepMap):
     """A linear regression of the next state in state and command; made by `fit_log_map`. No step fails on it.
 

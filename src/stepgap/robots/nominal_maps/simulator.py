@@ -44,7 +44,7 @@ class Simulator:
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SimulatorMap(StepMap):
     """The steps of a simulator.
 

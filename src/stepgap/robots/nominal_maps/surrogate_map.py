@@ -44,7 +44,7 @@ MISJUDGED = 0.05
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SurrogateMap(StepMap):
     """A polynomial of state and command, continued linearly outside the sampled range; made by `fit_surrogate`.
 

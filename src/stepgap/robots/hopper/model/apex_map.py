@@ -99,7 +99,7 @@ def _differentiate_all(constants, nudge, points, jacobian):
             jacobian[i, 1, j] = (neighbour_height - next_height) / nudge[j]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ApexMap(StepMap):
     """Map [speed, height], [fx, fy] → next [speed, height] of the physics model.
 
