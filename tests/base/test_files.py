@@ -8,8 +8,19 @@ from pathlib import Path
 import pytest
 
 from stepgap.base.errors import InputError
-from stepgap.base.files import create, naming, new_file, new_folder, open_own, read_bounded_text, write_whole
+from stepgap.base.files import (
+    create,
+    naming,
+    new_file,
+    new_folder,
+    open_own,
+    own_folder,
+    read_bounded_text,
+    write_whole,
+)
 from stepgap.base.output_files import free_name, write_together
+from stepgap.records.model_files import model_path
+from stepgap.records.motion_file import motion_path
 from tests.full_disk import FILE_TOO_LARGE, largest_file
 
 
@@ -118,6 +129,24 @@ def test_neither_a_pipe_nor_a_device_is_read(tmp_path: Path) -> None:
     assert read_bounded_text(tmp_path / "short.csv", 11) == "height\r\n"
     with pytest.raises(InputError, match=r"short\.csv: larger than 10 bytes, so it is not read"):
         read_bounded_text(tmp_path / "short.csv", 10)
+
+
+def test_a_file_that_git_lfs_did_not_fetch(tmp_path: Path) -> None:
+    """Network, model or settings: the reason is not that their content is wrong."""
+    (tmp_path / "policy.onnx").write_text("version https://git-lfs.example/spec/v1\noid sha256:0\nsize 7\n")
+    with pytest.raises(InputError, match=r"policy\.onnx: not the file, but what Git LFS has in its place; .* lfs pull"):
+        read_bounded_text(tmp_path / "policy.onnx", 1000)
+
+
+def test_a_folder_of_a_run_that_is_a_link_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "home").mkdir()
+    (tmp_path / "run").mkdir()
+    (tmp_path / "latest").symlink_to("run")
+    assert own_folder(tmp_path / "latest", "models") == tmp_path / "latest" / "models"  # the run itself may be one
+    for name, path_in in (("models", model_path), ("replay", motion_path)):
+        (tmp_path / "run" / name).symlink_to(tmp_path / "home")
+        with pytest.raises(InputError, match=rf"{name}: a link, which is not followed; put the folder itself here"):
+            path_in(tmp_path / "run", 1)
 
 
 def test_nothing_is_written_through_a_link(tmp_path: Path) -> None:

@@ -133,6 +133,19 @@ def test_a_robot_from_a_model_has_its_parts_and_its_files(stepgap: Command, monk
     assert np.isfinite(robot.nominal_maps()["simulator"]()([0.1, 0.3], [0.0])).all()
 
 
+@pytest.mark.filterwarnings("default::stepgap.base.errors.StepGapWarning")
+def test_what_a_model_lacks_for_a_step_is_said(stepgap: Command) -> None:
+    """A URDF is a robot without its world: MuJoCo fixes its first link in the air."""
+    inertia = "<inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/></inertial>"
+    links = "".join(f"<link name='{name}'>{inertia}</link>" for name in ("trunk", "leg"))
+    hip = "<joint name='hip' type='continuous'><parent link='trunk'/><child link='leg'/></joint>"
+    Path("bare.urdf").write_text(f"<robot name='r'>{links}{hip}</robot>")
+    made = stepgap("new", "bare", "--mjcf", "bare.urdf")
+    assert made.code == 0
+    assert "--mjcf bare.urdf has no actuators, such as <motor" in made.err
+    assert "no joint that moves the robot, such as <freejoint/> in its first body; no ground" in made.err
+
+
 def test_a_wrong_name_in_a_robot_is_one_line_with_its_location(
     stepgap: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -51,6 +51,20 @@ def open_own(path: Path) -> BinaryIO:
     return open(path, "a+b", opener=_own)
 
 
+def own_folder(folder: Path, name: str) -> Path:
+    """Path of a folder that the program itself keeps within another one; it need not exist.
+
+    A link with this name, which may lead to any folder of the user, is not followed.
+
+    Raises:
+        InputError: It is a link.
+    """
+    path = folder / name
+    if path.is_symlink():
+        raise InputError(f"{path}: a link, which is not followed; put the folder itself here")
+    return path
+
+
 def _own(name: str, flags: int) -> int:
     return _regular(name, flags | os.O_NOFOLLOW)
 
@@ -65,11 +79,18 @@ def _regular(name: str, flags: int) -> int:
     return descriptor
 
 
+GIT_LFS = b"version https://git-lfs"
+"""Begin of what Git LFS has in the place of a file that was not fetched."""
+
+NOT_FETCHED = "not the file, but what Git LFS has in its place; get it by `git lfs pull`"
+"""What is wrong with a file that begins so."""
+
+
 def read_bounded(path: Path, largest: int) -> bytes:
     """Reads a regular file of at most `largest` bytes.
 
     Raises:
-        InputError: The file is larger, or it is a pipe or a device.
+        InputError: The file is larger, it is a pipe or a device, or Git LFS did not fetch it.
         OSError: It cannot be read.
     """
     content = bytearray()
@@ -78,6 +99,8 @@ def read_bounded(path: Path, largest: int) -> bytes:
             content += part
     if len(content) > largest:
         raise InputError(f"{path}: larger than {largest} bytes, so it is not read")
+    if content.startswith(GIT_LFS):
+        raise InputError(f"{path}: {NOT_FETCHED}")
     return bytes(content)
 
 

@@ -1,5 +1,6 @@
 """Files of NumPy from others, `.npy` and `.npz`: what they claim to hold is checked before memory is taken for it."""
 
+from collections.abc import Callable
 from io import BytesIO
 from math import prod
 from typing import Any
@@ -16,8 +17,12 @@ MOST_MEMBERS = 1000
 _MEMBER = b"PK\x01\x02"  # Each entry of the directory of a ZIP archive begins so
 
 
-def array_in(content: bytes) -> NDArray[Any]:
+def array_in(content: bytes, check_shape: Callable[[tuple[int, ...]], None] = lambda _: None) -> NDArray[Any]:
     """The array in a `.npy` file; its header must not claim more than the file holds.
+
+    Args:
+        content: The file.
+        check_shape: Raises an error where the array has too many values.
 
     Raises:
         ValueError: The content is not such an array, or one of Python objects, which is not unpickled.
@@ -33,6 +38,7 @@ def array_in(content: bytes) -> NDArray[Any]:
     shape, _, dtype = read_header(stream)
     if dtype.hasobject:
         raise ValueError("an array of Python objects, which is not unpickled; save numbers")
+    check_shape(shape)
     if prod(shape) * dtype.itemsize > len(content) - stream.tell():
         raise ValueError(f"truncated; the header declares the shape {shape}")
     stream.seek(0)

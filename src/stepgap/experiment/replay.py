@@ -1,5 +1,6 @@
 """The ticks of a recorded deployment: simulated again, or read from the tick log of a rig; the motion in them."""
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from hashlib import sha256
@@ -7,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stepgap.base.errors import InputError
+from stepgap.base.errors import InputError, StepGapWarning
+from stepgap.base.files import own_folder
 from stepgap.base.versions import versions_here
 from stepgap.experiment.loop import deployment_generator
 from stepgap.experiment.plants import simulation_of
@@ -94,7 +96,9 @@ def ground_of(run: Run, iteration: int, scene: Scene) -> GroundPieces | None:
     if not space.is_above_context:
         return None
     if settings.simulated:
-        return simulation_of(settings).ground(deployment_generator(settings.seed, iteration))
+        with warnings.catch_warnings():  # what the ground lacks was said when the run began
+            warnings.simplefilter("ignore", StepGapWarning)
+            return simulation_of(settings).ground(deployment_generator(settings.seed, iteration))
     above = next((quantity.above for quantity in space.state if quantity.name == scene.height), "")
     if not (above and scene.foothold in space.context_names):
         return None
@@ -183,7 +187,7 @@ def logged_ticks(run: Run, iteration: int) -> TickTable:
     robot = run.needed(run.robot)
     recorded = _steps_of(run, iteration)
     steps = recorded.planned()
-    path = run.folder / "ticks" / f"ticks-{iteration}.mcap"
+    path = own_folder(run.folder, "ticks") / f"ticks-{iteration}.mcap"
     control = robot.control()
     if control is None:
         raise InputError(f"robot '{robot.name}' has no control for a rig, so its ticks cannot be read")

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.base.errors import InputError
+from stepgap.base.files import own_folder
 from stepgap.experiment.loop import Plants
 from stepgap.experiment.plants import PlantRequest
 from stepgap.hardware.commissioning.check import checked
@@ -40,7 +41,7 @@ def rig_plants(request: PlantRequest) -> Plants:
     simulated = require_limits(settings.rig, limits).simulated
     loop, consent = supervised(LoopSettings(), control.consent_request, simulated)
     setup = RealtimeSetup(make_rig, control, loop)
-    logs = request.folder / "ticks"
+    logs = own_folder(request.folder, "ticks")
 
     def require_proofs() -> None:
         checked(Path(settings.rig))

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from stepgap.base.files import write_whole
+from stepgap.base.files import own_folder, write_whole
 from stepgap.base.json_data import as_object
 from stepgap.base.ranges import require
 from stepgap.learning.beliefs import Beliefs
@@ -50,8 +50,8 @@ class NominalSource:
 
 
 def model_path(folder: Path, iteration: int) -> Path:
-    """Path of the model with which a deployment of a run began."""
-    return folder / "models" / f"iteration_{iteration}.json"
+    """Path of the model with which a deployment of a run began; raises InputError if its folder is a link."""
+    return own_folder(folder, "models") / f"iteration_{iteration}.json"
 
 
 class Model(NamedTuple):

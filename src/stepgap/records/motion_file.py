@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from stepgap.base.files import read_bounded, write_whole
+from stepgap.base.files import own_folder, read_bounded, write_whole
 from stepgap.base.numpy_file import arrays_in
 from stepgap.robots.scene import GroundPieces, Motion, Scene
 
@@ -35,8 +35,8 @@ class Replay:
 
 
 def motion_path(folder: Path, iteration: int) -> Path:
-    """Path of the motion of a deployment."""
-    return folder / "replay" / f"deployment_{iteration}.npz"
+    """Path of the motion of a deployment; raises InputError if its folder is a link."""
+    return own_folder(folder, "replay") / f"deployment_{iteration}.npz"
 
 
 def write_motion(path: Path, motion: Motion, origin: str) -> Motion:

@@ -206,3 +206,23 @@ def test_times_that_are_none(times: np.ndarray, message: str, tmp_path: Path) ->
 def test_times_that_are_rounded_a_little_are_right(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("t,y\n" + "".join(f"{at // 10 / 100},0\n" for at in range(1000)))
     assert len(read_signal_log(str(tmp_path / "log.csv"), "", {}).signal("y")) == 1000
+
+
+@pytest.mark.parametrize(("factor", "advice"), [(1e3, "timestamp = 0.001"), (1e6, "timestamp = 1e-06")])
+def test_times_in_another_unit_are_not_taken_for_seconds(tmp_path: Path, factor: float, advice: str) -> None:
+    """At 100 rows a second; speeds would be wrong by the factor, without a word."""
+    rows = np.arange(50) / 100
+    (tmp_path / "log.csv").write_text("timestamp,x\n" + "".join(f"{factor * row},{row}\n" for row in rows.tolist()))
+    with pytest.raises(RecordError, match=rf"'timestamp': in seconds, its rows were .* such as {advice}, or 1 if"):
+        read_signal_log(str(tmp_path / "log.csv"), "", {})
+    in_seconds = read_signal_log(str(tmp_path / "log.csv"), "", {"timestamp": 1 / factor}).signal("x")
+    np.testing.assert_allclose(in_seconds.time, rows, atol=1e-12)
+    slow = read_signal_log(str(tmp_path / "log.csv"), "", {"timestamp": 1.0}).signal("x")
+    np.testing.assert_allclose(slow.time, factor * rows)
+
+
+def test_a_slow_file_beside_a_fast_one_is_in_seconds(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("t,x\n" + "".join(f"{row / 100},{row}\n" for row in range(2000)))
+    (tmp_path / "plan.csv").write_text("t,push\n" + "".join(f"{row},{row}\n" for row in range(20)))
+    log = read_signal_log(f"{tmp_path / 'log.csv'}+{tmp_path / 'plan.csv'}", "", {})
+    np.testing.assert_array_equal(log.signal("push").time, np.arange(20.0))

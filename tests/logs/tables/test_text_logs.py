@@ -275,3 +275,15 @@ def test_a_package_that_is_not_installed_is_named(tmp_path: Path, monkeypatch: p
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(RecordError, match=r"log\.h5: this format needs h5py: .*pip install 'stepgap\[logs\]'"):
         read_hdf5(False, tmp_path / "log.h5", {})
+
+
+def test_lists_in_cells_are_columns_of_their_elements(tmp_path: Path) -> None:
+    """As Python, NumPy and pandas write them; a shorter list has missing elements."""
+    text = 't,q,tau,note\n0,"[0.5, -1e-3, nan]",[1.5  2.],[a]\n1,"[0.25,2]",( 3 4 ),[b]\n2,,[5 6],[c]\n'
+    (tmp_path / "log.csv").write_text(text)
+    table = read_log_tables(tmp_path / "log.csv")[""]
+    np.testing.assert_array_equal(table.numbers("q[0]"), [0.5, 0.25, np.nan])
+    np.testing.assert_array_equal(table.numbers("q[1]"), [-1e-3, 2, np.nan])
+    np.testing.assert_array_equal(table.numbers("tau[1]"), [2, 4, 6])
+    assert table.columns["note"].tolist() == ["[a]", "[b]", "[c]"]
+    assert table.fault_of("q").startswith("no column 'q'; there is t, q[0], q[1], ")

@@ -42,6 +42,12 @@ def model(assets: str, geoms: str, compiler: str = "") -> str:
     return f"<mujoco>{compiler}<asset>{assets}</asset>{body}</mujoco>"
 
 
+IN_PACKAGE = (
+    "<robot name='r'><link name='base'><inertial><mass value='1'/><inertia ixx='1' iyy='1' "
+    "izz='1' ixy='0' ixz='0' iyz='0'/></inertial><collision><geometry><mesh filename="
+    "'package://my_robot/meshes/a.obj'/></geometry></collision></link></robot>"
+)
+
 FORMS = {
     "a mesh beside it": {"m.xml": model("<mesh file='a.obj'/>", MESHED.format("a")), "a.obj": MESH},
     "meshdir": {
@@ -79,10 +85,12 @@ FORMS = {
         "arm/parts/a.obj": MESH,
     },
     "a URDF with packages": {
-        "my_robot/urdf/r.urdf": "<robot name='r'><link name='base'><inertial><mass value='1'/><inertia ixx='1' iyy='1' "
-        "izz='1' ixy='0' ixz='0' iyz='0'/></inertial><collision><geometry><mesh filename="
-        "'package://my_robot/meshes/a.obj'/></geometry></collision></link></robot>",
+        "my_robot/urdf/r.urdf": IN_PACKAGE,
         "my_robot/meshes/a.obj": MESH,
+    },
+    "a URDF in a folder with another name than its package": {
+        "robot/urdf/r.urdf": IN_PACKAGE,
+        "robot/meshes/a.obj": MESH,
     },
     "assets beside the folder of the model": {
         "mjcf/m.xml": model("<mesh file='a.obj'/>", MESHED.format("a"), "<compiler meshdir='../meshes'/>"),
@@ -268,3 +276,11 @@ def test_parts_without_names_have_numbers(tmp_path: Path) -> None:
     assert (parts.joints, parts.touching) == (["", "k"], [1])
     assert parts.coordinates == {"height": 2, "rise": 2, "speed": 0}
     assert parts.start[2] == 0.4
+
+
+def test_a_mesh_that_git_lfs_did_not_fetch(tmp_path: Path) -> None:
+    """MuJoCo would say that it has too few vertices."""
+    unfetched = "version https://git-lfs.example/spec/v1\noid sha256:0\nsize 7\n"
+    main = written(tmp_path, {"m.xml": model("<mesh file='a.obj'/>", MESHED.format("a")), "a.obj": unfetched})
+    with pytest.raises(InputError, match=r"m\.xml: .*a\.obj: not the file, but what Git LFS has in its place"):
+        model_files(main)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter, validators
 
 from stepgap.base.errors import InputError
-from stepgap.base.files import create, new_folder
+from stepgap.base.files import create, new_folder, own_folder
 from stepgap.base.output_files import check_new, free_name, write_new, write_together, writing
 from stepgap.base.versions import optional_package
 from stepgap.cli.options import Integer, Name
@@ -176,7 +176,7 @@ def _export_layout(folder: Path, iteration: int | None, out: Path | None) -> Non
 
 def _logs_of_rig(folder: Path) -> Path:
     """Folder of the tick logs of a rig's run, which contains at least one."""
-    logs = folder / "ticks"
+    logs = own_folder(folder, "ticks")
     if not any(logs.glob("*.mcap")):
         raise InputError(f"{logs}: contains no .mcap file, so there are no ticks of this run")
     return logs

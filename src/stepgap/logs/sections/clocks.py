@@ -1,7 +1,7 @@
 """The time of each row of a log: its column, one clock for all topics, and counters that begin anew."""
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple, final
 
@@ -32,6 +32,7 @@ _APART: Final = 1.0  # Largest time between a stamp and the clock of the other s
 _COARSE: Final = 0.25  # Rounding of times that hides the motion within a step [s]
 _COARSE_SINGLE: Final = 0.02  # The same, if it is that of single precision, which nobody wants [s]
 _FIRST_DAY, _LAST_DAY, _DAYS = 20_000.0, 80_000.0, 2e-6  # Days of Excel, and their steps of less than 0.2 s
+_SLOWEST: Final = 0.4  # Time between two rows of a log [s] from which on it is in another unit, if that is not given
 _DELAYED: Final = 0.5  # Largest time by which messages are late from time to time [s]
 
 
@@ -88,14 +89,39 @@ class Clock:
         """Text for the user; empty if the log has no messages."""
         return f"{self.name} of {self.pairs.topic}" if self.pairs else self.name
 
+    def _column_of(self, table: LogTable) -> str | None:
+        names = [self.name] if self.name else TIMES
+        return next((one for one in names if not table.fault_of(one)), None)
+
+    def check_unit(self, tables: Iterable[tuple[LogTable, Array]]) -> None:
+        """Raises RecordError if the times of a log are in another unit than seconds, and their factor is not given.
+
+        The rows of its fastest table are then too far apart for motion. Times of messages are always in seconds.
+
+        Args:
+            tables: Tables and the times of their rows.
+        """
+        measured = [(table, time[np.isfinite(time)]) for table, time in tables if not _is_logged(table)]
+        apart = [float(np.median(np.diff(time))) if len(time) > _FEWEST else 0.0 for _, time in measured]
+        if min(apart, default=0.0) < _SLOWEST:
+            return
+        table = measured[int(np.argmin(apart))][0]
+        column = self._column_of(table)
+        if column is None or column in self.factors or table.columns[column].dtype.kind == "U":
+            return
+        factor = 1e-3 if min(apart) < 1e3 * _SLOWEST else 1e-6
+        raise RecordError(
+            f"{table.source}, column {column!r}: in seconds, its rows were {min(apart):.3g} s apart, too far to see "
+            f"steps; give its factor in [factors] of --columns, such as {column} = {factor:g}, or 1 if it is in seconds"
+        )
+
     def timed(self, table: LogTable) -> tuple[LogTable, Array] | None:
         """A table and the time of each row [s]; None if it has none.
 
         Raises:
             RecordError: The time goes back.
         """
-        names = [self.name] if self.name else TIMES
-        column = next((one for one in names if not table.fault_of(one)), None)
+        column = self._column_of(table)
         if self.pairs is None or not _is_logged(table):
             return (table, checked_times(table, column, self.factors)) if column else None
         placed = self.pairs.at(checked_times(table, LOGGED, self.factors))

@@ -11,7 +11,7 @@ import numpy as np
 from stepgap.logs.sections.clocks import TIMES
 from stepgap.logs.sections.section_settings import SectionSettings
 from stepgap.logs.sections.signals import Signal, SignalLog, divided
-from stepgap.logs.tables.log_table import LogTable, number_in, unknown_column
+from stepgap.logs.tables.log_table import LogTable, unknown_column
 from stepgap.logs.tables.reading import read_log_tables, with_topic
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
@@ -122,28 +122,17 @@ class Plans:
     factors: Mapping[str, float]
 
     def signal(self, column: str) -> Signal | None:
-        """A column of numbers, or the element of a column of lists as COLUMN[0]; None if there is no such column.
+        """A column of numbers; None if there is no such column.
 
         Raises:
             RecordError: It contains something else.
         """
-        values = self._numbers(column, self.factors.get(column, 1.0))
-        if values is None:
+        if self.table.fault_of(column):
             return None
+        values = self.table.numbers(column, self.factors.get(column, 1.0))
         known = np.isfinite(self.time) & np.isfinite(values)
         order = np.argsort(self.time[known], kind="stable")
         return Signal(self.time[known][order], values[known][order])
-
-    def _numbers(self, column: str, factor: float) -> Array | None:
-        if not self.table.fault_of(column):
-            return self.table.numbers(column, factor)
-        name, bracket, index = column.removesuffix("]").rpartition("[")
-        if not bracket or not index.isdecimal() or self.table.fault_of(name):
-            return None
-        cells = self.table.columns[name]
-        if cells.dtype.kind != "U":
-            return None
-        return np.array([_element(cell, int(index)) for cell in cells.tolist()]) * factor
 
 
 def read_plans(path: Path, log: SignalLog, settings: SectionSettings) -> Plans:
@@ -185,13 +174,6 @@ def _matching_times(signal: Signal, numbers: Array) -> Array:
         if len(equal) and equal[-1] - equal[0] == len(equal) - 1:
             found[row] = signal.time[equal[0]]
     return found
-
-
-def _element(cell: str, index: int) -> float:
-    """A number of a list such as `[2.4 2.1]` or `[2.4, 2.1]`; NaN if it has no such element."""
-    parts = cell.strip("[]() ").replace(",", " ").split()
-    number = number_in(parts[index]) if index < len(parts) else None
-    return float("nan") if number is None else number
 
 
 def joined_doubts(parts: Sequence[StepValues]) -> list[str]:

@@ -216,6 +216,7 @@ def _signal_log(
     untimed: list[LogTable] = []
     for path, tables in files:
         timed.append(_with_times(path, tables, clock, timed[0][0] if timed else None, untimed))
+    clock.check_unit((one.table, one.time) for file in timed for one in file)
     source = f"{text}, {deployment}" if deployment else text
     is_messages = any(LOGGED in one.table.columns for file in timed for one in file)
     return SignalLog(source, timed, factors, deployment, clock.described if is_messages else "", untimed)

@@ -3,7 +3,7 @@
 import warnings
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from io import BytesIO
+from math import prod
 from pathlib import Path
 from typing import Any
 from zipfile import ZipFile
@@ -11,6 +11,7 @@ from zipfile import ZipFile
 import numpy as np
 
 from stepgap.base.errors import StepGapWarning
+from stepgap.base.numpy_file import array_in
 from stepgap.logs.tables.files import content_of, leaving_out, reading
 from stepgap.logs.tables.log_table import MOST_NUMBERS, LogColumn, LogTable, check_size
 from stepgap.logs.tables.other_formats import kind_of_archive
@@ -185,20 +186,4 @@ def read_npz(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
 
 def _array(content: bytes, source: str) -> Any:
     """The array, after a check of its type and of its size against the content."""
-    stream = BytesIO(content)
-    version = np.lib.format.read_magic(stream)
-    read_header = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }.get(version)
-    if read_header is None:
-        raise ValueError(f"version {version} of the NumPy format is not read; 1.0 and 2.0 are")
-    shape, _, dtype = read_header(stream)
-    if dtype.hasobject:
-        raise ValueError("an array of Python objects, which is not unpickled; save numbers")
-    count = float(np.prod(shape, dtype=float))
-    check_size(source, count)
-    if count * dtype.itemsize > len(content) - stream.tell():
-        raise ValueError(f"truncated; the header declares the shape {shape}")
-    stream.seek(0)
-    return np.lib.format.read_array(stream, allow_pickle=False)
+    return array_in(content, lambda shape: check_size(source, prod(shape)))

@@ -32,8 +32,8 @@ from stepgap.logs.tables.bag_files import (
     unpacked,
 )
 from stepgap.logs.tables.files import LARGEST_FILE, LARGEST_PART, check_file_size, decompress_part, library, reading
-from stepgap.logs.tables.log_table import LogTable
-from stepgap.logs.tables.messages import MOST_ELEMENTS, Decoder, TopicRows, unreadable
+from stepgap.logs.tables.log_table import MOST_ELEMENTS, LogTable
+from stepgap.logs.tables.messages import Decoder, TopicRows, unreadable
 from stepgap.records.steps_csv import RecordError
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"

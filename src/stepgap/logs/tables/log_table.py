@@ -16,6 +16,9 @@ from stepgap.step import Array
 LARGEST_VALUE = 1e12  # Largest magnitude of a number that is accepted as a measurement
 MOST_NUMBERS = 2**25  # Largest number of values, rows times columns, that is read from one log
 
+MOST_ELEMENTS = 100
+"""Longest list in a row whose elements become columns; longer ones, such as pictures, are left out."""
+
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 LogColumn = NDArray[np.float64] | NDArray[np.str_]

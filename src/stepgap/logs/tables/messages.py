@@ -8,11 +8,9 @@ import numpy as np
 
 from stepgap.logs.tables.damaged_text import warn_of_cut
 from stepgap.logs.tables.files import cause_of
-from stepgap.logs.tables.log_table import MISSING, MOST_NUMBERS, LogColumn, LogTable, check_size
+from stepgap.logs.tables.log_table import MISSING, MOST_ELEMENTS, MOST_NUMBERS, LogColumn, LogTable, check_size
+from stepgap.logs.tables.named_elements import by_name
 from stepgap.records.steps_csv import RecordError
-
-MOST_ELEMENTS = 100
-"""Longest array in a message whose elements become columns; longer ones, such as pictures, are left out."""
 
 _STAMPS = ({"sec", "nanosec"}, {"sec", "nsec"}, {"secs", "nsecs"}, {"seconds", "nanos"})
 """Names of the parts of a time, in seconds and nanoseconds."""
@@ -100,8 +98,9 @@ class MessageRows:
             name: _values(cells + [None] * (len(self._lines) - len(cells))) for name, cells in self._columns.items()
         }
         kept = {name: values for name, values in columns.items() if values is not None}
+        named = by_name(self._source, kept, self._unread)
         lines = np.array(self._lines, np.intp) if has_lines else None
-        return LogTable(self._source, kept, lines, unread=self._unread)
+        return LogTable(self._source, named, lines, unread=self._unread)
 
 
 @final

@@ -6,8 +6,8 @@ from typing import Any
 
 from stepgap.logs.tables.arrays import numbers_or_labels
 from stepgap.logs.tables.files import check_file_size, leaving_out, library, reading
-from stepgap.logs.tables.log_table import MOST_NUMBERS, LogColumn, LogTable, check_size
-from stepgap.logs.tables.messages import MOST_ELEMENTS, too_long
+from stepgap.logs.tables.log_table import MOST_ELEMENTS, MOST_NUMBERS, LogColumn, LogTable, check_size
+from stepgap.logs.tables.messages import too_long
 
 PARQUET_MAGIC = b"PAR1"
 FEATHER_MAGIC = b"ARROW1\0\0"

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from stepgap.base.errors import StepGapWarning
+from stepgap.base.files import GIT_LFS, NOT_FETCHED
 from stepgap.logs.tables.arrays import NPY_MAGIC, read_npy, read_npz
 from stepgap.logs.tables.bag_files import ZSTD_MAGIC, begin_of_packed
 from stepgap.logs.tables.bags import (
@@ -29,8 +30,6 @@ from stepgap.logs.tables.other_formats import kind_of_other
 from stepgap.logs.tables.parquet_logs import FEATHER_MAGIC, PARQUET_MAGIC
 from stepgap.logs.tables.text import AS_FOUND, TextFormat, decoded, read_delimited_text
 from stepgap.records.steps_csv import RecordError
-
-_GIT_LFS = b"version https://git-lfs"
 
 NO_ROLES: Mapping[str, str] = MappingProxyType({})  # Columns whose meaning is not known
 
@@ -62,8 +61,8 @@ def read_log_tables(path: str | Path, written: TextFormat = AS_FOUND) -> Mapping
             raise RecordError(f"{path}: {kind}")
     if tables is None:
         content = content_of(path, LARGEST_LOG)
-        if content.startswith(_GIT_LFS):
-            raise RecordError(f"{path}: not the file, but what Git LFS has in its place; get it by `git lfs pull`")
+        if content.startswith(GIT_LFS):
+            raise RecordError(f"{path}: {NOT_FETCHED}")
         text = decoded(content, written.encoding, str(path))
         if text.lstrip().startswith("{"):
             return {"": read_json_lines(text, str(path))}

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from io import StringIO
-from itertools import chain, count, islice
+from itertools import chain, count, islice, starmap
 from typing import final
 
 import numpy as np
@@ -22,7 +22,7 @@ from stepgap.logs.tables.damaged_text import (
     without_cut_row,
     without_zeros,
 )
-from stepgap.logs.tables.log_table import LogTable, check_size, column_of_cells, number_in
+from stepgap.logs.tables.log_table import MOST_ELEMENTS, LogColumn, LogTable, check_size, column_of_cells, number_in
 from stepgap.records.steps_csv import RecordError
 
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
@@ -213,8 +213,30 @@ def read_delimited_text(text: str, written: TextFormat, source: str) -> LogTable
     numbered = [f"{name}[{next(numbers[name])}]" if name in repeated else name for name in header]
     columns = {name: column_of_cells([cells[at] for _, cells in rows]) for at, name in enumerate(numbered)}
     repeated |= _repeated(numbered)
+    columns = dict(chain.from_iterable(starmap(_elements, columns.items())))
+    check_size(source, len(rows) * len(columns))
     kept = {name: values for name, values in columns.items() if values is not None and name not in repeated}
     return LogTable(source, kept, lines, f"{source}, line {line}", repeated)
+
+
+_LIST = re.compile(r"\[([^\[\]]*)\]|\(([^()]*)\)")
+"""A list in a cell, as Python, NumPy and MATLAB write it: [2.4, 2.1], [2.4 2.1] or (2.4, 2.1)."""
+
+
+def _elements(name: str, column: LogColumn | None) -> Iterator[tuple[str, LogColumn | None]]:
+    """Yields a column of the file; if its cells are lists of numbers, their elements as NAME[0], NAME[1] and so on."""
+    cells = [] if column is None or column.dtype.kind != "U" else column.tolist()
+    lists = [_LIST.fullmatch(cell) for cell in cells]
+    if not any(lists) or any(cell and not one for cell, one in zip(cells, lists, strict=True)):
+        yield name, column
+        return
+    rows = [re.split(r"[,;\s]+", one[0][1:-1].strip(" \n,;")) if one else [] for one in lists]
+    width = max(map(len, rows))
+    if width > MOST_ELEMENTS or any(number_in(part) is None for row in rows for part in row):
+        yield name, column
+        return
+    for index in range(width):
+        yield f"{name}[{index}]", column_of_cells([row[index] if index < len(row) else "" for row in rows])
 
 
 def _repeated(names: Sequence[str]) -> frozenset[str]:

@@ -1,12 +1,13 @@
 """The folder of a robot with a MuJoCo model that `stepgap new --mjcf` makes."""
 
 import shutil
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from string import Template
 from typing import Any
 
-from stepgap.base.errors import InputError
+from stepgap.base.errors import InputError, StepGapWarning
 from stepgap.base.files import create
 from stepgap.cli.new_package import Starter, class_name, starter_text, write_robot
 from stepgap.mujoco_robots.mjcf.model_files import ASSETS, MODEL_FILE, model_files
@@ -35,9 +36,23 @@ def write_mjcf_robot(folder: Path, name: str, model: Path) -> None:
     """
     starter = starter_text(MJCF.file, TEXTS)
     class_ = class_name(name, starter)
-    code = _code_of_model(starter, name, class_, copied_model(model, folder))
+    parts = copied_model(model, folder)
+    _warn_of_missing(model, parts)
+    code = _code_of_model(starter, name, class_, parts)
     copied = [file for file in (MODEL_FILE, ASSETS) if (folder / file).exists()]
     write_robot(folder, name, MJCF, class_, code, copied)
+
+
+def _warn_of_missing(model: Path, parts: Parts) -> None:
+    """Warns of what a model lacks that every step needs, as a URDF does, which describes a robot without its world."""
+    missing = {
+        "no actuators, such as <motor joint=…/> in <actuator>": not parts.actuators,
+        "no joint that moves the robot, such as <freejoint/> in its first body": "height" not in parts.coordinates,
+        'no ground, such as <geom type="plane" size="50 50 1"/> in <worldbody>': not parts.ground,
+    }
+    if lacking := [text for text, is_missing in missing.items() if is_missing]:
+        shown = f"--mjcf {model} has {'; '.join(lacking)}: add what the robot needs to {MODEL_FILE}"
+        warnings.warn(shown, StepGapWarning, stacklevel=2)
 
 
 def copied_model(model: Path, folder: Path) -> Parts:

@@ -12,7 +12,7 @@ from typing import Final
 from xml.etree import ElementTree as ET
 
 from stepgap.base.errors import InputError, message_of
-from stepgap.base.files import read_bounded_text
+from stepgap.base.files import GIT_LFS, NOT_FETCHED, open_regular, read_bounded_text
 
 _MOST_ELEMENTS: Final = 50_000
 """Largest number of elements; what is repeated, or in a composite, counts as often as it is made."""
@@ -217,6 +217,9 @@ class _Found:
         known = source.resolve()
         if known not in self._names:
             self._count()
+            with open_regular(source) as file:
+                if file.read(len(GIT_LFS)) == GIT_LFS:
+                    raise InputError(f"{self.main}: {source}: {NOT_FETCHED}")
             name = source.name
             number = 2
             while name.lower() in map(str.lower, self._names.values()):
@@ -252,6 +255,7 @@ def _candidates(value: str, homes: list[Path], folders: list[str]) -> Iterator[P
             if folder.name == package:
                 yield folder / inner
             yield folder / package / inner
+        yield from (folder / inner for home in homes for folder in home.resolve().parents)  # under another name
         value = inner
     for text in (value, Path(value.replace("\\", "/")).name):
         for home in homes:
