@@ -17,10 +17,11 @@ from stepgap.hybrid.motion import axpy
 SOURCE = Path(__file__).parents[2] / "src"
 
 CALLER = """
-from stepgap.base.compiled import compiled
+from stepgap.base.compiled import compiled, from_python
 from robot.inner import value
 from robot.numbers import FACTOR
 
+@from_python
 @compiled
 def doubled(x):
     return FACTOR * value(x)
@@ -148,6 +149,13 @@ def test_another_checkout_of_the_same_content_does_not_compile_again(run: Run, p
         os.utime(file, (1e9, 1e9))
     shutil.rmtree(package)
     assert run(CALL, elsewhere, NUMBA_CACHE_DIR=cache) == "4.0 1"
+
+
+def test_python_may_call_a_function_that_compiled_code_calls(run: Run, package: Path) -> None:
+    """Compiled code calls a version without an entry for Python, which would end the process."""
+    code = "from robot.outer import doubled; from robot.inner import value; print(doubled(1.0), value(1.0), value(2))"
+    assert run(code, package.parent) == "4.0 2.0 3.0"
+    assert run(code, package.parent) == "4.0 2.0 3.0"
 
 
 def test_the_versions_that_were_not_used_for_longest_are_removed(run: Run, package: Path) -> None:

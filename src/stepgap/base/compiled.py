@@ -16,8 +16,9 @@ import shutil
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
+from types import FunctionType
 from typing import Any, Self, final
 
 import numba
@@ -87,7 +88,7 @@ def generic(function: Callable[..., Any]) -> Callable[..., Any]:
     A cache would refer to that type, and a process that cannot import the type could not read the cache.
     The compiled functions that call this function are cached, and their cache includes it.
     """
-    return numba.njit(**OPTIONS)(function)
+    return _inner(function, OPTIONS, numba.njit)
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -95,23 +96,67 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
     Functions compiled with it may call each other and take each other as arguments.
     """
-    return _cached(function, OPTIONS)
+    return _inner(function, OPTIONS, _cached)
 
 
 def as_written(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compiles under `AS_WRITTEN`, cached on disk: results are bit for bit those of the same lines in Python."""
-    return _cached(function, AS_WRITTEN)
+    return _inner(function, AS_WRITTEN, _cached)
 
 
-def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
-    if cache_folder() is None or not Path(function.__code__.co_filename).is_file():
-        return numba.njit(**options)(function)
-    previous = config.CACHE_LOCATOR_CLASSES
-    config.CACHE_LOCATOR_CLASSES = f"{ContentLocator.__module__}.{ContentLocator.__name__}"
-    try:
-        return numba.njit(cache=True, **options)(function)
-    finally:
-        config.CACHE_LOCATOR_CLASSES = previous
+def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compiles as `compiled` and inlines the function into its callers, which omit the results they do not use."""
+    return _inner(function, {**OPTIONS, "forceinline": True}, _cached)
+
+
+def from_python(function: Any) -> Callable[..., Any]:
+    """A decorator above one of the others: Python calls the function as often as compiled code does.
+
+    Then it has one version instead of two.
+    """
+    return function.for_python()
+
+
+def _inner(
+    function: Callable[..., Any], options: dict[str, Any], compile_by: Callable[..., Callable[..., Any]]
+) -> Callable[..., Any]:
+    """A function for compiled callers, without the code that unpacks Python's objects: half of the compilation.
+
+    A call from Python compiles another version, which has that code.
+    """
+    dispatcher: Any = compile_by(**options, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+    copy = FunctionType(function.__code__, function.__globals__, argdefs=function.__defaults__)
+    copy.__module__ = function.__module__
+    copy.__qualname__ = f"{function.__qualname__}_for_python"  # by which Numba names its file in the cache
+    dispatcher.for_python = cache(lambda: compile_by(**options)(copy))
+    insert = dispatcher._insert
+
+    def compile_for_python(*given: Any) -> Any:
+        """Called where no version for Python is known for the types of arguments; returns the entry of one."""
+        version = dispatcher.for_python()
+        entry = version._compile_for_args(*given)
+        insert([version.typeof_pyval(value)._code for value in given], entry, False)
+        return entry
+
+    dispatcher._insert = lambda *_: None  # the versions for compiled code are not for Python
+    dispatcher._compile_for_args = compile_for_python
+    return dispatcher
+
+
+def _cached(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """As `numba.njit`, with the cache, if there is one."""
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        if cache_folder() is None or not Path(function.__code__.co_filename).is_file():
+            return numba.njit(**options)(function)
+        previous = config.CACHE_LOCATOR_CLASSES
+        config.CACHE_LOCATOR_CLASSES = f"{ContentLocator.__module__}.{ContentLocator.__name__}"
+        try:
+            return numba.njit(cache=True, **options)(function)
+        finally:
+            config.CACHE_LOCATOR_CLASSES = previous
+
+    return decorate
 
 
 @final
@@ -171,11 +216,6 @@ def _used(folder: Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
     return folder
-
-
-def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compiles as `compiled` and inlines the function into its callers, which omit the results they do not use."""
-    return _cached(function, {**OPTIONS, "forceinline": True})
 
 
 def implements(operation: Callable[..., Any], system_type: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

@@ -36,22 +36,18 @@ def rate_jacobian(system, state, here) -> Any:
 
 
 @compiled
-def _sum(weights, vectors, i):
-    total = 0.0
-    for j in range(len(weights)):
-        total += weights[j] * vectors[j][i]
-    return total
-
-
-@compiled
 def axpy(state, factor, weights, vectors):
     """Computes state + factor · Σ weights · vectors."""
-    return (
-        state[0] + factor * _sum(weights, vectors, 0),
-        state[1] + factor * _sum(weights, vectors, 1),
-        state[2] + factor * _sum(weights, vectors, 2),
-        state[3] + factor * _sum(weights, vectors, 3),
-    )
+    sum_0 = 0.0
+    sum_1 = 0.0
+    sum_2 = 0.0
+    sum_3 = 0.0
+    for weight, vector in zip(weights, vectors):  # noqa: B905  (Numba has no `strict`)
+        sum_0 += weight * vector[0]
+        sum_1 += weight * vector[1]
+        sum_2 += weight * vector[2]
+        sum_3 += weight * vector[3]
+    return state[0] + factor * sum_0, state[1] + factor * sum_1, state[2] + factor * sum_2, state[3] + factor * sum_3
 
 
 @compiled

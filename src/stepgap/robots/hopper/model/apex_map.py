@@ -48,6 +48,8 @@ def _same_state(points, i):
     return i > 0 and points[i, 0] == points[i - 1, 0] and points[i, 1] == points[i - 1, 1]
 
 
+# Constants that compiled code passes to compiled code are types of their own to Numba, so `False` would be another
+# version of the function than `True`; `np.bool_(False)` is not.
 @compiled
 def _hop_all(constants, points, next_state, status):
     """Fills `next_state` (n, 2) and `status` (n,) for points (speed, height, fx, fy) of shape (n, 4)."""
@@ -58,11 +60,11 @@ def _hop_all(constants, points, next_state, status):
     for i in range(points.shape[0]):
         speed, height, force_x, force_y = points[i]
         if not _same_state(points, i):
-            landed, middle = to_midstance(masses, law, tolerances, speed, height, trace, False)
+            landed, middle = to_midstance(masses, law, tolerances, speed, height, trace, np.bool_(False))
         status[i], next_state[i] = landed if np.isfinite(force_x + force_y) else INVALID, np.nan
         if status[i] == OK:
             status[i], next_state[i, 0], next_state[i, 1] = to_apex(
-                masses, law, tolerances, middle, force_x, force_y, trace, False
+                masses, law, tolerances, middle, force_x, force_y, trace, np.bool_(False)
             )
 
 
@@ -79,13 +81,15 @@ def _differentiate_all(constants, nudge, points, jacobian):
     for i in range(points.shape[0]):
         speed, height, force_x, force_y = points[i]
         if not _same_state(points, i):
-            landed, middle = to_midstance(masses, law, tolerances, speed, height, trace_down, False)
+            landed, middle = to_midstance(masses, law, tolerances, speed, height, trace_down, np.bool_(False))
             if landed == OK:
-                _, faster = to_midstance(masses, law, tolerances, speed + nudge[0], height, trace_down, True)
-                _, higher = to_midstance(masses, law, tolerances, speed, height + nudge[1], trace_down, True)
+                _, faster = to_midstance(masses, law, tolerances, speed + nudge[0], height, trace_down, np.bool_(True))
+                _, higher = to_midstance(masses, law, tolerances, speed, height + nudge[1], trace_down, np.bool_(True))
         if landed != OK:
             continue
-        status, next_speed, next_height = to_apex(masses, law, tolerances, middle, force_x, force_y, trace_up, False)
+        status, next_speed, next_height = to_apex(
+            masses, law, tolerances, middle, force_x, force_y, trace_up, np.bool_(False)
+        )
         if status != OK:
             continue
         starts = (faster, higher, middle, middle)
@@ -93,7 +97,7 @@ def _differentiate_all(constants, nudge, points, jacobian):
             more_x = nudge[2] if j == 2 else 0.0
             more_y = nudge[3] if j == 3 else 0.0
             _, neighbour_speed, neighbour_height = to_apex(
-                masses, law, tolerances, starts[j], force_x + more_x, force_y + more_y, trace_up, True
+                masses, law, tolerances, starts[j], force_x + more_x, force_y + more_y, trace_up, np.bool_(True)
             )
             jacobian[i, 0, j] = (neighbour_speed - next_speed) / nudge[j]
             jacobian[i, 1, j] = (neighbour_height - next_height) / nudge[j]

@@ -11,7 +11,7 @@ a function so that its results are, to the last bit, those of the same code in P
 
 import numpy as np
 
-from stepgap.base.compiled import as_written
+from stepgap.base.compiled import as_written, from_python
 from stepgap.base.compiled_record import assign, loaded
 from stepgap.plants.tick_control import Mode, TickFlag
 from stepgap.robots.hopper.model.joint_control import landing_posture
@@ -289,6 +289,7 @@ def _flags(limits, hop, phase, checked):
     return flags
 
 
+@from_python
 @as_written
 def tick(
     settings, memory, row, time, age, motor_1, motor_2, boom_horizontal, boom_vertical, contact_force, frame_lost,
@@ -332,6 +333,7 @@ def tick(
     return torques, flags
 
 
+@from_python
 @as_written
 def interrupted_hop(settings, memory, applied_1, applied_2):
     """Returns (fx, fy, lost fx, lost fy) of the hop so far [N]: the command that acted and its part lost to limits.

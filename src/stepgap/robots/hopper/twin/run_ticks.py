@@ -77,7 +77,8 @@ def run_ticks(
             _mj_step(model, data)
         update_apex(apex, devices, views)
         time += tick_time
-        rows[i] = row
+        for column in range(len(row)):  # an assignment of arrays would compile the text of its error, for seconds
+            rows[i, column] = row[column]
         rows[i, TICK_COLUMN.applied_1], rows[i, TICK_COLUMN.applied_2] = applied_1, applied_2
         if flags & _ENDS_RUN:
             return i + 1, READ, flags, time, applied_1, applied_2
