@@ -9,6 +9,7 @@ import pytest
 
 from stepgap.logs.columns import read_columns
 from tests.cli.command_line import Command, refused
+from tests.full_disk import largest_file
 from tests.logs.sections.hopping_logs import HoppingLog, hopping, lost_rows, write
 
 STATE = ("--state", "speed=rate(forward),height")
@@ -55,7 +56,10 @@ def test_it_writes_steps_their_meaning_and_a_figure(log: HoppingLog, stepgap: Co
 
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="names of files are UTF-8 there")
-@pytest.mark.parametrize(("name", "label"), [("l\udcff.csv", "l\ufffd.csv"), ("a\nb.csv", "a\ufffdb.csv")])
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [("l\udcff.csv", "l\ufffd.csv"), ("a\nb.csv", "a\ufffdb.csv"), ("=cmd().csv", "'=cmd().csv")],
+)
 def test_a_log_may_have_any_name(name: str, label: str, log: HoppingLog, stepgap: Command) -> None:
     assert log
     Path("log.csv").rename(name)
@@ -194,6 +198,17 @@ def test_wrong_input_is_refused(stepgap: Command) -> None:
     for arguments, parts in WRONG:
         refused(stepgap("steps", *arguments, "--out", "steps.csv"), *parts)
     assert not Path("steps.csv").exists()
+
+
+@pytest.mark.usefixtures("log")
+def test_on_a_full_disk_nothing_is_left_of_the_outputs(stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not a table without its figure either, which would be in the way of the next try."""
+    monkeypatch.setattr("stepgap.logs.sections.section_figures.sections_picture", lambda *_: bytes(100_000))
+    with largest_file(90_000):
+        result = stepgap("steps", "log.csv", "--plan", "plan.csv", *APEXES, "--out", "steps.csv")
+    assert result.code == 2
+    assert "steps.png: cannot be written: File too large" in result.err
+    assert not list(Path().glob("*steps*"))
 
 
 @pytest.mark.usefixtures("log")

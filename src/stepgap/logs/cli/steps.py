@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from stepgap.base.errors import InputError
 from stepgap.base.files import read_bounded
-from stepgap.base.output_files import check_new, format_by_name, write_new, write_together
+from stepgap.base.output_files import check_new, format_by_name, write_together
 from stepgap.cli.options import Flag, ListOfNames, Name
 from stepgap.logs.sections.section_settings import SectionSettings, read_section_settings
 
@@ -76,11 +76,11 @@ def steps(
             found.append(each)
             print(describe_steps(each), flush=True)
     if refusals := [each.refusal for each in found if each.refusal]:
-        _draw(found, picture)
+        write_together(_drawn(found, picture), "--plot")
         raise InputError(f"{'; '.join(refusals)}. {picture} shows them; nothing else was written")
     text = columns_toml(found[0], settings)
-    write_together({out: steps_table(found), **({meaning: text} if text else {})}, "--out")
-    _draw(found, picture)
+    tables = {out: steps_table(found), **({meaning: text} if text else {})}
+    write_together({**tables, **_drawn(found, picture)}, "--out")
     if text:
         typed = (quote(f"./{path}" if str(path).startswith("-") else str(path)) for path in (out, meaning))
         print(f"stepgap fit {' --columns '.join(typed)} shows what can be learned from these steps", file=sys.stderr)
@@ -111,7 +111,8 @@ def _is_of_refused(picture: Path) -> bool:
         return False
 
 
-def _draw(found: "list[ExtractedSteps]", picture: Path) -> None:
+def _drawn(found: "list[ExtractedSteps]", picture: Path) -> dict[Path, bytes]:
+    """The figure, as the content of its file, in whose place there is no longer that of a refused log."""
     from stepgap.report.own_style import own_style
 
     with own_style():
@@ -120,4 +121,4 @@ def _draw(found: "list[ExtractedSteps]", picture: Path) -> None:
         content = sections_picture(found, picture.suffix[1:].lower())
     if _is_of_refused(picture):
         picture.unlink()
-    write_new(picture, "--plot", content)
+    return {picture: content}

@@ -85,10 +85,14 @@ def _row(log: ExtractedSteps, number: int) -> Iterator[float]:
 
 
 def label_of(log: ExtractedSteps) -> str:
-    """A short name for a log: that of its first file, with printable letters, and of the deployment in it."""
+    """A short name for a log: that of its first file, with printable letters, and of the deployment in it.
+
+    It is no formula where a spreadsheet opens the table.
+    """
     files = log.source.removesuffix(f", {log.deployment}") if log.deployment else log.source
     name = f"{Path(files.split('+')[0].strip()).name} {log.deployment}".rstrip()
-    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
+    shown = "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
+    return f"'{shown}" if shown.startswith(("=", "+", "-", "@")) else shown
 
 
 def _labels(logs: Sequence[ExtractedSteps]) -> list[str]:

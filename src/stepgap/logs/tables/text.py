@@ -338,7 +338,8 @@ def _cells(text: str, delimiter: str, first: int, source: str) -> Iterator[Row]:
             if len(row) > 1 or any(cell.strip() for cell in row):
                 yield first + rows.line_num, [cell.strip() for cell in row]
     except csv.Error as error:
-        raise RecordError(f"{source}, line {first + rows.line_num}: {error}; it must be a CSV file") from None
+        right = "it must be a CSV file, whose names of columns have no line ends"
+        raise RecordError(f"{source}, line {first + rows.line_num}: {error}; {right}") from None
 
 
 def _with_point(cell: str) -> str:
