@@ -90,9 +90,9 @@ def new(
         with new_folder(folder) as partial:
             for name, text in contents.items():
                 create(partial / name, text)
-            missing = []
+            missing, gait = [], ""
             if policy and mjcf:
-                missing = _starter("policy")(partial, folder.name, policy, mjcf)
+                missing, gait = _starter("policy")(partial, folder.name, policy, mjcf)
             elif mjcf:
                 _starter("mjcf")(partial, folder.name, mjcf)
             elif not contents:
@@ -100,6 +100,8 @@ def new(
     print(folder / "README.md")
     if missing:
         warn(f"fill in {', '.join(missing)} in {folder / 'policy.toml'} first: they are not in {policy}")
+    elif gait:
+        warn(gait)
     elif mjcf and not policy:
         warn(f"write the controller in {folder / folder.name}.py first, for the joints and actuators of the model")
     for command in next_commands(folder):

@@ -1,9 +1,9 @@
 """The interface of a robot: its settings, state and command, nominal maps, reference, and simulated plants."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -61,6 +61,20 @@ class Simulation(ABC):
         return None
 
 
+class RobotFinding(NamedTuple):
+    """What a robot knows of itself before its first run.
+
+    Attributes:
+        part: What it is about, a word.
+        right: Whether nothing has to be mended.
+        sentence: What was found and, if it is wrong, what to do.
+    """
+
+    part: str
+    right: bool
+    sentence: str
+
+
 class Robot(ABC):
     """A robot with its settings: a frozen dataclass, each field of which is a table of `experiment.toml`.
 
@@ -112,6 +126,10 @@ class Robot(ABC):
     def simulations(self) -> Mapping[str, Callable[[np.random.Generator], Simulation]]:
         """Its simulated plants by name, made from a generator that draws the world; the first one is the default."""
         return {}
+
+    def findings(self) -> Sequence[RobotFinding]:
+        """What `stepgap check` says of its simulation that only a robot of this kind has, such as its gait."""
+        return ()
 
     @property
     def as_modelled(self) -> Self:

@@ -13,6 +13,7 @@ from stepgap.cli.new_package import readme_name, starter_text
 from stepgap.mujoco_robots.cli.new_model import TEXTS, copied_model
 
 if TYPE_CHECKING:  # slow imports are made where they are used
+    from stepgap.mujoco_robots.velocity.policy.policy_robot import PolicyRobot
     from stepgap.mujoco_robots.velocity.policy.proposal import Proposal
 
 POLICY_FILE = "policy.toml"
@@ -21,14 +22,17 @@ STEP_SECONDS = 0.5  # About how long a step lasts [s]
 _WIDTH = 100  # Longest line of a comment
 
 
-def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> list[str]:
-    """Writes the files of a robot that a policy moves; returns what is to be filled in, as sentences.
+def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> tuple[list[str], str]:
+    """Writes the files of a robot that a policy moves.
 
     Args:
         folder: An empty folder.
         name: Its name.
         policy: Network of the policy, which is copied and tried.
         mjcf: MuJoCo model that is copied with all its files, and loaded.
+
+    Returns:
+        What is to be filled in, and what a walk shows of the gait, a sentence; empty if something is to be filled in.
 
     Raises:
         InputError: Network or model cannot be copied or loaded, or they do not fit.
@@ -39,6 +43,7 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> list[str]
     from stepgap.mujoco_robots.velocity.policy.policy_model import standing_height
     from stepgap.mujoco_robots.velocity.policy.policy_robot import PolicyFile, PolicyRobot
     from stepgap.mujoco_robots.velocity.policy.proposal import completed_model, propose_policy
+    from stepgap.mujoco_robots.velocity.walking_robot import Walk
 
     try:
         content = read_network(policy)
@@ -57,18 +62,19 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> list[str]
         write_whole(model, text)
     create(folder / POLICY_FILE, _policy_toml(found._replace(values=known)))
     missing = _missing(known, found.advice)
+    seconds, gait = step_seconds(known), ""
     try:
         height = standing_height(joints, positions, model)
         if not missing:
-            robot = PolicyRobot(policy=PolicyFile(str(folder / POLICY_FILE)))
-            robot.mjcf_spec().compile()
-            robot.walking_control()
+            walk = Walk(seconds=seconds, fall_height=0.5 * height)
+            robot = PolicyRobot(policy=PolicyFile(str(folder / POLICY_FILE)), walk=walk)
+            seconds, gait = _seconds_by_gait(robot)
     except ValueError as error:
         raise InputError(f"--policy {policy}, --mjcf {mjcf}: {str(error).replace(f'{folder}/', '')}") from None
     todo = f"\n**First fill in {', '.join(missing)} in `policy.toml`.**\n" if missing else ""
     values = {
         "name": readme_name(name),
-        "seconds": f"{step_seconds(known):.6g}",
+        "seconds": f"{seconds:.4g}",
         "fall_height": f"{0.5 * height:.3f}",
         "todo": todo,
         "added": "",
@@ -77,7 +83,24 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> list[str]
         values["added"] = f" It had no {' and no '.join(added)}, so they were added."
     for target, source in {"experiment.toml": "policy.toml.txt", "README.md": "README_policy.md.txt"}.items():
         create(folder / target, Template(starter_text(source, TEXTS)).substitute(values))
-    return missing
+    return missing, gait
+
+
+def _seconds_by_gait(robot: "PolicyRobot") -> tuple[float, str]:
+    """Duration of a step by a walk of the policy, and what that shows of its gait.
+
+    A clock in the observation is more accurate than the walk, if both agree.
+    """
+    from stepgap.mujoco_robots.velocity.gait import gait_of, measured_walk
+
+    clock = robot.walk.seconds
+    walk = measured_walk(robot)
+    if walk is None:
+        return clock, "the model falls at constant commands: compare policy.toml with the training (stepgap check)"
+    gait = gait_of(walk, clock)
+    seconds = clock if gait.fits(clock) else gait.whole_steps(STEP_SECONDS)
+    words = gait_of(walk, seconds).in_words(robot.space)
+    return seconds, f"the gait of the model: {words[0].lower()}{words[1:]}"
 
 
 def step_seconds(known: Mapping[str, Any]) -> float:

@@ -7,7 +7,7 @@ Its MuJoCo model, its start posture and its `WalkingControl` make a walking robo
 # (MuJoCo ships no types for its compiled part.)
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import exp, isfinite, radians
 from typing import Any, Self, final
@@ -22,6 +22,7 @@ from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfRobot
 from stepgap.mujoco_robots.mjcf.section import Section, every
 from stepgap.robots.gap import NOT_NEGATIVE, Drawn, Rule, difference, within
 from stepgap.robots.nominal_maps.affine_map import AffineMap
+from stepgap.robots.robot import RobotFinding
 from stepgap.step import Array, Quantity, StepMap, StepSpace
 
 _WHOLE = Rule(lambda value: value >= 0 and value == int(value), "be a whole number from 0 on")
@@ -273,6 +274,12 @@ class WalkingRobot(MjcfRobot):
         unit = np.eye(len(_NAMES))
         zero = np.zeros(len(_NAMES))
         return AffineMap(self.space, zero, zero, zero, np.hstack([kept * unit, (1 - kept) * unit]))
+
+    def findings(self) -> Sequence[RobotFinding]:
+        """Period, response and scatter of its gait, and whether a step has whole periods."""
+        from stepgap.mujoco_robots.velocity.gait import gait_finding
+
+        return [gait_finding(self)]
 
     def references(self) -> Mapping[str, Callable[[], Reference]]:
         """Walks with slow velocities and pauses, and stairs."""

@@ -134,6 +134,9 @@ def _of_motion(
     if not settings.simulated and not (settings.plant == PROCESS and program):
         text = f"Plant '{settings.plant}' is no simulation. Give the program of the robot after two dashes, or a plant."
         return [*results, PartResult("motion", "left out", text)]
+    if settings.simulated:
+        found = settings.robot.findings()
+        results += [PartResult(each.part, "ok" if each.right else "wrong", each.sentence) for each in found]
     return [*results, *_of_trial(settings, nominal, trial_reference(settings, held), out, program)]
 
 

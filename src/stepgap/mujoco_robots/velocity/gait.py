@@ -1,0 +1,229 @@
+"""What is known of a gait from the velocity of its body alone: its period, its response to commands, and its scatter.
+
+The velocity of a walking robot sways with its steps, so a mean over a part of the period depends on where in the gait
+it begins. The period is where the autocorrelation of the velocity at constant commands, taken over forward, sideways
+and turning velocity together, has its first high peak. The height of that peak says how strictly the gait is repeated.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# (MuJoCo ships no types for its compiled part.)
+
+from dataclasses import dataclass
+from math import nan
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from stepgap.mujoco_robots.velocity.walking_robot import WalkingRobot, body_velocity
+from stepgap.records.text import listed
+from stepgap.robots.robot import RobotFinding
+from stepgap.step import Array, StepSpace
+
+_INTERVAL: Final = 0.02  # About the time between two samples of a walk [s]
+_HELD: Final = 4.0  # Time for which a walk to measure a gait has the same command [s]
+_SETTLED: Final = 1.0  # Time after a change of command from which on its velocity counts as that of a held command [s]
+_SHORTEST, _LONGEST = 0.15, 1.6
+"""Range in which a period is sought [s]."""
+_HIGH: Final = 0.85  # Part of the height of the highest peak that makes an earlier peak the first high one
+_PERIODIC: Final = 0.5  # Height of the peak from which on a gait is called strictly periodic
+_OFF: Final = 0.05  # Largest distance of a step from whole periods that still counts as whole [periods]
+
+_COMMANDS: Final = np.array(
+    [
+        (0.5, 0.0, 0.0),
+        (0.8, 0.0, 0.0),
+        (0.4, 0.0, 0.0),
+        (0.6, 0.5, 0.0),
+        (0.6, -0.5, 0.0),
+        (0.6, 0.0, 0.5),
+        (0.6, 0.0, -0.5),
+        (0.9, 0.0, 0.0),
+        (0.4, 0.4, 0.4),
+        (0.4, -0.4, -0.4),
+    ]
+)
+"""Commands of that walk, as shares of the upper end of each range of use, or of the lower one."""
+
+
+@dataclass(frozen=True, eq=False)
+class ConstantWalk:
+    """Velocities of a body during a walk with commands that are held for `_HELD` seconds.
+
+    Attributes:
+        commands: Shape (K, 3) [m/s, m/s, rad/s].
+        velocities: Of the body; shape (K, N, 3).
+        interval: Time between two samples [s].
+    """
+
+    commands: Array
+    velocities: Array
+    interval: float
+
+
+@dataclass(frozen=True)
+class Gait:
+    """What a walk shows of a gait.
+
+    Attributes:
+        period: Time after which it repeats itself [s]; NaN if nothing repeats.
+        height: Autocorrelation of its velocities at the period, at most 1.
+        response: Time after a change of command in which 90 % of the change of velocity is done, for forward, sideways
+            and turning velocity; NaN for a velocity that does not follow [s].
+        scatter: Standard deviation of the mean velocities over the duration of a step, while the command stays the
+            same; (vx, vy, wz) [m/s, m/s, rad/s].
+    """
+
+    period: float
+    height: float
+    response: tuple[float, ...]
+    scatter: tuple[float, ...]
+
+    def whole_steps(self, about: float) -> float:
+        """Duration of a step of whole periods, near a given one [s]; that one where the gait has no strict period."""
+        if not self.height >= _PERIODIC:
+            return about
+        return self.period * max(1, round(about / self.period))
+
+    def fits(self, seconds: float) -> bool:
+        """Whether a duration is a whole number of periods, or the gait has no strict period."""
+        periods = seconds / self.period
+        return not self.height >= _PERIODIC or (periods > 1 - _OFF and abs(periods - round(periods)) <= _OFF)
+
+    def in_words(self, space: StepSpace) -> str:
+        """Period, response and scatter as sentences."""
+        slow = listed(
+            [
+                f"{seconds:.2g} s in {name}"
+                for name, seconds in zip(space.state_names, self.response, strict=True)
+                if np.isfinite(seconds)
+            ]
+        )
+        scatter = zip(space.state, np.array(self.scatter) / space.state_scale, strict=True)
+        spread = ", ".join(f"{quantity.name} {share:.2g}" for quantity, share in scatter)
+        repeats = f"It repeats every {self.period:.3g} s (autocorrelation of its velocities {self.height:.2f})"
+        if not self.height >= _PERIODIC:
+            repeats = f"It has no strict period (autocorrelation of its velocities {self.height:.2f} at most)"
+        follows = f"90 % of a change of command is done after {slow}" if slow else "it follows no command"
+        return f"{repeats}; {follows}; at a constant command its steps scatter by {spread} half ranges."
+
+
+def measured_walk(robot: WalkingRobot) -> ConstantWalk | None:
+    """Walks the model without differences at constant commands; None if it falls.
+
+    Args:
+        robot: The robot; its commands are shares of its ranges of use.
+    """
+    upper, lower = np.array([[quantity.upper, -quantity.lower] for quantity in robot.space.state]).T
+    commands = np.where(_COMMANDS >= 0, _COMMANDS * upper, _COMMANDS * lower)
+    model = robot.mjcf_model()
+    data = mujoco.MjData(model)
+    robot.place(model, data, np.zeros(3))
+    mujoco.mj_forward(model, data)
+    control = robot.controller()
+    substeps = max(1, round(robot.tick / model.opt.timestep))
+    ticks = max(1, round(_INTERVAL / robot.tick))
+    interval = ticks * substeps * model.opt.timestep
+    velocities = np.empty((len(commands), round(_HELD / interval), 3))
+    for number, command in enumerate(commands):
+        for sample in range(velocities.shape[1]):
+            for _ in range(ticks):
+                control(model, data, command)
+                mujoco.mj_step(model, data, substeps)
+            if robot.failed(model, data) or not np.isfinite(data.qvel).all():
+                return None
+            velocities[number, sample] = body_velocity(data)
+    return ConstantWalk(commands, velocities, interval)
+
+
+def gait_finding(robot: WalkingRobot) -> RobotFinding:
+    """What a walk of the model shows of its gait, and whether its step has whole periods."""
+    walk = measured_walk(robot)
+    if walk is None:
+        advice = "Compare the policy with its training, or choose narrower ranges of use."
+        found = "The model falls at constant commands within its ranges of use."
+        return RobotFinding("gait", right=False, sentence=f"{found} {advice}")
+    seconds = robot.walk.seconds
+    gait = gait_of(walk, seconds)
+    words = gait.in_words(robot.space)
+    if gait.fits(seconds):
+        return RobotFinding("gait", right=True, sentence=words)
+    part = f"A step of {seconds:g} s is {seconds / gait.period:.2f} periods"
+    why = "so its mean velocity depends on where in the gait it begins"
+    advice = f"Set walk.seconds = {gait.whole_steps(seconds):.4g}."
+    return RobotFinding("gait", right=False, sentence=f"{words} {part}, {why}. {advice}")
+
+
+def gait_of(walk: ConstantWalk, seconds: float) -> Gait:
+    """What a walk shows of the gait.
+
+    Args:
+        walk: The walk.
+        seconds: Duration of a step [s].
+    """
+    interval = walk.interval
+    settled = walk.velocities[:, round(_SETTLED / interval) :]
+    period, height = gait_period(settled, interval)
+    window = max(1, round((period if np.isfinite(period) else seconds) / interval))
+    response = tuple(_response(walk, axis, window) for axis in range(walk.commands.shape[1]))
+    return Gait(period, height, response, _scatter(settled, max(1, round(seconds / interval))))
+
+
+def gait_period(velocities: Array, interval: float) -> tuple[float, float]:
+    """Period of a gait by the first high peak of the autocorrelation of all velocities, and the height of the peak.
+
+    Args:
+        velocities: At constant commands, sampled at equal intervals, in several pieces; shape (K, N, 3).
+        interval: Time between two samples [s].
+
+    Returns:
+        Period [s], NaN if there is no peak from `_SHORTEST` to `_LONGEST`, and its height, at most 1.
+    """
+    pieces, length, _ = velocities.shape
+    centred = velocities - velocities.mean(axis=1, keepdims=True)
+    spread = np.sqrt(np.mean(centred**2, axis=(0, 1)))
+    sways = spread > 1e-9
+    scaled = centred / np.where(sways, spread, 1.0)
+    spectrum = np.abs(np.fft.rfft(scaled, 2 * length, axis=1)) ** 2
+    sums = np.fft.irfft(spectrum, 2 * length, axis=1)[:, :length].sum(axis=(0, 2))
+    lags = np.arange(length)
+    correlation = sums / (pieces * (length - lags) * max(1, np.count_nonzero(sways)))
+    first, last = round(_SHORTEST / interval), min(round(_LONGEST / interval), length // 2)
+    inner = np.arange(max(first, 1), last)
+    is_peak = (correlation[inner] >= correlation[inner - 1]) & (correlation[inner] > correlation[inner + 1])
+    peaks = inner[is_peak]
+    if not len(peaks):
+        return nan, 0.0
+    highest = correlation[peaks].max()
+    if highest <= 0:
+        return nan, 0.0
+    peak = peaks[correlation[peaks] > _HIGH * highest][0]
+    before, at, after = correlation[peak - 1 : peak + 2]
+    curvature = before - 2 * at + after
+    shift = 0.5 * (before - after) / curvature if curvature else 0.0
+    return float((peak + shift) * interval), float(min(at, 1.0))
+
+
+def _response(walk: ConstantWalk, axis: int, window: int) -> float:
+    """Time to 90 % of the change of a velocity, by the mean over all changes of its command [s]."""
+    changes = np.diff(walk.commands[:, axis])
+    velocities = walk.velocities[:, :, axis]
+    before = velocities[:-1, -window:].mean(axis=1)
+    # The mean response to a unit change, weighted so that it has the least variance.
+    rise = changes @ (velocities[1:] - before[:, None]) / max(float(changes @ changes), 1e-12)
+    # A mean over a period, which ends at the sample: half a period later than the velocity without its sway.
+    smooth = np.convolve(rise, np.ones(window) / window)[: len(rise)]
+    final = rise[-3 * window :].mean() if 3 * window < len(rise) else rise[-window:].mean()
+    reached = np.flatnonzero(smooth >= 0.9 * final)
+    if not (final > 0.1 and len(reached)):
+        return nan
+    return max(0.0, (reached[0] - window / 2) * walk.interval)
+
+
+def _scatter(settled: Array, window: int) -> tuple[float, ...]:
+    """Standard deviations of means over windows within a piece with one command; (K, N, 3) to (3)."""
+    count = settled.shape[1] // window
+    if count < 2:
+        return (nan,) * settled.shape[2]
+    means = settled[:, : count * window].reshape(len(settled), count, window, -1).mean(axis=2)
+    return tuple(np.sqrt(np.mean(means.var(axis=1, ddof=1), axis=0)).tolist())
