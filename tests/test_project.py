@@ -16,6 +16,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from stepgap.base import compiled
+from stepgap.cli.verbs import GROUPS
 
 ROOT = Path(__file__).parents[1]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -157,6 +158,12 @@ def test_readme_verbs_exist() -> None:
         outcome = subprocess.run([stepgap, verb, "--help"], capture_output=True, text=True, check=False)
         assert outcome.returncode == 0, f"README uses `stepgap {verb}`: {outcome.stderr}"
         assert f"stepgap {verb}" in outcome.stdout, f"README uses `stepgap {verb}`, which its help does not know"
+
+
+def test_readme_names_every_verb_of_the_help() -> None:
+    table = [line for line in (ROOT / "README.md").read_text(encoding="utf-8").splitlines() if line.startswith("|")]
+    named = {word for line in table for word in re.findall(r"`(\w+)`", line)}
+    assert named == {verb for verbs in GROUPS.values() for verb in verbs}
 
 
 def test_the_workflow_runs_the_check_and_the_tests_with_pythons_that_we_name() -> None:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from stepgap.base.compiled import generic
 from stepgap.cli.app import main
 from stepgap.cli.help_format import NARROWEST
-from stepgap.cli.verbs import GONE
+from stepgap.cli.verbs import GONE, GROUPS
 from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.records.steps_csv import StepWriter
@@ -516,6 +516,25 @@ def test_help_is_on_stdout(stepgap: Command, arguments: list[str], parts: list[s
     assert "--no-" not in result.out
     for word in parts:
         assert word in result.out
+
+
+def test_the_help_has_each_verb_once_under_its_heading(stepgap: Command) -> None:
+    """A verb of this package without a heading would stand among those of other packages."""
+    shown = stepgap("--help").out
+    panels = {
+        name: re.findall(r"^│ ([a-z]+) ", lines, re.MULTILINE)
+        for name, lines in re.findall(r"─ (.*?) ─+╮\n([^╰]*)", shown)
+    }
+    assert list(panels) == [*GROUPS, "Options"]
+    for heading, names in GROUPS.items():
+        assert tuple(panels[heading]) == names
+    assert "completion" not in shown
+
+
+def test_a_verb_that_no_list_shows_is_there(stepgap: Command) -> None:
+    result = stepgap("completion", "bash")
+    assert result.code == 0
+    assert "complete -F" in result.out
 
 
 @pytest.mark.parametrize("verb", ["report", "export", "recover", "doctor", "rig check"])

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from cyclopts import App, Parameter
+from cyclopts import App, Group, Parameter
 
 from stepgap.base.errors import InputError
 from stepgap.base.plugins import load_plugin, plugin_names
@@ -13,11 +13,21 @@ from stepgap.cli.terminal import warn
 VERBS = "stepgap.verbs"
 """Entry points of this group are functions with annotated parameters, or a Cyclopts `App` with verbs of its own."""
 
-ORDER = (
-    *("run", "settings", "new", "check", "sweep", "report", "compare", "view", "export", "recover", "steps", "fit"),
-    *("gait", "map", "doctor", "completion", "rig"),
-)
-"""Order of the verbs in the help; those of other packages follow by name."""
+GROUPS = {
+    "Start": ("run", "new", "settings", "doctor"),
+    "Run and look": ("report", "view", "compare", "explain", "sweep", "export", "recover"),
+    "Robots": ("check", "gait", "map", "prior"),
+    "Logs": ("steps", "fit"),
+    "Hardware": ("rig",),
+}
+"""Headings of the help with their verbs, in this order."""
+
+OTHERS, OPTIONS = "Other packages", "Options"
+"""Headings below those of the verbs of this package."""
+
+_HEADINGS = {name: Group(name, sort_key=number) for number, name in enumerate([*GROUPS, OTHERS, OPTIONS])}
+
+HIDDEN = "completion"  # A verb for the start of a shell, which no list shows
 
 
 _NO_MODEL = "no model is applied to a log now; type stepgap fit OLD_LOG --test LOG"
@@ -77,11 +87,22 @@ def command_line(only: str = "") -> App:
                 raise InputError(line) from error
             warn(line)
         else:
-            app[name].sort_key = ORDER.index(name) if name in ORDER else None
+            _place(app[name], name, names.index(name))
+    for flag in (*app.help_flags, *app.version_flags):
+        app[flag].group = _HEADINGS[OPTIONS]
     return app
+
+
+def _place(verb: App, name: str, number: int) -> None:
+    """Puts a verb under its heading of the help; `number` is its place among all verbs."""
+    headings = [heading for heading, names in GROUPS.items() if name in names]
+    verb.group = _HEADINGS[headings[0] if headings else OTHERS]
+    verb.sort_key = number
+    verb.show = name != HIDDEN
 
 
 def verb_names() -> list[str]:
     """Names of all verbs, in the order of the help."""
     installed = plugin_names(VERBS)
-    return [*(name for name in ORDER if name in installed), *(name for name in installed if name not in ORDER)]
+    ours = [name for names in GROUPS.values() for name in names]
+    return [*(name for name in ours if name in installed), *(name for name in installed if name not in ours)]
