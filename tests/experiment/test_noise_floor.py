@@ -87,7 +87,8 @@ def test_intervals_contain_the_noise_floor_as_often_as_they_say(ratio: float) ->
     np.testing.assert_allclose(inside / runs, 0.95, atol=0.025)
 
 
-def test_the_noise_floor_is_proportional_to_the_noise() -> None:
+def test_the_noise_floor_is_proportional_to_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(noise_floor, "PHASES", 8)
     floors = [
         measured(replace(SILENT, torque_noise=noise), reference=ONE_TARGET).same_phase for noise in (0.004, 0.012)
     ]
