@@ -31,9 +31,14 @@ def changed(run: Path, floor: float, **last: Any) -> Run:
 def test_an_error_above_three_noise_floors_is_not_called_tracking(hopper_run: Path) -> None:
     small = {"speed": 0.001, "height": 0.001}
     assert headline(changed(hopper_run, 0.001, rmse=small)).startswith("It tracked: the last deployment made all its")
-    large = small | {"height": 0.0031}
+    large = small | {"height": 0.0121}
     found = headline(changed(hopper_run, 0.001, rmse=large))
-    assert found.startswith("It did not track: the error of height is 3.1 noise floors. But the last deployment")
+    assert found.startswith(
+        "It did not track: the error of height is 10 % of its range (12 noise floors). But the last"
+    )
+    close = headline(changed(hopper_run, 0.001, rmse=small | {"height": 0.0031}))
+    text = "It followed its targets closely, the error of height is 2.6 % of its range (3.1 noise floors): the last"
+    assert close.startswith(text), "a robot with little noise is not blamed for a small error"
     unknown = headline(changed(hopper_run, 0.0, rmse=large))
     assert unknown.startswith("The last deployment made all its 40 steps"), "an unknown noise floor claims nothing"
 

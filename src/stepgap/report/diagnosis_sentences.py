@@ -32,7 +32,7 @@ def diagnosis_sentences(run: Run) -> list[str]:
     if isinstance(run.nominal, Missing):
         return [*far_states(first), *lost, *offsets, f"Not available: {run.nominal.reason}."]
     deployments = [first] if len(run.steps.iterations) == 1 else [first, last]
-    bounds = [sentence for steps in deployments for sentence in _bounds(steps)]
+    bounds = [sentence for steps in deployments for sentence in bound_sentences(steps)]
     return [*far_states(first), *lost, *offsets, *response_sentences(first, run.nominal), *bounds]
 
 
@@ -71,7 +71,7 @@ def response_sentences(steps: Steps, nominal: StepMap) -> list[str]:
     return [capitalised(sentence) for sentence in late]
 
 
-def _bounds(steps: Steps) -> list[str]:
+def bound_sentences(steps: Steps) -> list[str]:
     """Commands that were often at their bounds in a deployment."""
     command = steps.space.command
     parts = np.mean(np.abs(steps.space.point_of(steps.requested)) > AT_A_BOUND, axis=0)

@@ -7,7 +7,6 @@ from urllib.parse import quote
 import numpy as np
 
 from stepgap.control.reference import SETTLING_STEPS
-from stepgap.experiment.outcome import offset_sentences
 from stepgap.experiment.run import Run
 from stepgap.records.missing import Missing
 from stepgap.records.text import capitalised
@@ -24,6 +23,7 @@ from stepgap.report.gait_text import (
 )
 from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section, table
 from stepgap.report.learned_table import coverage_table, learned_sentences, learned_tables
+from stepgap.report.reasons import Reason, reasons
 from stepgap.report.replay_view import REPLAY_SCRIPT, replay_view
 from stepgap.report.sentences import floor_sentences, headline, published_sentence, recorded, sentences
 from stepgap.report.tables import (
@@ -112,9 +112,20 @@ def run_summary(run: Run) -> str:
 
 def _summary(analysis: Analysis) -> str:
     run = analysis.run
-    offsets = offset_sentences(run.steps.of_iteration(run.steps.iterations[-1]))
-    unusual = [*sentences(run), *offsets, *growth_sentences(analysis.loops)]
-    return f'<p class="headline">{safe(headline(run))}</p>\n{summary_table(run)}{bullets(unusual)}'
+    unusual = [*sentences(run), *growth_sentences(analysis.loops)]
+    return (
+        f'<p class="headline">{safe(headline(run))}</p>\n{summary_table(run)}{_reasons(reasons(run))}{bullets(unusual)}'
+    )
+
+
+def _reasons(why: Sequence[Reason]) -> str:
+    """The causes as a list: what was seen, what to do, and the command for it."""
+    items = [
+        f"<li>{safe(reason.sentence)} <strong>{safe(reason.advice)}</strong>"
+        f"{f'<br><code>{safe(reason.command)}</code>' if reason.command else ''}</li>"
+        for reason in why
+    ]
+    return f'<h2 class="why">Why, and what next</h2>\n<ol>{"".join(items)}</ol>' if items else ""
 
 
 def _top(analysis: Analysis, title: str) -> str:

@@ -9,7 +9,7 @@ from stepgap.experiment.outcome import TRACKED
 from stepgap.experiment.run import Run
 from stepgap.records.summary import Deployment
 from stepgap.records.text import between, capitalised, decimal, in_words, listed, unit_suffix
-from stepgap.report.verdict import NEAR_FLOOR, Achievement
+from stepgap.report.verdict import CLOSE, NEAR_FLOOR, Achievement
 from stepgap.robots.published_result import PublishedResult
 from stepgap.step import Array, StepStatus, ending_of
 
@@ -28,8 +28,10 @@ def headline(run: Run) -> str:
     far = achieved.beyond()
     if far:
         names = run.space.state_names
-        errors = [f"the error of {names[row]} is {decimal(ratio, 2)} noise floors" for row, ratio in far.items()]
-        verdict = f"It did not track: {listed(errors)}. But {to_end}"
+        errors = listed([f"the error of {names[row]} is {achieved.in_words(row)}" for row in far])
+        verdict = f"It did not track: {errors}. But {to_end}"
+        if all(achieved.parts[row] <= CLOSE for row in far):
+            verdict = f"It followed its targets closely, {errors}: {to_end}"
     elif np.isfinite(achieved.floor[achieved.rows]).all():
         verdict = f"It tracked: {to_end}"
     else:

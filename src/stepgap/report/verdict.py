@@ -1,6 +1,7 @@
 """What a run achieved, by state coordinate: its errors before and after learning, beside the noise floor.
 
-The *verdict* on a coordinate compares its errors with the noise floor only, the *change* its errors before and after.
+The *verdict* on a coordinate compares its errors with the noise floor and with its range of use, the *change* its
+errors before and after. An error far above the noise of a robot with little noise may be a small one.
 An error counts as changed if its ratio differs from one by more than both 95 % intervals explain, and not if both are
 near the noise floor. So nothing is claimed that noise explains.
 """
@@ -23,6 +24,9 @@ from stepgap.records.text import decimal
 from stepgap.step import Array
 
 ABOUT: Final = 1.05  # Factor between two errors without intervals up to which they count as equal
+
+CLOSE: Final = 0.03
+"""Errors up to this part of the range of use follow the targets, however little noise the robot has."""
 
 NEAR_FLOOR: Final = 1.25
 """Errors up to this number of noise floors are at the noise floor, where that has no interval."""
@@ -95,6 +99,11 @@ class Achievement:
         return np.where(floor > REACHED * self.run.space.state_scale, floor, np.nan)
 
     @property
+    def parts(self) -> Array:
+        """RMSE of the last deployment as parts of the ranges of use; shape (n,)."""
+        return self.after / (2 * self.run.space.state_scale)
+
+    @property
     def is_without_noise(self) -> bool:
         """Whether the noise floor is known, and zero in every coordinate."""
         return bool(np.isfinite(self.run.noise_floor).all() and np.isnan(self.floor).all())
@@ -117,6 +126,18 @@ class Achievement:
         ratios = self.after / self.floor
         return {row: float(ratio) for row, ratio in enumerate(ratios) if ratio > TRACKED}
 
+    def in_words(self, row: int) -> str:
+        """Error of a coordinate in the last deployment, by its size and by the noise."""
+        floors = self.after[row] / self.floor[row]
+        return f"{decimal(100 * self.parts[row], 2)} % of its range ({decimal(floors, 2)} noise floors)"
+
+    @property
+    def far_rows(self) -> list[int]:
+        """Coordinates whose errors have another cause than noise: far above it or, if it is unknown, in the range."""
+        beyond = self.beyond()
+        unknown = np.isnan(self.floor) & (self.parts > CLOSE)
+        return [row for row in self.rows if row in beyond or unknown[row]]
+
     def changes(self) -> list[float]:
         """Change of the error of each of the `rows`: 1 larger, −1 smaller, 0 if noise explains it, NaN if not known."""
         return [self._change(row) for row in self.rows]
@@ -137,7 +158,8 @@ class Achievement:
         if np.isnan(floor) or np.isnan(self.after[row]):
             return "no noise" if self.is_without_noise else "–"
         if row in self.beyond():
-            return f"not tracked: {decimal(self.after[row] / floor, 2)} noise floors"
+            verdict = "follows" if self.parts[row] <= CLOSE else "not tracked"
+            return f"{verdict}: {decimal(100 * self.parts[row], 2)} % of its range"
         steady = self.last.steady_rmse[row]
         reached = self.after[row] if np.isnan(steady) else steady
         if reached < (low if np.isfinite(low) else floor / NEAR_FLOOR):
