@@ -13,11 +13,12 @@ is an error of the simulation.
 
     ./go python benchmarks/false_alarms.py [--seeds 100-109] [--hops 227] [--lost 0.05] [--late 0.005]
         [--joint-speed 80] [--no-other-limits] [--physics-step 0.00025] [--roughness 0.003] [--slope 0.003]
+        [--ramps 0.1] [--stairs 0.056]
 """
 
 import argparse
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -32,6 +33,7 @@ from stepgap.base.compiled import as_written
 from stepgap.hardware.hopper.ethercat import read_rig_settings
 from stepgap.plants.tick_control import Mode, Order, TickFlag
 from stepgap.rigs.rig import HEALTHY, LOST, Health, Rig, RigFault, Torques
+from stepgap.robots.ground import FLAT_GROUND, UnevenGround
 from stepgap.robots.hopper import Gains, RobotParameters
 from stepgap.robots.hopper.tick.closures import MOST_EVIDENCE
 from stepgap.robots.hopper.tick.encoder_track import EncoderTrack, with_angle
@@ -42,6 +44,7 @@ from stepgap.robots.hopper.tick.safety import DOUBTS, Limited
 from stepgap.robots.hopper.tick.sensors import HopperReading, hopper_sensors
 from stepgap.robots.hopper.tick.tick_row import TICK_UNITS
 from stepgap.robots.hopper.twin import twin as twin_module
+from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 
@@ -83,6 +86,8 @@ def deployment(
     rng: np.random.Generator,
     trouble: Trouble,
     change: Callable[[int, HopperReading], HopperReading] = unchanged,
+    ground: UnevenGround = FLAT_GROUND,
+    evidence: Sequence[float] = (),
 ) -> Iterator[tuple[HopControl, int, Torques, Health]]:
     """Ticks with random commands until the robot is stopped or falls: control, flags, torques before, health.
 
@@ -92,10 +97,13 @@ def deployment(
         rng: Draws commands, lost frames and late ticks.
         trouble: Their probabilities.
         change: Returns the reading of a tick as a fault of a sensor changes it.
+        ground: Whether heights are measured above the ground that the foot finds.
+        evidence: That of the deployment before.
     """
     twin.connect()
-    control, reading = HopControl(hopper_sensors(twin.sensor_model), ROBOT, GAINS, limits), _reading(twin)
+    control, reading = HopControl(hopper_sensors(twin.sensor_model), ROBOT, GAINS, limits, ground), _reading(twin)
     time, given, applied, command = 0.0, (0.0, 0.0), (0.0, 0.0), START_COMMAND
+    control.resume(evidence)
     for number in count():
         chance, health = rng.random(), HEALTHY
         if chance < trouble.lost:
@@ -159,16 +167,24 @@ def largest_jump(settings, ticks):
     for time, angle_1, angle_2, torque_1, torque_2 in ticks:
         motor_1, jump_1 = with_angle(motor_1, model.tick, unit, time, angle_1, torque_1, False)
         motor_2, jump_2 = with_angle(motor_2, model.tick, unit, time, angle_2, torque_2, False)
-        most = max(most, jump_ratio(limits, jump_1, jump_2, model.tick, unit))
-        most = max(most, jump_ratio(limits, jump_2, jump_1, model.tick, unit))
+        most = max(most, jump_ratio(limits, limits.jump_angle, jump_1, jump_2, model.tick, unit))
+        most = max(most, jump_ratio(limits, limits.jump_angle, jump_2, jump_1, model.tick, unit))
     return most
 
 
-def deploy(row: Row, twin: Twin, limits: SafetyLimits, rng: np.random.Generator, trouble: Trouble, hops: int) -> None:
+def deploy(
+    row: Row,
+    twin: Twin,
+    limits: SafetyLimits,
+    rng: np.random.Generator,
+    trouble: Trouble,
+    hops: int,
+    ground: UnevenGround,
+) -> None:
     """Adds a deployment to a row, until the row has its hops or the robot is stopped."""
     fastest, ticks = 0.0, []
     row.deployments += 1
-    for control, flags, applied, health in deployment(twin, limits, rng, trouble):
+    for control, flags, applied, health in deployment(twin, limits, rng, trouble, ground=ground):
         _, memory, tick = control.memory
         alpha_1, alpha_2 = tick[ALPHA_1], tick[ALPHA_2]
         ticks.append((memory["sampled"][0], alpha_1 + alpha_2, alpha_1 - alpha_2, *applied))
@@ -191,15 +207,23 @@ def deploy(row: Row, twin: Twin, limits: SafetyLimits, rng: np.random.Generator,
 
 
 def measure(
-    trouble: Trouble, limits: SafetyLimits, hops: int, physics_step: float, floor: dict[str, float], seed: int
+    trouble: Trouble,
+    limits: SafetyLimits,
+    hops: int,
+    physics_step: float,
+    floor: dict[str, float],
+    ground: UnevenGround,
+    seed: int,
 ) -> Row:
-    """The row of a twin, on a floor that may be more uneven than it draws."""
+    """The row of a twin, on a floor that may be more uneven than it draws, or on uneven ground."""
     twin_module.LONGEST_STEP = physics_step
     rng = np.random.default_rng(seed)
-    twin, row = Twin(ROBOT, replace(RealityGap.random(rng), **floor), rng), Row()
+    gap = replace(RealityGap.random(rng), **floor)
+    profile = GroundProfile(gap, ROBOT.boom_length, rng, ground) if ground.is_measured else None
+    twin, row = Twin(ROBOT, gap, rng, ground=profile), Row()
     while row.hops < hops and row.deployments < DEPLOYMENTS:
         try:
-            deploy(row, twin, limits, rng, trouble, hops)
+            deploy(row, twin, limits, rng, trouble, hops, ground)
         except RigFault as fault:
             row.stops[str(fault)] += 1
             row.speeds[str(fault)] = np.nan
@@ -218,6 +242,8 @@ def main() -> None:
     parser.add_argument("--physics-step", type=float, default=2.5e-4)
     parser.add_argument("--roughness", type=float, help="standard deviation of the height of the floor [m]")
     parser.add_argument("--slope", type=float, help="tilt of the floor [rad]")
+    parser.add_argument("--ramps", type=float, default=0.0, help="slope of measured ramps")
+    parser.add_argument("--stairs", type=float, default=0.0, help="height of measured stairs [m]")
     parser.add_argument("--processes", type=int, default=1)
     options = parser.parse_args()
     first, last = map(int, options.seeds.split("-"))
@@ -226,7 +252,11 @@ def main() -> None:
         limits = replace(limits, **dict.fromkeys(OTHER_LIMITS, inf), shortest_leg=0.0, lowest_hip=-inf)
     given = {"ground_roughness": options.roughness, "ground_slope": options.slope}
     floor = {name: value for name, value in given.items() if value is not None}
-    task = partial(measure, Trouble(options.lost, options.late), limits, options.hops, options.physics_step, floor)
+    ground = UnevenGround(slope=options.ramps, stair_height=options.stairs)
+    if ground.is_measured:
+        limits = replace(limits, ground_height=max(limits.ground_height, 2.0 * options.stairs + options.ramps))
+    trouble = Trouble(options.lost, options.late)
+    task = partial(measure, trouble, limits, options.hops, options.physics_step, floor, ground)
     print("twin   hops runs    ticks   lost  late  rad/s   jump evidence   stops", flush=True)
     with ProcessPoolExecutor(options.processes) as pool:
         for seed, row in zip(range(first, last + 1), pool.map(task, range(first, last + 1)), strict=True):

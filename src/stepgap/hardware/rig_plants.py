@@ -14,7 +14,7 @@ from stepgap.hardware.commissioning.proof import JOG, proven
 from stepgap.hardware.realtime.consent import supervised
 from stepgap.hardware.realtime.loop import LoopSettings
 from stepgap.hardware.realtime.process import RealtimeSetup
-from stepgap.hardware.realtime.realtime_plant import RealtimePlant
+from stepgap.hardware.realtime.realtime_plant import KeptEvidence, RealtimePlant
 from stepgap.plants.plant import Plant
 from stepgap.rigs.entry_points import load_rig
 from stepgap.rigs.limits import RigLimits
@@ -42,6 +42,7 @@ def rig_plants(request: PlantRequest) -> Plants:
     loop, consent = supervised(LoopSettings(), control.consent_request, simulated)
     setup = RealtimeSetup(make_rig, control, loop)
     logs = own_folder(request.folder, "ticks")
+    kept = KeptEvidence()
 
     def require_proofs() -> None:
         checked(Path(settings.rig))
@@ -50,7 +51,7 @@ def rig_plants(request: PlantRequest) -> Plants:
 
     def make(_: np.random.Generator) -> Plant:
         require_proofs()
-        return RealtimePlant(setup, logs, consent, Path(settings.rig).read_text("utf-8"))
+        return RealtimePlant(setup, logs, consent, Path(settings.rig).read_text("utf-8"), kept)
 
     require_proofs()
     return Plants(make, replays=False)

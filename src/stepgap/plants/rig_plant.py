@@ -84,7 +84,9 @@ class RigPlant(Plant):
             RigFault: The rig cannot be connected, or the first step failed.
         """
         self._rig.connect()
+        evidence = self._control.evidence
         self._begin()
+        self._control.resume(evidence)
         released = self._rig.released
         nothing = np.zeros(len(self._space.command))
         self._measured = np.full(len(self._space.state), np.nan)

@@ -137,6 +137,14 @@ class TickControl(ABC):
             Torques that may be written [N·m], and the sum of the `TickFlag`s.
         """
 
+    @property
+    def evidence(self) -> tuple[float, ...]:
+        """Evidence against its sensors, for the control of the next deployment, which `resume` takes; empty if none."""
+        return ()
+
+    def resume(self, evidence: Sequence[float]) -> None:  # noqa: B027
+        """Continues, before the first tick, with the evidence of the deployment before; empty if there is none."""
+
     @abstractmethod
     def row(self, applied: Torques) -> Sequence[float]:
         """Log row of the last tick, with the torques that were applied [N·m]; fields as in `units`."""

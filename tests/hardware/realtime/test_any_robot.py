@@ -3,8 +3,10 @@
 # ruff: noqa: ARG002
 # (The interfaces give more than this robot needs.)
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from math import inf, isnan, nan
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,8 @@ import pytest
 from stepgap.hardware.hopper.still import StillRig
 from stepgap.hardware.realtime.board import Board, Request, StepEnd
 from stepgap.hardware.realtime.loop import ControlLoop, LoopSettings
+from stepgap.hardware.realtime.process import RealtimeSetup
+from stepgap.hardware.realtime.realtime_plant import KeptEvidence, RealtimePlant
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick_control import FinishedStep, Mode, Order, TickFlag
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, SensorModel, Torques
@@ -27,11 +31,21 @@ TICKS_PER_STEP = 10
 
 
 class MarchControl(StillControl):
-    """Marches in place: a step takes ten ticks, and its three torques are the command and its multiples."""
+    """Marches in place: a step takes ten ticks, and its three torques are the command and its multiples.
+
+    Its evidence is the number of steps of all deployments.
+    """
 
     def __init__(self) -> None:
         super().__init__()
-        self._tick, self._command = 0, nan
+        self._tick, self._command, self._before = 0, nan, 0.0
+
+    @property
+    def evidence(self) -> tuple[float, ...]:
+        return (self._before + self._tick // TICKS_PER_STEP,)
+
+    def resume(self, evidence: Sequence[float]) -> None:
+        self._before = sum(evidence)
 
     @property
     def motors(self) -> int:
@@ -117,8 +131,10 @@ def test_the_loop_steps_it_with_commands_within_their_bounds(board: Board):
     loop, rig = marching(board)
     first = next_end(loop, board, 0)
     np.testing.assert_array_equal(first.result.requested, [0.0])
+    assert board.evidence == (1.0,)
     board.post_command(1, (1e9,))
     end = next_end(loop, board, 1)
+    assert board.evidence == (2.0,)
     assert end.status == StepStatus.OK
     np.testing.assert_array_equal(end.result.state, [2.0, 0.5, -0.25])
     np.testing.assert_array_equal(end.result.requested, [2.0])
@@ -146,3 +162,16 @@ def test_a_plant_in_the_same_process_steps_it():
         assert record.status == StepStatus.OK
         np.testing.assert_array_equal(record.next_state, [2.0, 0.5, -0.25])
         np.testing.assert_array_equal(record.applied, [0.5 - 0.125])
+        plant.stop()
+        plant.start()
+        assert plant._control.evidence == (3.0,)
+
+
+def test_the_plants_of_a_run_hand_evidence_on_from_process_to_process(tmp_path: Path):
+    kept = KeptEvidence()
+    settings = LoopSettings(calibrate_time=0, stand_time=0.02, release_time=inf)
+    setup = RealtimeSetup(a_rig, MarchRobot(), settings)
+    for steps in (1.0, 2.0):
+        with RealtimePlant(setup, tmp_path, lambda _: nullcontext(), kept=kept) as plant:
+            plant.start()
+        assert kept.numbers[0] >= steps

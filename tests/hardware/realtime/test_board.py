@@ -32,6 +32,7 @@ def test_a_new_board_has_no_request_and_no_command():
         assert (board.request, board.state, board.emergency_stop) == (Request.NOTHING, RigState.OFF, False)
         assert all(board.command(number) is None and board.finished(number) is None for number in range(3))
         assert (board.message, board.ticks, board.missed_ticks, board.worst_lateness) == ("", 0, 0, 0.0)
+        assert board.evidence == ()
     finally:
         board.close()
         board.unlink()
@@ -57,6 +58,10 @@ def test_a_posted_message_is_read_under_its_number_only(boards, number, state, c
         np.testing.assert_array_equal(value, given_value)
     assert found.status == status
     assert here.finished(number + 1) is None
+    here.evidence = tuple(state)
+    np.testing.assert_array_equal(there.evidence, state)
+    here.evidence = ()
+    assert there.evidence == ()
 
 
 @pytest.mark.parametrize("wrong", [(), (1.0,), (1.0,) * (COMMANDS + 1)])

@@ -20,6 +20,7 @@ from stepgap.plants.ticks.tick_ring import attached_memory, created_memory
 from stepgap.step import StepStatus
 
 LONGEST_MESSAGE = 2048  # Largest length of a message [bytes]
+LONGEST_EVIDENCE = 32  # Largest number of numbers that the control of the next deployment begins with
 
 
 class Field(IntEnum):
@@ -43,6 +44,7 @@ class Field(IntEnum):
     COMMAND_VERSION = 15
     TOUCHDOWN_VERSION = 16
     LOST_FRAMES = 17
+    EVIDENCE_LENGTH = 18
 
 
 class Request(IntEnum):
@@ -112,10 +114,12 @@ class Board:
     def __init__(self, memory: SharedMemory, states: int, commands: int, context: int):
         assert memory.buf is not None  # until it is closed
         self._memory = memory
-        ends = accumulate((commands, states, commands, commands, context, context), initial=len(Field))
+        ends = accumulate(
+            (commands, states, commands, commands, context, context, LONGEST_EVIDENCE), initial=len(Field)
+        )
         parts = [slice(*pair) for pair in pairwise(ends)]
-        self._command, self._state, self._acted, self._lost, self._context, self._found = parts
-        length = self._found.stop
+        self._command, self._state, self._acted, self._lost, self._context, self._found, self._evidence = parts
+        length = self._evidence.stop
         self._words = memory.buf[: 8 * length].cast("q")
         self._numbers = memory.buf[: 8 * length].cast("d")
         self._message = memory.buf[8 * length :][:LONGEST_MESSAGE]
@@ -123,7 +127,7 @@ class Board:
     @classmethod
     def create(cls, states: int, commands: int, context: int) -> Self:
         """Creates a board, everything zero: no request, OFF, no command; arguments as of the class."""
-        length = len(Field) + states + 3 * commands + 2 * context
+        length = len(Field) + states + 3 * commands + 2 * context + LONGEST_EVIDENCE
         board = cls(created_memory(8 * length + LONGEST_MESSAGE), states, commands, context)
         board._words[Field.STATES], board._words[Field.COMMANDS] = states, commands
         board._words[Field.CONTEXT] = context
@@ -199,6 +203,20 @@ class Board:
         context = tuple(numbers[self._context].tolist())
         found = StepEnd(FinishedStep(state, command, lost, context), StepStatus(words[Field.STATUS]))
         return found if words[Field.STEP_NUMBER] == number else None
+
+    @property
+    def evidence(self) -> tuple[float, ...]:
+        """Evidence against the sensors after the last step, or before the first one: `TickControl.evidence`.
+
+        It is complete once the process that posts it has ended.
+        """
+        return tuple(self._numbers[self._evidence].tolist()[: self._words[Field.EVIDENCE_LENGTH]])
+
+    @evidence.setter
+    def evidence(self, evidence: Sequence[float]) -> None:
+        start = self._evidence.start
+        self._write(slice(start, start + len(evidence)), evidence)
+        self._words[Field.EVIDENCE_LENGTH] = len(evidence)
 
     def _write(self, part: slice, values: Sequence[float]) -> None:
         for word, value in zip(range(part.start, part.stop), values, strict=True):

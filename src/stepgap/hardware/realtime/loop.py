@@ -312,6 +312,7 @@ class ControlLoop:
             self._stop_requested = True
         else:
             return
+        self._board.evidence = self._control.evidence
         self._board.post_step(self._step, StepEnd(finished, self._control.status))
         self._missed = self._missed + 1 if np.isnan(finished.command).any() and self._step > 0 else 0
         if self._missed > self._settings.missed_commands:
@@ -340,6 +341,7 @@ class ControlLoop:
         """Latches the fault; the message of the first one is kept, and the present step is posted with the status."""
         if self._state == RigState.FAULT:
             return
+        self._board.evidence = self._control.evidence
         if self._state == RigState.STEP:
             self._board.post_step(self._step, StepEnd(FinishedStep.stopped(self._space), status))
         self._board.message = message

@@ -64,6 +64,7 @@ def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str, parent: 
         board.state = RigState.CONNECT
         rig = setup.make_rig()
         control = setup.robot_control.control(rig)
+        control.resume(board.evidence)
         board.message = "; ".join(ask_for_realtime())  # before the bus is up: its watchdog would expire meanwhile
         with rig:
             board.state = RigState.CALIBRATE

@@ -20,6 +20,16 @@ from stepgap.step import Array, StepRecord, StepSpace, StepStatus
 _CHECK_EVERY = 1e-3  # Time between two checks whether a step has ended [s]
 
 
+class KeptEvidence:
+    """Evidence against the sensors that the deployments of a run hand on: `TickControl.evidence`.
+
+    Attributes:
+        numbers: That after the last deployment; empty if there is none.
+    """
+
+    numbers: tuple[float, ...] = ()
+
+
 class RealtimePlant(Plant):
     """Executes steps on a rig that does not wait for commands.
 
@@ -33,13 +43,22 @@ class RealtimePlant(Plant):
         logs: Folder for the ticks of every deployment, `ticks-*.mcap`.
         consent: Asks a person for consent, when the rig is connected and limp, before torque is given.
         settings: Text of the file that describes the rig, for the logs.
+        kept: Evidence that the plants of a run hand on; None for this plant alone.
     """
 
-    def __init__(self, setup: RealtimeSetup, logs: Path, consent: Consent, settings: str = ""):
+    def __init__(
+        self,
+        setup: RealtimeSetup,
+        logs: Path,
+        consent: Consent,
+        settings: str = "",
+        kept: KeptEvidence | None = None,
+    ):
         self._setup = setup
         self._logs = logs
         self._consent = consent
         self._settings = settings
+        self._kept = kept or KeptEvidence()
         self._consented = ExitStack()
         self._space = setup.robot_control.space
         self._session = None
@@ -76,7 +95,7 @@ class RealtimePlant(Plant):
             log = TickLog(next_path(self._logs), self._setup.units, self._setup.described(self._settings))
         except TickLogError as error:
             raise RigFault(str(error)) from None
-        self._session = session = Session(self._setup, log)
+        self._session = session = Session(self._setup, log, self._kept.numbers)
         session.await_ready()
         self._consented.enter_context(self._consent(session.board))
         session.board.request = Request.START
@@ -143,6 +162,7 @@ class RealtimePlant(Plant):
                 session.close()
             finally:
                 self._consented.close()
+                self._kept.numbers = session.evidence
             self._fault = self._fault or session.message()
 
     def _await_step(self, session: Session, look: Callable[[], None] = lambda: None) -> StepEnd:

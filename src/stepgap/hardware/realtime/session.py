@@ -1,6 +1,7 @@
 """A real-time process from start to end: its shared memory, its ticks and its final message."""
 
 import os
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from math import isnan, nan
 from multiprocessing import get_context
@@ -97,14 +98,19 @@ class Session:
         setup: Setup of the process.
         sink: Takes every tick, from a separate thread, and is always closed at the end. If it fails, as on a full disk,
             or is too slow, the robot is landed.
+        evidence: Evidence against the sensors from the deployment before.
+
+    Attributes:
+        evidence: That after this one, once it is closed.
 
     Raises:
         RigFault: There is not enough shared memory.
     """
 
-    def __init__(self, setup: RealtimeSetup, sink: TickSink):
+    def __init__(self, setup: RealtimeSetup, sink: TickSink, evidence: Sequence[float] = ()):
         self._exit_timeout = setup.loop.landing_time + EXIT_TIME
         self._over = Event()
+        self.evidence = tuple(evidence)
         self._sink_error = ""
         self._silent = ""
         self._final_message: str | None = None
@@ -115,6 +121,7 @@ class Session:
             try:
                 space = setup.robot_control.space
                 self.board = Board.create(len(space.state), len(space.command), len(space.context))
+                self.board.evidence = evidence
                 stack.callback(self.board.unlink)
                 stack.callback(self.board.close)
                 self._ring = stack.enter_context(TickRing.create(len(setup.units), KEPT_ROWS))
@@ -203,6 +210,7 @@ class Session:
         self._watch.join()
         self._drain.join()
         self._final_message = self.message()
+        self.evidence = self.board.evidence
         self._kept.close()
 
     def _watch_ticks(self, settings: LoopSettings) -> None:

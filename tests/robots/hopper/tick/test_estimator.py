@@ -12,6 +12,7 @@ from stepgap.robots.hopper.tick.estimator import (
     apex_passed,
     fitted_apex,
     mean_speed,
+    scatter_about_parabolas,
     vertical_acceleration,
     with_reading,
     with_sample,
@@ -127,3 +128,16 @@ def test_lost_or_late_readings_do_not_change_the_rates_of_a_ramp():
         reading = now if lost else tick * 1e-3 + rng.uniform(0, 5e-4)
         rates, now = with_reading(rates, reading, 4.0 * reading, -7.0 * reading), reading
         assert tick < 2 or (rates.rate_1, rates.rate_2) == pytest.approx((4.0, -7.0))
+
+
+def test_the_scatter_is_that_about_the_best_parabolas() -> None:
+    rng = np.random.default_rng(3)
+    time = np.arange(300) * 1e-3
+    x = 0.5 * time - 0.1 * time**2 + rng.normal(0.0, 6e-4, 300)
+    y = 0.3 + 1.2 * time - 2.6 * time**2 + rng.normal(0.0, 2e-4, 300)
+    fit = FlightFit()
+    for sample in zip(time.tolist(), x.tolist(), y.tolist(), strict=True):
+        fit = with_sample(fit, *sample)
+    right = [np.mean((np.polyval(np.polyfit(time, z, 2), time) - z) ** 2) for z in (x, y)]
+    assert scatter_about_parabolas(fit) == pytest.approx(right, rel=1e-6)
+    assert np.isnan(scatter_about_parabolas(FlightFit())).all()

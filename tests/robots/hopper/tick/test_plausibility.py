@@ -129,7 +129,7 @@ def test_a_jump_of_0_9_degrees_is_detected_just_after_touchdown(sensor, counts, 
 def ratio(size, other, change=0.0, other_change=0.0):
     """Jump of motor 1 as a multiple of the largest one that is not doubted, with a jump of motor 2."""
     pair = (NO_JUMP._replace(size=size, change=change), NO_JUMP._replace(size=other, change=other_change))
-    return jump_ratio(as_record(LIMITS)[0], *pair, TICK, COUNT)
+    return jump_ratio(as_record(LIMITS)[0], LIMITS.jump_angle, *pair, TICK, COUNT)
 
 
 def test_a_jump_that_both_motors_share_in_opposite_directions_folds_the_leg_and_is_no_fault():

@@ -54,6 +54,8 @@ class FlightFit(NamedTuple):
         v: Σ v.
         uv: Σ u v.
         u2v: Σ u² v.
+        x2: Σ x².
+        v2: Σ v².
     """
 
     samples: int = 0
@@ -70,6 +72,8 @@ class FlightFit(NamedTuple):
     v: float = 0.0
     uv: float = 0.0
     u2v: float = 0.0
+    x2: float = 0.0
+    v2: float = 0.0
 
 
 @as_written
@@ -77,7 +81,7 @@ def no_samples():
     """`FlightFit` at take-off, without samples."""
     return FlightFit(
         samples=0, latest=0.0, height=0.0, highest=-np.inf, u=0.0, u2=0.0, u3=0.0, u4=0.0, x=0.0, ux=0.0, u2x=0.0,
-        v=0.0, uv=0.0, u2v=0.0,
+        v=0.0, uv=0.0, u2v=0.0, x2=0.0, v2=0.0,
     )  # fmt: skip
 
 
@@ -102,6 +106,8 @@ def with_sample(fit, time, x, y):
         v=fit.v + v,
         uv=fit.uv + u * v,
         u2v=fit.u2v + u2 * v,
+        x2=fit.x2 + x * x,
+        v2=fit.v2 + v * v,
     )
 
 
@@ -187,6 +193,24 @@ def after_vertex(fit):
         return np.nan
     slope = wv / w2 - curvature * skew  # of y at w = 0
     return fit.latest - CENTRE - m + slope / (2.0 * curvature)
+
+
+@as_written
+def scatter_about_parabolas(fit):
+    """Mean squares of what parabolas fitted to x and to y leave of them in the flight so far [m²].
+
+    Σ z² − (Σ z)² / n − (Σ w z)² / Σ w² − (Σ q z)² / Σ q² is the sum of squares that the three orthogonal polynomials of
+    `fitted_apex` leave of z. NaN where `mean_speed` is.
+    """
+    if np.isnan(mean_speed(fit)):
+        return np.nan, np.nan
+    n = fit.samples
+    m, w2, skew, level, q2 = _polynomials(fit)
+    wx, qx = _projections(m, skew, level, fit.x, fit.ux, fit.u2x)
+    wv, qv = _projections(m, skew, level, fit.v, fit.uv, fit.u2v)
+    left_x = fit.x2 - fit.x * fit.x / n - wx * wx / w2 - qx * qx / q2
+    left_y = fit.v2 - fit.v * fit.v / n - wv * wv / w2 - qv * qv / q2
+    return left_x / n, left_y / n
 
 
 @as_written

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from math import degrees, inf, nan, tau
 from typing import Any
 
@@ -19,12 +20,13 @@ from stepgap.robots.hopper.model.dynamics import masses_of
 from stepgap.robots.hopper.model.joint_control import joint_law
 from stepgap.robots.hopper.model.leg import foot, four_bar, leg_of
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.tick.closures import resumed
 from stepgap.robots.hopper.tick.drive_motion import Disobedience
 from stepgap.robots.hopper.tick.hop_state import Apex, HopState, Landing, TickSettings
 from stepgap.robots.hopper.tick.hop_tick import interrupted_hop, tick
 from stepgap.robots.hopper.tick.limits import SafetyLimits
 from stepgap.robots.hopper.tick.phases import Phase
-from stepgap.robots.hopper.tick.safety import DISOBEYS, JointMotion, Limited
+from stepgap.robots.hopper.tick.safety import DISOBEYS, DOUBTS, JointMotion, Limited
 from stepgap.robots.hopper.tick.sensors import HopperReading, HopperSensorModel, hopper_sensors
 from stepgap.robots.hopper.tick.stage import Stage
 from stepgap.robots.hopper.tick.tick_row import TICK_BITS, TICK_COLUMN, TICK_NAMES, TICK_UNITS
@@ -96,6 +98,20 @@ class HopControl(TickControl):
     def motors(self) -> int:
         """The two motors of the four-bar leg."""
         return 2
+
+    @property
+    def evidence(self) -> tuple[float, ...]:
+        """Evidence of small faults of yaw and pitch; none after a doubt, when a person checks the sensor."""
+        if int(self._memory["watch"]["stopped"][0]) & DOUBTS:
+            return ()
+        closures = self._memory["sensors"]["closures"][0]
+        parts = (closures[name].item() for name in ("evidence", "fit", "fall"))
+        return (*chain.from_iterable(parts), float(closures["crooked"]))
+
+    def resume(self, evidence: Sequence[float]) -> None:
+        """Continues with the evidence of the deployment before."""
+        if evidence:
+            self._memory["sensors"]["closures"] = as_record(resumed(evidence))
 
     @property
     def state(self) -> HopState:

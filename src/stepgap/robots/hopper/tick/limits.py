@@ -55,8 +55,9 @@ class SafetyLimits(RigLimits):
         brake_damping: Damping of the motors that brake after the robot has left its bounds [N·m·s/rad].
         brake_torque: Largest torque of a motor that brakes [N·m].
         brake_ticks: Number of ticks of braking before torque goes off.
-        jump_angle: Smallest jump of an encoder for which it is doubted [rad], 4 counts at least; of a motor, what the
-            other motor does in the opposite direction is subtracted.
+        jump_angle: Smallest jump of a motor's encoder for which it is doubted [rad], 4 counts at least; what the other
+            motor does in the opposite direction is subtracted. Encoders of the boom are doubted from 4 counts on, at a
+            tick of 1 ms.
         sample_jitter: Largest error of the time of a reading, in ticks, by which a moving encoder seems to jump; 1
             where drives and sensors are not synchronised with the frames.
         frozen_time: Time for which a motor's encoder may stand still under torque, until it is doubted [s]; multiples

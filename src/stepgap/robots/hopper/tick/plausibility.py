@@ -56,6 +56,10 @@ With lost frames, links of some twins vibrate by more than 0.004 rad from tick t
 JUMP_COUNTS, ROUNDING = 4.0, 2.0
 """Least jump that is detected, and that which rounding alone causes [counts]. Noise is detected as jumps, too."""
 
+HIP_ACCELERATION = 1000.0
+"""Acceleration of the hip that lasts a tick and is no jump of the boom [m/s²]: a boom that carries the robot does not
+vibrate as links do. At 1 ms that is 1.4 counts of the pitch, so that `JUMP_COUNTS` decide (1.5)."""
+
 MOVING_TORQUE = 0.5
 """Torque that moves a link [N·m]: more than friction and gravity, less than 2 % of the largest."""
 
@@ -68,8 +72,9 @@ NO_CONTACT = 6.0
 FREE_FALL = -2.0
 """Acceleration of the hip below which the robot flies, however low [m/s²]; the boom halves the gravity."""
 
-SWEEP = 0.012
-"""Travel of the hip over a resting foot in which the yaw must move [m]; a foot that slips moves the hip, too (5 mm)."""
+SWEEP, UNEVEN_SWEEP = 0.012, 0.03
+"""Travel of the hip over a resting foot in which the yaw must move [m]; a foot that slips moves the hip, too (5 mm). On
+measured ground, where a foot slips down a slope under a hip that rests, it must in the second one (20 mm)."""
 
 _FROZEN = int(Limited.MOTOR_1_FROZEN)
 _JUMPED = int(Limited.MOTOR_1_JUMPED)
@@ -165,10 +170,12 @@ def _judge_encoders(settings, state, sampled, contact, phase, body, inputs):
     pitch, jump_4 = with_angle(watch.pitch, tick, pitch_count, sampled, pitch_count * inputs.boom_vertical, 0.0, flies)
     if contact:
         pitch = may_rest(pitch)
-    doubts = _doubts(limits, motor_1, jump_1, jump_2, tick, motor, limits.frozen_time)
-    doubts |= _doubts(limits, motor_2, jump_2, jump_1, tick, motor, limits.frozen_time) << 1
-    doubts |= _doubts(limits, yaw, jump_3, NO_JUMP, tick, yaw_count, limits.frozen_time) << 2
-    doubts |= _doubts(limits, pitch, jump_4, NO_JUMP, tick, pitch_count, PITCH_STILL * limits.frozen_time) << 3
+    link = limits.jump_angle
+    boom = HIP_ACCELERATION * tick * tick / model.boom_length if link < np.inf else link
+    doubts = _doubts(limits, link, motor_1, jump_1, jump_2, tick, motor, limits.frozen_time)
+    doubts |= _doubts(limits, link, motor_2, jump_2, jump_1, tick, motor, limits.frozen_time) << 1
+    doubts |= _doubts(limits, boom, yaw, jump_3, NO_JUMP, tick, yaw_count, limits.frozen_time) << 2
+    doubts |= _doubts(limits, boom, pitch, jump_4, NO_JUMP, tick, pitch_count, PITCH_STILL * limits.frozen_time) << 3
     yaw_counts = watch.yaw_counts
     pitch_counts = watch.pitch_counts
     if sampled > state.sampled:
@@ -181,24 +188,25 @@ def _judge_encoders(settings, state, sampled, contact, phase, body, inputs):
 
 
 @as_written
-def _doubts(limits, track, jump, other, tick, count, longest_still):
+def _doubts(limits, angle, track, jump, other, tick, count, longest_still):
     """Reasons to doubt an encoder, as those of motor 1; the other arguments are as for `jump_ratio`."""
     doubts = _FROZEN if track.still > longest_still else 0
-    return doubts | _JUMPED if jump_ratio(limits, jump, other, tick, count) > 1.0 else doubts
+    return doubts | _JUMPED if jump_ratio(limits, angle, jump, other, tick, count) > 1.0 else doubts
 
 
 @as_written
-def jump_ratio(limits, jump, other, tick, count):
+def jump_ratio(limits, angle, jump, other, tick, count):
     """Jump of an encoder as a multiple of the largest one for which it is not doubted.
 
     Args:
         limits: `SafetyLimits`.
+        angle: Smallest jump for which it is doubted [rad]; `JUMP_COUNTS` if that is more.
         jump: `Jump` of the encoder.
         other: `Jump` of the other motor; `NO_JUMP` for an encoder of the boom.
         tick: Time of a tick [s].
         count: Angle of a count [rad].
     """
-    least = max(limits.jump_angle, JUMP_COUNTS * count)
+    least = max(angle, JUMP_COUNTS * count)
     jitter = limits.sample_jitter
     shared = MOST_SHARED * least
     rounding = ROUNDING * count
@@ -218,8 +226,8 @@ def _alone(jump, other, most, rounding):
 def _judge_stance(settings, state, contact, phase, body):
     """Yaw and forward distance of the foot at touchdown, and the reason to doubt a yaw that does not move with the hip.
 
-    A foot that slips under a hip at rest would need a leg that pushes the ground but not the body. A foot that bounces
-    moves freely, so each contact is judged on its own.
+    On level ground, a foot that slips under a hip at rest would need a leg that pushes the ground but not the body. A
+    foot that bounces moves freely, so each contact is judged on its own.
     """
     yaw_there = state.sensors.yaw_there
     foot_there = state.sensors.foot_there
@@ -229,7 +237,8 @@ def _judge_stance(settings, state, contact, phase, body):
         return body.yaw, body.foot_x, 0
     if abs(body.yaw - yaw_there) > STILL_COUNTS * _TURN / settings.sensor_model.boom_counts_horizontal:
         return np.nan, foot_there, 0
-    swept = not np.isnan(yaw_there) and abs(body.foot_x - foot_there) > SWEEP
+    most = UNEVEN_SWEEP if settings.uneven else SWEEP
+    swept = not np.isnan(yaw_there) and abs(body.foot_x - foot_there) > most
     return yaw_there, foot_there, _YAW_AGAINST_LEG if swept and settings.limits.frozen_time < np.inf else 0
 
 
