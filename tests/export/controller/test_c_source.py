@@ -155,6 +155,29 @@ def test_plans_are_those_of_python(kind: str, compile_in: Callable[..., Compiled
     assert same >= 38
 
 
+@pytest.mark.parametrize("evaluations", [60, 400])
+def test_a_search_whose_start_makes_no_step_begins_again_in_the_middle(
+    evaluations: int, compile_in: Callable[..., Compiled]
+) -> None:
+    """With few evaluations nothing else finds the way back; then only the status is the same as in Python."""
+    controller = learned("none", failing=True)
+    controller = replace(controller, settings=replace(controller.settings, evaluations=evaluations))
+    code, rng, compared = compile_in(controller, optimised=True), np.random.default_rng(7), 0
+    for _ in range(200):
+        state, target = SPACE.state_centre + SPACE.state_scale * rng.uniform(-1, 1, (2, 2))
+        guess = SPACE.command_centre + SPACE.command_scale * rng.uniform(-1, 1, 2)
+        middle = controller.map.evaluate(state, SPACE.command_centre).status
+        if controller.map.evaluate(state, guess).status == StepStatus.OK or middle != StepStatus.OK:
+            continue
+        plan = controller.controller(state, target, guess)
+        status, command, _, _ = code.plan(state, target, guess, float("nan"))
+        assert status == StepStatus.OK
+        if evaluations == 400:
+            np.testing.assert_allclose(command, plan.command, atol=1e-6 * SPACE.command_scale.max())
+        compared += 1
+    assert compared >= 10
+
+
 def test_without_a_filter_the_command_is_that_of_the_nominal_map(compile_in: Callable[..., Compiled]) -> None:
     controller, middle = learned("posterior"), SPACE.state_centre
     code, plain = compile_in(controller), replace(controller, beliefs=None).controller(middle, middle).command
