@@ -1,5 +1,6 @@
 """Settings: read with strict checks, refused with the rule, and written so that they are read back unchanged."""
 
+import json
 import math
 from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
@@ -22,6 +23,7 @@ from stepgap.robots.hopper.parameters import CommandBounds, Gains
 from stepgap.robots.hopper.robot import Hopper, as_hopper
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.robot import Robot
+from stepgap.sweep.sweep import with_changes
 
 SPACE = CommandBounds().space()
 
@@ -128,6 +130,35 @@ def test_a_table_needs_a_map_that_does_not_change() -> None:
     for change in (("learning.drift", "true"), ("learning.online", "true")):
         with pytest.raises(InputError, match="a table does not change during a deployment"):
             read_experiment(None, [("method", "paper"), ("control.table", "9"), change])
+
+
+def test_a_random_robot_is_the_twin_of_that_number_in_a_sweep() -> None:
+    """The number draws the same robot there, as the setting `twin`; single keys come after it."""
+    drawn = with_changes(Experiment(), {"twin": 7})[0].robot
+    for name in ("gap", "gap.preset"):
+        assert read_experiment(None, [(name, "random:7")]).robot == drawn
+    changed = read_experiment(None, [("gap.delay", "0.002"), ("gap", "random:7")])
+    assert hopper_of(changed).gap == replace(hopper_of(Experiment(drawn)).gap, delay=0.002)
+
+
+@pytest.mark.parametrize(
+    ("robot", "name", "message"),
+    [
+        ("hopper", "random", "--gap = 'random', but it must be 'paper' or .* or 'random:NUMBER'"),
+        ("hopper", "random:x", "--gap = 'random:x', but it must be"),
+        ("quadruped", "paper", "--gap = 'paper', but it must be 'random:NUMBER'"),
+        ("custom", "random:7", "gap"),
+    ],
+)
+def test_a_random_robot_that_there_is_not_is_refused(robot: str, name: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_experiment(None, [("robot", robot), ("gap", name)])
+
+
+@pytest.mark.parametrize(("key", "text"), [("name", "x" * 61), ("note", "two\nlines")])
+def test_the_name_and_the_note_of_a_run_are_lines(key: str, text: str) -> None:
+    with pytest.raises(InputError, match=f"--{key} = .* printable characters"):
+        read_experiment(None, [(key, json.dumps(text))])
 
 
 def test_a_preset_of_the_gap_comes_before_single_keys(tmp_path: Path) -> None:
@@ -365,7 +396,7 @@ def test_a_reference_without_end_is_refused() -> None:
 
 def test_a_reference_that_is_missing_is_refused(tmp_path: Path) -> None:
     (tmp_path / "e.toml").write_text('reference = "none.csv"\n')
-    with pytest.raises(InputError, match=r"none\.csv: No such file .*reference must be 'paper' or a CSV file"):
+    with pytest.raises(InputError, match=r"none\.csv: No such file .*reference must be 'paper', a CSV file"):
         load_reference(read_experiment(tmp_path / "e.toml"), SPACE)
 
 

@@ -10,7 +10,7 @@ from cyclopts.validators import Number
 
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, write_new
-from stepgap.cli.options import Flag, Integer, NamedValues, Overrides, values_by_name
+from stepgap.cli.options import Flag, Integer, NamedValues, Overrides
 from stepgap.cli.terminal import announces_compilation
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -47,6 +47,7 @@ def map_(
     """
     from stepgap.experiment.nominal import load_nominal
     from stepgap.experiment.settings import read_experiment
+    from stepgap.records.text import values_by_name
 
     modes = {"--csv": csv, "--table": table, "--state, --command": state or command}
     chosen = [name for name, value in modes.items() if value is not None]

@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.step import Array
 
 
-def nominal_with_progress(settings: "Experiment") -> "Nominal":
+def nominal_with_progress(settings: "Experiment", reference: "Reference | None" = None) -> "Nominal":
     """The nominal map; says how far the fit of a surrogate has come, and what may be wrong with the map."""
     from stepgap.experiment.nominal import load_nominal, slowness
 
@@ -24,7 +24,7 @@ def nominal_with_progress(settings: "Experiment") -> "Nominal":
         )
         print(f"nominal map: {count} simulated steps, error of the surrogate: {errors}", file=sys.stderr)
 
-    nominal = load_nominal(settings, on_samples)
+    nominal = load_nominal(settings, on_samples, reference)
     for sentence in (*nominal.warnings, slowness(settings.nominal.kind, nominal.map, settings.control.evaluations)):
         if sentence:
             warn(sentence)

@@ -4,16 +4,10 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from inspect import signature
-from math import isfinite
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import App, Parameter, Token
 from cyclopts.validators import Number
-
-from stepgap.base.errors import InputError
-
-if TYPE_CHECKING:  # slow imports are made where they are used
-    from stepgap.step import Array, Quantity
 
 DEBUG_HELP = "--debug shows where an error arose."
 
@@ -40,6 +34,9 @@ Integer = Annotated[int, Parameter(converter=_to_integer)]
 Name = Annotated[str, Parameter(metavar="NAME")]
 """Option with a name as its value; NAME, and not STR, stands for it in the help."""
 
+Note = Annotated[str, Parameter(metavar="TEXT")]
+"""Option with a sentence as its value."""
+
 Names = Annotated[str, Parameter(metavar="NAMES")]
 """Option with names as its value, as NAME,NAME or as NAME=COLUMN,NAME=COLUMN."""
 
@@ -56,7 +53,7 @@ ListOfNames = Annotated[
 _ColumnName = Annotated[str, Parameter(metavar="NAME", show_default=False)]
 
 NamedValues = Annotated[str, Parameter(metavar="NAME=VALUE,…")]
-"""Option with values of quantities; `values_by_name` reads them."""
+"""Option with values of quantities; `records.text.values_by_name` reads them."""
 
 FileName = Annotated[str, Parameter(metavar="FILE")]
 """Option with a file as its value, as it is written into the settings."""
@@ -123,29 +120,3 @@ def add_verb(app: App, name: str, verb: Callable[..., Any]) -> None:
         return
     takes_settings = "overrides" in signature(verb).parameters
     app.command(verb, name=name, help_epilogue=SETTINGS_HELP if takes_settings else DEBUG_HELP)
-
-
-def values_by_name(option: str, text: str | None, quantities: "Sequence[Quantity]", defaults: "Array") -> "list[float]":
-    """Values of quantities from text such as `speed=0.2,height=0.58`; those that are not named have their default.
-
-    Raises:
-        InputError: A name or a number is wrong.
-    """
-    values = {quantity.name: float(value) for quantity, value in zip(quantities, defaults, strict=True)}
-    given = set[str]()
-    for part in text.split(",") if text else ():
-        name, _, number = part.partition("=")
-        if name not in values:
-            raise InputError(f"{option} {text}: no name {name!r}; it must be of {', '.join(values)}")
-        try:
-            value = float(number)
-        except ValueError:
-            value = float("nan")
-        if name in given or not isfinite(value):
-            example = ",".join(
-                f"{quantity.name}={default:g}" for quantity, default in zip(quantities, defaults, strict=True)
-            )
-            raise InputError(f"{option} {text}: it must be names, each once, with finite numbers, such as {example}")
-        values[name] = value
-        given.add(name)
-    return list(values.values())

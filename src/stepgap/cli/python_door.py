@@ -42,7 +42,7 @@ def run(
         import stepgap
 
         stepgap.run(iterations=2, seed=1)
-        stepgap.run("quadruped", gap={"preset": "random"}, online=True)
+        stepgap.run("quadruped", gap="random:7", online=True)
         stepgap.run("experiment.toml", out="runs/first")
 
     Args:
@@ -54,7 +54,7 @@ def run(
         resume: Whether an interrupted run in `out` goes on, with its own settings.
         progress: Whether to show how far it is.
         settings: As in the file: keys, and tables as mappings, such as `gap={"payload": 0.1}`; also `iterations`,
-            `online`, `explore` and `warm_start`, as the command has them.
+            `gap="random:7"`, `online`, `explore` and `warm_start`, as the command has them.
 
     Returns:
         The run. Its `steps` are the recorded ones, `deployments` their errors; `stepgap report FOLDER` shows it.
@@ -79,7 +79,7 @@ def run(
         experiment = replace(experiment, reference="targets")
     with run_folder(folder_of_run) as folder:
         with plant_compiled_beside(experiment):
-            nominal = nominal_with_progress(experiment)
+            nominal = nominal_with_progress(experiment, reference)
         setup = load_setup(PlantRequest(experiment, reference, folder), nominal.map)
         if not resume:
             start_folder(folder, partial(write_experiment, folder, experiment, reference, setup.known, nominal.file))

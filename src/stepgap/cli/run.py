@@ -13,8 +13,20 @@ from typing import TYPE_CHECKING
 from cyclopts import Parameter
 
 from stepgap.base.errors import InputError, StepGapError
-from stepgap.cli.options import Address, FileName, Flag, FolderName, Integer, Name, Overrides, Port, Program
-from stepgap.cli.terminal import announces_compilation, check_consent, is_output_error, warn
+from stepgap.cli.options import (
+    Address,
+    FileName,
+    Flag,
+    FolderName,
+    Integer,
+    Name,
+    NamedValues,
+    Note,
+    Overrides,
+    Port,
+    Program,
+)
+from stepgap.cli.terminal import announces_compilation, check_consent, is_output_error, open_page, warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.displays import LivePage, WrittenReport
@@ -32,13 +44,20 @@ class Shorthand:
     """Settings of an experiment that have their own options.
 
     Attributes:
+        name: What this run, or its robot, is called, for its report, comparisons and exported controllers.
+        note: A sentence on this run, for its report and comparisons.
         reference: CSV file of targets, one row per step. [default: the robot's; for the hopper that of the paper]
+        target: State wanted at the end of every step in SI units, such as speed=0.3,height=0.6, instead of a reference;
+            what it does not name is free.
+        steps: Number of steps with this target. [default: 50]
         plant: Plant that steps: a simulation of the robot (of the hopper: twin, or emulated-ring, the twin on an
             EtherCAT bus in software), process (the program given after two dashes, as in -- ./robot), or a rig, such as
             ethercat. [default: the first simulation; of the hopper: twin]
         rig: File that describes the rig, such as rig.toml.
         method: Settings of learning and control before others change them: default; paper, the method as published; or
             a simple one to compare with, integral, rls (recursive least squares) or affine (a linear map).
+        gap: Preset of the differences between the simulated robot and its model, such as none; random:7 is random
+            robot 7.
         seed: Random seed. [default: 0]
         iterations: Largest number of redeployments. [default: 4]
         explore: Number of exploratory steps before the first deployment; with a prior at most that number. [default: 0]
@@ -50,10 +69,15 @@ class Shorthand:
             robot]
     """
 
+    name: Name | None = None
+    note: Note | None = None
     reference: FileName | None = None
+    target: NamedValues | None = None
+    steps: Integer | None = None
     plant: Name | None = None
     rig: FileName | None = None
     method: Name | None = None
+    gap: Name | None = None
     seed: Integer | None = None
     iterations: Integer | None = None
     explore: Integer | None = None
@@ -62,8 +86,14 @@ class Shorthand:
     prior: FileName | None = None
 
     def overrides(self) -> list[tuple[str, str]]:
-        """Names and TOML values of the options that were given."""
+        """Names and TOML values of the options that were given; a target is a reference."""
         given = {name: value for name, value in vars(self).items() if value is not None and value is not False}
+        target = given.pop("target", None)
+        steps = given.pop("steps", None)
+        if target is None and steps is not None:
+            raise InputError("--steps: valid only with --target, whose steps they are")
+        if target is not None:
+            given["reference"] = _constant_reference(target, steps, self.reference)
         return [(name, json_format.dumps(value, ensure_ascii=False)) for name, value in given.items()]
 
 
@@ -77,6 +107,7 @@ class Display:
         view: Show the run in the browser while it is running, and afterwards until Ctrl-C.
         host: Address to serve the page of --view on. [default: 127.0.0.1, which only this machine can open]
         port: TCP port of the page of --view. [default: the first free one from 8080 on]
+        open: Open the report in the browser at the end.
         json: Print JSON lines on stdout, for programs: one for every step and deployment, the report's path last.
     """
 
@@ -84,7 +115,19 @@ class Display:
     view: Flag = False
     host: Address | None = None
     port: Port | None = None
+    open: Flag = False
     json: Flag = False
+
+
+def _constant_reference(target: str, steps: int | None, reference: str | None) -> str:
+    """The setting of a reference that is one target."""
+    from stepgap.experiment.settings import is_constant_target
+
+    if reference is not None:
+        raise InputError("--target, --reference: give only one of them")
+    if not is_constant_target(target):
+        raise InputError(f"--target {target}: it must be names with numbers, such as speed=0.3,height=0.6")
+    return target if steps is None else f"{target},steps={steps}"
 
 
 NO_SHORTHAND = Shorthand()
@@ -273,7 +316,7 @@ def _report(folder: Path, recorder: "TickRecorder", display: Display) -> "Writte
 
 
 def _finish(report: "WrittenReport", live: "LivePage | None", display: Display) -> None:
-    """Prints the path of the report, and keeps the live page until Ctrl-C."""
+    """Prints the path of the report, opens it if that is wanted, and keeps the live page until Ctrl-C."""
     from stepgap.cli.progress import print_event
 
     try:
@@ -283,6 +326,8 @@ def _finish(report: "WrittenReport", live: "LivePage | None", display: Display) 
             print(report.path, flush=True)
         if report.missing and not display.quiet:
             warn(f"missing in the report: {'; '.join(report.missing)}")
+        if display.open:
+            open_page(report.path)
         if live:
             live.stay()
     except KeyboardInterrupt:

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 from functools import wraps
 from io import TextIOWrapper
+from pathlib import Path
 from typing import Any, TextIO, TypeGuard
 
 from stepgap.base.errors import InputError
@@ -63,6 +64,17 @@ def is_watched(stream: TextIO) -> bool:
     of a bar as a further output.
     """
     return stream.isatty() and "JPY_PARENT_PID" not in os.environ and os.environ.get("TERM") != "dumb"
+
+
+def open_page(page: Path) -> None:
+    """Opens a file in the browser, or says why it does not: a browser of a terminal would take its lines."""
+    import webbrowser
+
+    displays = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
+    if sys.platform != "darwin" and not any(os.environ.get(name) for name in displays):
+        warn("--open: there is no display here (DISPLAY is not set); open the report in a browser elsewhere")
+    elif not webbrowser.open(page.resolve().as_uri()):
+        warn("--open: no browser opened the report; BROWSER in the environment names one")
 
 
 def check_consent(asked_by: str) -> None:

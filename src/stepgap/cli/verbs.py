@@ -22,10 +22,10 @@ GROUPS = {
 }
 """Headings of the help with their verbs, in this order."""
 
-OTHERS, OPTIONS = "Other packages", "Options"
+_OTHERS, _OPTIONS = "Other packages", "Options"
 """Headings below those of the verbs of this package."""
 
-_HEADINGS = {name: Group(name, sort_key=number) for number, name in enumerate([*GROUPS, OTHERS, OPTIONS])}
+_HEADINGS = {name: Group(name, sort_key=number) for number, name in enumerate([*GROUPS, _OTHERS, _OPTIONS])}
 
 HIDDEN = "completion"  # A verb for the start of a shell, which no list shows
 
@@ -89,14 +89,14 @@ def command_line(only: str = "") -> App:
         else:
             _place(app[name], name, names.index(name))
     for flag in (*app.help_flags, *app.version_flags):
-        app[flag].group = _HEADINGS[OPTIONS]
+        app[flag].group = _HEADINGS[_OPTIONS]
     return app
 
 
 def _place(verb: App, name: str, number: int) -> None:
     """Puts a verb under its heading of the help; `number` is its place among all verbs."""
     headings = [heading for heading, names in GROUPS.items() if name in names]
-    verb.group = _HEADINGS[headings[0] if headings else OTHERS]
+    verb.group = _HEADINGS[headings[0] if headings else _OTHERS]
     verb.sort_key = number
     verb.show = name != HIDDEN
 

@@ -10,13 +10,24 @@ from stepgap.base.files import read_bounded_text, write_whole
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference, read_reference, reference_text
 from stepgap.experiment.command_response import FEWEST_STEPS_PER_WEIGHT
-from stepgap.experiment.settings import LARGEST_NOMINAL_FILE, NO_PRIOR, PRIOR_OF_ROBOT, Experiment, with_files
+from stepgap.experiment.settings import (
+    LARGEST_NOMINAL_FILE,
+    NO_PRIOR,
+    PRIOR_OF_ROBOT,
+    Experiment,
+    is_constant_target,
+    with_files,
+)
 from stepgap.experiment.settings_text import experiment_toml
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps, joined
 from stepgap.records.prior_file import PriorFile, read_prior
 from stepgap.records.steps_csv import RecordError, read_step_log, text_of
+from stepgap.records.text import values_by_name
 from stepgap.step import StepSpace
+
+CONSTANT_STEPS = 50  # Number of steps with a target that names none
+MOST_CONSTANT_STEPS = 5000  # Largest number of steps with one target
 
 TRIAL_STEPS = 20  # Number of steps of a trial that are drawn
 LONGEST_HELD = 3  # Largest number of steps for which a trial holds a target
@@ -34,20 +45,34 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
     """Reads the reference to track.
 
     Raises:
-        InputError: The file does not exist or is not a reference.
+        InputError: The file does not exist or is not a reference, or a target is wrong.
     """
     built_in = experiment.robot.references()
     if experiment.reference in built_in:
         return _tracked(built_in[experiment.reference](), experiment).of(space)
+    if is_constant_target(experiment.reference):
+        return _constant_reference(experiment.reference, space)
     names = " or ".join(f"'{name}'" for name in built_in)
     path = Path(experiment.reference)
-    remedy = f"reference must be {names} or a CSV file of targets"
+    remedy = f"reference must be {names}, a CSV file of targets, or one target such as {space.state_names[0]}=VALUE"
     try:
         return read_reference(path, space)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; {remedy}") from None
     except ValueError as error:
         raise InputError(str(error)) from None
+
+
+def _constant_reference(text: str, space: StepSpace) -> Reference:
+    """The reference of a target such as `speed=0.3,height=0.6,steps=50`; what it does not name is free."""
+    target, _, number = text.partition(",steps=")
+    if number and not (number.isdecimal() and 1 <= int(number) <= MOST_CONSTANT_STEPS):
+        raise InputError(f"target {text}: steps must be an integer between 1 and {MOST_CONSTANT_STEPS}, at the end")
+    values = values_by_name("target", target, space.state, np.full(len(space.state), np.nan))
+    try:
+        return Reference(space.state_names, np.tile(values, (int(number or CONSTANT_STEPS), 1))).of(space)
+    except ValueError as error:
+        raise InputError(f"target {text}: {error}") from None
 
 
 def _tracked(reference: Reference, experiment: Experiment) -> Reference:

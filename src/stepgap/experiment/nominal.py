@@ -15,6 +15,7 @@ from stepgap.base.errors import InputError, StepGapError, message_of
 from stepgap.base.files import read_bounded_text
 from stepgap.base.random_streams import random_stream
 from stepgap.base.start_method import process_context
+from stepgap.control.reference import Reference
 from stepgap.experiment.inputs import load_reference
 from stepgap.experiment.settings import FROM_LOG, FROM_TEMPLATE, LARGEST_NOMINAL_FILE, Experiment, weighted_space
 from stepgap.records.steps_csv import RecordError, read_step_log
@@ -63,7 +64,11 @@ class Nominal(NamedTuple):
         return json.dumps(self.surrogate.to_dict()) + "\n" if self.surrogate else ""
 
 
-def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] = lambda count, error: None) -> Nominal:
+def load_nominal(
+    settings: Experiment,
+    on_samples: Callable[[int, Array], None] = lambda count, error: None,
+    reference: Reference | None = None,
+) -> Nominal:
     """The nominal map of an experiment, linearised if the settings want it.
 
     That of a simulator is a surrogate, which takes seconds to minutes to fit.
@@ -71,6 +76,7 @@ def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] 
     Args:
         settings: Settings of the experiment.
         on_samples: Called with the number of simulated steps so far, and the error of the surrogate [state units].
+        reference: Reference about which the map may be linearised; None for that of the settings.
 
     Raises:
         InputError: There is no such map, its file is not valid, or it cannot be linearised.
@@ -78,7 +84,7 @@ def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] 
     nominal = _load_map(settings, on_samples)
     if not settings.nominal.linear:
         return nominal
-    target = load_reference(settings, settings.space).mean_target
+    target = (reference or load_reference(settings, settings.space)).mean_target
     try:
         return nominal._replace(map=linearised(nominal.map, target))
     except StepFailed as error:

@@ -170,6 +170,13 @@ class Run:
         except InputError as error:
             return Missing(f"the settings are not valid in this version: {error}")
 
+    @property
+    def called(self) -> str:
+        """Name and note of the run, such as "leg 3: new spring"; empty if it has neither."""
+        if isinstance(self.settings, Missing):
+            return ""
+        return ": ".join(text for text in (self.settings.name, self.settings.note) if text)
+
     @cached_property
     def robot(self) -> Robot | Missing:
         """The robot of the settings, which knows units and ranges; missing if its state is not that of the steps."""

@@ -1,6 +1,7 @@
 """Settings of an experiment, read with strict checks from TOML and options, and methods: named sets of settings."""
 
-from collections.abc import Callable, Iterable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import inf, log
@@ -10,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 from stepgap.base.errors import InputError
 from stepgap.base.plugins import one_of
+from stepgap.base.random_streams import random_stream
 from stepgap.base.ranges import format_value, require
 from stepgap.base.settings_file import (
     IS_KEY,
@@ -45,9 +47,15 @@ PROCESS = "process"  # The plant that is another program; all others but the sim
 FROM_TEMPLATE, FROM_LOG = "template", "log"
 """Kinds of nominal map that every robot has, each with a file."""
 
+LONGEST_NAME, LONGEST_NOTE = 60, 500  # Longest name and note of a run [characters]
+
+GAP, RANDOM = "gap", "random:"
+"""The table of random differences, and the beginning of its presets `random:NUMBER`."""
+
 LARGEST_NOMINAL_FILE = 2**28  # Largest file of a nominal map that is read [bytes]
 
 SHORT_OPTIONS = {
+    "gap": "gap.preset",
     "iterations": "learning.iterations",
     "explore": "learning.exploration",
     "online": "learning.online",
@@ -162,8 +170,11 @@ class Experiment:
     Attributes:
         robot: Robot with its settings.
         seed: Random seed.
-        reference: Name of a reference of the robot, or a CSV file of targets, relative to the experiment's file.
-            Empty: the first one of the robot.
+        name: What this run, or its robot, is called, such as a serial number: in its report, in comparisons, and in the
+            passport of what is exported.
+        note: A sentence on this run for its report and comparisons.
+        reference: Name of a reference of the robot; a CSV file of targets, relative to the experiment's file; or one
+            target for a number of steps, such as "speed=0.3,height=0.6,steps=50". Empty: the first one of the robot.
         plant: A simulated plant of the robot, `process` (another program), or the name of a rig. Empty: the first
             simulated one.
         rig: File that describes that rig, relative to the experiment's file.
@@ -183,6 +194,8 @@ class Experiment:
 
     robot: Robot = field(default_factory=partial(load_robot, DEFAULT_ROBOT), metadata={IS_KEY: False})
     seed: int = 0
+    name: str = ""
+    note: str = ""
     reference: str = ""
     plant: str = ""
     rig: str = ""
@@ -196,6 +209,10 @@ class Experiment:
 
     def __post_init__(self) -> None:
         require(0 <= self.seed < 2**63, "seed", self.seed, "lie between 0 and 2⁶³")
+        for key, longest in (("name", LONGEST_NAME), ("note", LONGEST_NOTE)):
+            text = getattr(self, key)
+            fits = len(text) <= longest and text.isprintable()
+            require(fits, key, text, f"have at most {longest} printable characters")
         object.__setattr__(self, "reference", self.reference or next(iter(self.robot.references())))
         object.__setattr__(self, "plant", self.plant or next(iter(self.robot.simulations()), PROCESS))
         kind = self.nominal.kind or next(iter(self.robot.nominal_maps()), FROM_TEMPLATE)
@@ -320,8 +337,17 @@ def names_file(robot: Robot, name: str) -> bool:
 def in_folder(folder: Path, robot: Robot, name: str, value: str) -> str:
     """The value of a setting that names a file and is given in a file of this folder, to which paths are relative."""
     words = {"reference": robot.references(), "prior": (PRIOR_OF_ROBOT, NO_PRIOR)}
-    named = bool(value) and value not in words.get(name, ())
+    constant = name == "reference" and is_constant_target(value)
+    named = bool(value) and not constant and value not in words.get(name, ())
     return str(folder / value) if named else value
+
+
+def is_constant_target(reference: str) -> bool:
+    """Whether a reference is one target, such as `speed=0.3,steps=50`, instead of a name or a file."""
+    return bool(_CONSTANT.fullmatch(reference)) and not reference.endswith(".csv")
+
+
+_CONSTANT = re.compile(r"\w+=[^/=,]*(,\w+=[^/=,]*)*")
 
 
 def experiment_table(experiment: Experiment) -> dict[str, Any]:
@@ -391,13 +417,12 @@ def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: 
         experiment = replace(experiment, learning=learning, control=control, nominal=nominal)
     robot = experiment.robot
     rest = _without_former(robot, rest, locate)
-    for name, presets in robot.presets.items():
+    for name in preset_names(robot):
         part = rest.get(name)
         if isinstance(part, Mapping) and "preset" in part:
-            preset = _chosen(presets, part["preset"], locate(f"{name}.preset"))
-            robot = replace(cast("Any", robot), **{name: preset})
+            robot = _with_preset(robot, name, part["preset"], locate(f"{name}.preset"))
             rest[name] = {key: value for key, value in part.items() if key != "preset"}
-    more = (ROBOT, "method", *(f"{name}.preset" for name in robot.presets))
+    more = (ROBOT, "method", *(f"{name}.preset" for name in preset_names(robot)))
     experiment, robot = merge_all((experiment, robot), rest, locate, more=more)
     built_in = robot.references()
     reference = experiment.reference
@@ -409,6 +434,26 @@ def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: 
     except ValueError as error:
         raise located(error, locate, "") from None
     return experiment
+
+
+def preset_names(robot: Robot) -> Mapping[str, Sequence[str]]:
+    """Names of the presets of the tables of a robot; those of random robots are `random:NUMBER`."""
+    names = {table: list(presets) for table, presets in robot.presets.items()}
+    if robot.randomised(random_stream(0)) is not None:
+        names[GAP] = [*names.get(GAP, []), f"{RANDOM}NUMBER"]
+    return names
+
+
+def _with_preset(robot: Robot, table: str, name: Any, where: str) -> Robot:
+    """The robot with a preset of one of its tables; `where` names the setting in messages."""
+    names = preset_names(robot)[table]
+    number = name.removeprefix(RANDOM) if isinstance(name, str) else ""
+    if f"{RANDOM}NUMBER" in names and name == f"{RANDOM}{number}" and number.isdecimal() and len(number) < 19:
+        return robot.randomised(random_stream(int(number))) or robot
+    presets = robot.presets.get(table, {})
+    if name in list(presets):
+        return replace(cast("Any", robot), **{table: presets[name]})
+    raise InputError(f"{where} = {format_value(name)}, but it must be {one_of(name, names)}")
 
 
 def _gone(table: Mapping[str, Any]) -> list[str]:

@@ -12,7 +12,7 @@ from docstring_parser import DocstringStyle, parse, parse_from_object
 
 from stepgap.base.ranges import format_value
 from stepgap.base.settings_file import IS_KEY
-from stepgap.experiment.settings import METHODS, Experiment, experiment_table
+from stepgap.experiment.settings import METHODS, Experiment, experiment_table, preset_names
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.gap import Gap, differences
 
@@ -64,7 +64,7 @@ def described_settings(experiment: Experiment) -> Iterator[tuple[str, str, Any]]
     yield "method", f"{', '.join(METHODS)}: {sets}", None
     for owner in (experiment, experiment.robot):
         yield from _described(owner, "")
-    for name, presets in experiment.robot.presets.items():
+    for name, presets in preset_names(experiment.robot).items():
         text = f"{', '.join(presets)}: sets all keys of this table, before the others. It is not in the file."
         yield f"{name}.preset", text, None
 

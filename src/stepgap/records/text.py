@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from stepgap.base.errors import InputError
 from stepgap.step import Array, Quantity
 
 LONGEST_NUMBER = 14  # Largest number of characters of a number with the decimals of its coordinate
@@ -45,6 +46,32 @@ def in_words(quantities: Sequence[Quantity], values: Iterable[float]) -> str:
     """Coordinates with their names, values and units, such as "speed 0.3 m/s, height 0.7 m"; NaN is left out."""
     pairs = [(one, value) for one, value in zip(quantities, values, strict=True) if value == value]
     return ", ".join(f"{one.name} {trimmed(in_scale(value, one))}{unit_suffix(one)}" for one, value in pairs)
+
+
+def values_by_name(
+    option: str, text: str | None, quantities: Sequence[Quantity], defaults: Iterable[float]
+) -> list[float]:
+    """Values of quantities from text such as `speed=0.2,height=0.58`; those that are not named have their default.
+
+    Raises:
+        InputError: A name or a number is wrong.
+    """
+    values = {quantity.name: float(value) for quantity, value in zip(quantities, defaults, strict=True)}
+    given = set[str]()
+    for part in text.split(",") if text else ():
+        name, _, number = part.partition("=")
+        if name not in values:
+            raise InputError(f"{option} {text}: no name {name!r}; it must be of {', '.join(values)}")
+        try:
+            value = float(number)
+        except ValueError:
+            value = np.nan
+        if name in given or not np.isfinite(value):
+            example = ",".join(f"{one.name}={(one.lower + one.upper) / 2:g}" for one in quantities)
+            raise InputError(f"{option} {text}: it must be names, each once, with finite numbers, such as {example}")
+        values[name] = value
+        given.add(name)
+    return list(values.values())
 
 
 def trimmed(number: str) -> str:

@@ -132,7 +132,8 @@ def _top(analysis: Analysis, title: str) -> str:
     """The first screen: the result in a sentence and a table."""
     links = "".join(f'<a href="#{name}">{heading}</a>' for name, heading in CONTENTS.items())
     note = " ".join([recorded(analysis.run), *times_in_words(analysis.run)])
-    return f'<h1>{safe(title)}</h1>\n<nav>{links}</nav>\n{_summary(analysis)}<p class="note">{safe(note)}</p>'
+    called = paragraph(analysis.run.called) if analysis.run.called else ""
+    return f'<h1>{safe(title)}</h1>\n{called}<nav>{links}</nav>\n{_summary(analysis)}<p class="note">{safe(note)}</p>'
 
 
 def _numbers(run: Run) -> list[str]:

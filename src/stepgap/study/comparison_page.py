@@ -52,6 +52,8 @@ RUN_LINES: Final = ("-", "--", "-.", ":")
 
 FEWEST_SEEDS: Final = 3  # Smallest number of seeds whose spread is shown
 
+_NO_INFLUENCE: Final = ("seed", "name", "note")  # Settings in which runs that repeat one experiment may differ
+
 SPREAD_NOTE: Final = (
     "These runs have the same settings and versions, except the seed, so they repeat one experiment: their spread is "
     "that of its random influences. Geometric means; their intervals count the runs as independent."
@@ -85,7 +87,7 @@ def comparison_html(runs: Sequence[Run], before: Sequence[str] = ()) -> str:
         "StepGap comparison",
         [
             f"<h1>StepGap comparison of {len(runs)} runs</h1>",
-            bullets([f"{name}: {headline(run)}" for name, run in zip(names, runs, strict=True)]),
+            bullets([f"{name}: {headline(run)}{_called(run)}" for name, run in zip(names, runs, strict=True)]),
             *before,
             section("figure", "Figures", *pictures),
             *spread,
@@ -115,6 +117,11 @@ def check_comparable(runs: Sequence[Run]) -> None:
 
 def _side_by_side(tables: Sequence[str]) -> str:
     return f'<div class="tables">{"".join(tables)}</div>'
+
+
+def _called(run: Run) -> str:
+    """The name and the note of a run, in brackets."""
+    return f" ({run.called})" if run.called else ""
 
 
 def run_names(folders: Sequence[Path]) -> list[str]:
@@ -214,7 +221,8 @@ def seed_groups(runs: Sequence[Run]) -> list[list[int]]:
     groups: dict[object, dict[int | None, int]] = {}
     for row, run in enumerate(runs):
         if not isinstance(run.settings_file, Missing):
-            settings = flat_settings({name: v for name, v in run.settings_file.table.items() if name != "seed"})
+            entries = run.settings_file.table.items()
+            settings = flat_settings({name: value for name, value in entries if name not in _NO_INFLUENCE})
             key = tuple(sorted(settings.items())), run.summary.versions
             groups.setdefault(key, {}).setdefault(run.summary.seed, row)
     return [list(rows.values()) for rows in groups.values() if len(rows) >= FEWEST_SEEDS]

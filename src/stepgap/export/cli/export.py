@@ -53,7 +53,8 @@ def export(
             controller as a C99 file and its header; python: the controller as a file that needs NumPy alone.
         iteration: Number of the only deployment to export. [default: all of them; for mcap the last one; for what was
             learned the one after the last]
-        name: Name of this robot, such as its serial number, in the passport of what was learned.
+        name: Name of this robot, such as its serial number, in the passport of what was learned. [default: that
+            of the run]
         out: New file, or for mjcf a new folder. [default: a new one in the folder export/ of the run]
     """
     if to in PACKAGE_OF_FORMAT:

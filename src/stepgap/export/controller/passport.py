@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from hashlib import sha256
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -11,10 +11,9 @@ from stepgap.base.errors import InputError
 from stepgap.base.normal import std_interval_95
 from stepgap.base.versions import versions_here
 from stepgap.experiment.run import Run
+from stepgap.experiment.settings import LONGEST_NAME
 from stepgap.records.missing import Missing
 from stepgap.step import Array
-
-LONGEST_NAME: Final = 60  # Longest name of a robot [characters]
 
 
 def passport_of(run: Run, deployment: int | None, name: str = "") -> dict[str, Any]:
@@ -23,7 +22,7 @@ def passport_of(run: Run, deployment: int | None, name: str = "") -> dict[str, A
     Args:
         run: The run in which it was learned.
         deployment: Number of the deployment that the controller begins; None for the one after the last.
-        name: What the user calls this robot, such as its serial number.
+        name: What the user calls this robot, such as its serial number; empty for the name of the run.
 
     Raises:
         InputError: The name is too long, or has letters that cannot be printed.
@@ -34,7 +33,7 @@ def passport_of(run: Run, deployment: int | None, name: str = "") -> dict[str, A
     changed = datetime.fromtimestamp((run.folder / "steps.csv").stat().st_mtime, UTC)
     return {
         "robot": settings.robot.name,
-        "name": checked_robot_name(name),
+        "name": checked_robot_name(name or settings.name),
         "plant": settings.plant,
         "date": f"{changed:%Y-%m-%d}",
         "deployments": len(log.iterations),

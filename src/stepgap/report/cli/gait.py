@@ -6,7 +6,7 @@ from pathlib import Path
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, format_by_name, free_name, write_new
 from stepgap.cli.map import named_values
-from stepgap.cli.options import NamedValues, Overrides, values_by_name
+from stepgap.cli.options import NamedValues, Overrides
 from stepgap.cli.terminal import announces_compilation, warn
 
 
@@ -30,6 +30,7 @@ def gait(
     from stepgap.control.limit_cycle import fixed_point, reachable_set
     from stepgap.experiment.nominal import load_nominal
     from stepgap.experiment.settings import read_experiment
+    from stepgap.records.text import values_by_name
     from stepgap.report.own_style import own_style
     from stepgap.step import StepFailed
 

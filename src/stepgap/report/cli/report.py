@@ -5,16 +5,17 @@ from pathlib import Path
 from stepgap.base.errors import InputError
 from stepgap.base.plugins import load_plugin, plugin_names
 from stepgap.cli.options import Flag
-from stepgap.cli.terminal import warn
+from stepgap.cli.terminal import open_page, warn
 
 
-def report(folder: Path, /, *others: Path, figures: Flag = False) -> None:
+def report(folder: Path, /, *others: Path, figures: Flag = False, open: Flag = False) -> None:
     """Regenerate the report of a run or of a sweep.
 
     Args:
         folder: Folder of the run or of the sweep.
         others: None: several runs are compared by `stepgap compare`.
         figures: Write each figure as PNG and as PDF into the folder figures/, too.
+        open: Open the report in the browser.
     """
     from stepgap.cli.progress import progress_bar
     from stepgap.experiment.displays import REPORTS, FolderReport
@@ -33,4 +34,6 @@ def report(folder: Path, /, *others: Path, figures: Flag = False) -> None:
         page, left_out = other.write(folder, figures) if other else write_report(run, figures)
     if left_out:
         warn(f"missing in the report: {'; '.join(left_out)}")
-    print(page)
+    print(page, flush=True)
+    if open:
+        open_page(page)
