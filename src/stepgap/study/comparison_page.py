@@ -87,7 +87,12 @@ def comparison_html(runs: Sequence[Run], before: Sequence[str] = ()) -> str:
         "StepGap comparison",
         [
             f"<h1>StepGap comparison of {len(runs)} runs</h1>",
-            bullets([f"{name}: {headline(run)}{_called(run)}" for name, run in zip(names, runs, strict=True)]),
+            bullets(
+                [
+                    f"{name}: {headline(run)}{f' ({run.called})' * bool(run.called)}"
+                    for name, run in zip(names, runs, strict=True)
+                ]
+            ),
             *before,
             section("figure", "Figures", *pictures),
             *spread,
@@ -117,11 +122,6 @@ def check_comparable(runs: Sequence[Run]) -> None:
 
 def _side_by_side(tables: Sequence[str]) -> str:
     return f'<div class="tables">{"".join(tables)}</div>'
-
-
-def _called(run: Run) -> str:
-    """The name and the note of a run, in brackets."""
-    return f" ({run.called})" if run.called else ""
 
 
 def run_names(folders: Sequence[Path]) -> list[str]:
