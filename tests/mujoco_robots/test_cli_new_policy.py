@@ -76,6 +76,28 @@ def test_a_policy_without_metadata_says_what_is_missing_until_it_is_filled_in(st
     assert "# Time between two actions [s], as in the training.\n# Check it: no file says it.\nperiod = 0.02\n" in text
 
 
+def test_a_policy_with_the_file_of_its_training_beside_it_needs_nothing(stepgap: Command) -> None:
+    Path("run/exported").mkdir(parents=True)
+    Path("run/params").mkdir()
+    write_network(Path("run/exported/policy.onnx"), driving())
+    names = ["base_lin_vel", "base_ang_vel", "projected_gravity", "joint_pos_rel", "joint_vel_rel", "last_action"]
+    terms = "".join(f"  {name}: {{scale: [0.5], clip: null, history_length: 1}}\n" for name in names)
+    Path("run/params/deploy.yaml").write_text(
+        "joint_ids_map: [0, 1, 2, 3]\nstep_dt: 0.02\nstiffness: [2, 2, 2, 2]\ndamping: [.8, .8, .8, .8]\n"
+        "default_joint_pos: [0, 0, 0, 0]\nactions:\n  JointPositionAction: {clip: null, scale: [1, 1, 1, 1], "
+        f"offset: [0, 0, 0, 0]}}\nobservations:\n{terms}  velocity_commands: {{scale: [1.0, 1.0, 1.0]}}\n"
+    )
+    Path("cart.xml").write_text(cart_xml())
+    made = stepgap("new", "cart", "--policy", "run/exported/policy.onnx", "--mjcf", "cart.xml")
+    assert made.code == 0, made.err
+    assert "fill in" not in made.err
+    settings = read_policy_settings(Path("cart/policy.toml"))
+    assert settings.observation == TERMS
+    assert settings.scale.joint_vel == (0.5,)
+    assert settings.scale.command == (1.0,)
+    assert "# Its settings are from run/exported/../params/deploy.yaml." in Path("cart/policy.toml").read_text()
+
+
 def test_texts_of_others_do_not_leave_their_place(stepgap: Command) -> None:
     said = mjlab_metadata() | {"observation_names": 'base_ang_vel,evil\nperiod = 1\n"""', "run_path": "\x00"}
     write_network(Path("walk.onnx"), driving(), said)

@@ -10,7 +10,7 @@ A file that ends its reader, or never lets it end, ends this process only. This 
 
 import hashlib
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final, NamedTuple
@@ -64,11 +64,13 @@ class NetworkParts(NamedTuple):
         inputs: Size of its input.
         outputs: Size of its output.
         metadata: What its file says of it, by names.
+        ends: Names of its input and its output.
     """
 
     inputs: int
     outputs: int
     metadata: Mapping[str, str]
+    ends: Sequence[str] = ()
 
 
 def parts_of_model(model: Path, seconds: int = _SECONDS, memory: int = _MEMORY) -> Parts:
@@ -114,7 +116,8 @@ def _network_parts(path: str) -> dict[str, Any]:
 
     network = OnnxNetwork(Path(path))
     network(np.zeros(network.input_size))
-    return {"inputs": network.input_size, "outputs": network.output_size, "metadata": network.metadata}
+    sizes = {"inputs": network.input_size, "outputs": network.output_size}
+    return sizes | {"metadata": network.metadata, "ends": network.ends}
 
 
 def _model_parts(path: str) -> dict[str, Any]:

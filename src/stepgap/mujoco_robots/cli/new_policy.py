@@ -42,7 +42,8 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> tuple[lis
     from stepgap.mujoco_robots.velocity.policy.onnx_file import read_network
     from stepgap.mujoco_robots.velocity.policy.policy_model import standing_height
     from stepgap.mujoco_robots.velocity.policy.policy_robot import PolicyFile, PolicyRobot
-    from stepgap.mujoco_robots.velocity.policy.proposal import completed_model, propose_policy
+    from stepgap.mujoco_robots.velocity.policy.proposal import completed_model, driven_joints, propose_policy
+    from stepgap.mujoco_robots.velocity.policy.training_files import training_of
     from stepgap.mujoco_robots.velocity.walking_robot import Walk
 
     try:
@@ -53,7 +54,11 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> tuple[lis
     create(folder / NETWORK_FILE, content)
     parts = copied_model(mjcf, folder)
     model = folder / MODEL_FILE
-    found = propose_policy(network, parts)
+    try:
+        training = training_of(network, policy, list(parts.addresses), driven_joints(parts))
+    except ValueError as error:
+        raise InputError(f"--policy {error}") from None
+    found = propose_policy(network, parts, training)
     known = {"policy": NETWORK_FILE, "model": MODEL_FILE, **found.values}
     joints = known.get("joints", [])
     positions = known.get("default_joint_pos", [])
@@ -146,7 +151,8 @@ def _policy_toml(proposal: "Proposal") -> str:
             lines.append(f"# {entry.name} = []")
     lines += ["", *_comment(texts["scale"]), "[scale]"]
     for name, text in meanings(Scales).items():
-        lines += [*_comment(text), toml_line(name, to_table(Scales())[name])]
+        factors = proposal.values.get("scale", {}).get(name) or to_table(Scales())[name]
+        lines += [*_comment(text), toml_line(name, factors)]
     return "\n".join([*lines, ""])
 
 

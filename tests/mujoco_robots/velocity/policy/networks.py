@@ -72,7 +72,7 @@ def write_network(path: Path, weights: Array, metadata: Mapping[str, str] | None
 
 
 def mjlab_metadata() -> dict[str, str]:
-    """Metadata of the cart's policy as mjlab writes it: lists with commas, numbers with three decimals."""
+    """Metadata of the cart's policy as mjlab 1.6.0 writes it: commas between items, semicolons in them."""
     return {
         "run_path": "somebody/mjlab/1",
         "joint_names": ",".join(WHEELS),
@@ -81,5 +81,9 @@ def mjlab_metadata() -> dict[str, str]:
         "default_joint_pos": ",".join(["0.000"] * 4),
         "command_names": "twist",
         "observation_names": ",".join(TERMS),
+        "observation_terms_scale": ",".join(["1.000"] * 7),
+        "observation_terms_flatten_history_dim": ",".join(["1.000"] * 7),
+        "observation_terms_history_length": ",".join(["0.000"] * 7),
+        "observation_terms_clip": ",".join(["-inf;inf"] * 7),
         "action_scale": "1.0",
     }

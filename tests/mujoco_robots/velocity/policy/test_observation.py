@@ -37,7 +37,10 @@ def moved() -> tuple[Any, Any]:
 def observed(settings: PolicySettings, times: int = 1) -> Array:
     model, data = moved()
     observation = Observation(settings, model)
-    found = [observation.next(model, data, ACTIONS + number, COMMAND, 0.02 * number) for number in range(times)]
+    found = [
+        observation.next(model, data, ACTIONS + number, COMMAND, 0.02 * number / settings.gait_period)
+        for number in range(times)
+    ]
     return found[-1]
 
 
@@ -87,6 +90,10 @@ def test_terms_follow_each_other_and_each_number_may_have_its_scale() -> None:
 def test_phases_go_round_once_in_a_period() -> None:
     both = replace(SETTINGS, observation=("phase_cos", "phase_sin"), gait_period=0.08, gait_offsets=(0.0, 0.5))
     assert observed(both, times=2) == pytest.approx([0.0, 0.0, 1.0, -1.0])
+    standing = replace(both, gait_stands_below=0.6, gait_standing=(0.5, 0.25))
+    assert observed(standing, times=2) == pytest.approx([-1.0, 0.0, 0.0, 1.0]), "the command has a size of 0.59"
+    assert observed(replace(standing, gait_standing=())).tolist() == [0.0] * 4
+    assert observed(replace(standing, gait_stands_below=0.59), times=2) == pytest.approx([0.0, 0.0, 1.0, -1.0])
 
 
 @pytest.mark.parametrize(

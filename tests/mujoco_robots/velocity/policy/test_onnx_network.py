@@ -50,7 +50,7 @@ def test_any_batch_size_is_accepted(tmp_path: Path) -> None:
 
 def test_the_trial_in_another_process_says_the_same(tmp_path: Path) -> None:
     parts = parts_of_network(write_network(tmp_path / "p.onnx", WEIGHTS, {"action_scale": "0.5"}))
-    assert parts == (3, 2, {"action_scale": "0.5"})
+    assert parts == (3, 2, {"action_scale": "0.5"}, ["obs", "actions"])
     (tmp_path / "bad.onnx").write_bytes(b"\x08\x07")
     with pytest.raises(ValueError, match=r"bad.onnx: onnxruntime cannot load it: .*; export the policy") as found:
         parts_of_network(tmp_path / "bad.onnx")
@@ -147,6 +147,15 @@ def test_numbers_that_are_cut_off_or_too_many_are_refused(tmp_path: Path, monkey
     (tmp_path / "data").write_bytes(bytes(path.stat().st_size + 1))
     with pytest.raises(InputError, match="data: larger than"):
         OnnxNetwork(path)
+
+
+def test_a_file_of_pytorch_is_refused_with_the_lines_that_convert_it(tmp_path: Path) -> None:
+    (tmp_path / "walk.pt").write_bytes(b"PK\x03\x04 walk/code/")
+    lines = (
+        r"import torch; policy = torch\.jit\.load\('walk\.pt'\)\.eval\(\); torch\.onnx\.export\(policy, .*'walk\.onnx'"
+    )
+    with pytest.raises(InputError, match=lines):
+        OnnxNetwork(tmp_path / "walk.pt")
 
 
 @pytest.mark.parametrize(

@@ -110,6 +110,38 @@ def test_gains_of_the_training_are_those_of_the_joints_whatever_the_actuators_we
         np.testing.assert_allclose(np.abs(data.qfrc_actuator[6:]), 50 * abs(gear), rtol=1e-9)
 
 
+def test_gains_of_the_training_are_implicit_and_those_of_the_model_are_its_own(tmp_path: Path) -> None:
+    """A link of 10 g with a damping of 10 N·m·s/rad is unstable at 2 ms by explicit steps, as Euler's are."""
+    euler = cart_xml(actuators("position", 'kp="2" kv="0.8"'), GROUND).replace('integrator="implicitfast"', "")
+    file = written(tmp_path, model=euler)
+    implicit = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    assert policy_spec(read_policy_settings(file), file).option.integrator == implicit
+    file = written(tmp_path, model=euler, stiffness=None, damping=None)
+    assert policy_spec(read_policy_settings(file), file).option.integrator == int(mujoco.mjtIntegrator.mjINT_EULER)
+
+
+def test_a_clock_that_depends_on_the_command_is_the_sum_of_its_frequencies(tmp_path: Path) -> None:
+    clock: dict[str, Any] = {
+        "gait_period": 0.8,
+        "gait_quickening": 0.5,
+        "gait_quickens_to": 0.6,
+        "gait_stands_below": 0.01,
+    }
+    weights = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
+    file = written(tmp_path, weights, observation=["phase_sin", "phase_cos"], **clock)
+    settings = read_policy_settings(file)
+    model = policy_spec(settings, file).compile()
+    data = mujoco.MjData(model)
+    control = PolicyControl(settings, OnnxNetwork(tmp_path / "policy.onnx"))
+    control.start(model, data)
+    sizes = [0.5, 5.0, 0.0, 0.5]
+    found = [control.control(model, data, np.array([0.6 * size, 0.8 * size, 0.0]))[:1:-1].tolist() for size in sizes]
+    turns = 0.02 * np.cumsum([0.0, 1.25 + 0.25, 1.25 + 0.3, 1.25])
+    expected = np.array([np.sin(2 * np.pi * turns), np.cos(2 * np.pi * turns)]).T
+    expected[2] = 0.0  # told to stand
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
 def test_it_starts_on_the_ground_in_its_default_posture_and_drives_as_commanded(tmp_path: Path) -> None:
     robot = robot_of(written(tmp_path, default_joint_pos=[0.1, 0.0, 0.0, 0.2], timestep=0.004))
     assert robot.tick == 0.004

@@ -18,6 +18,8 @@ REMEDY: Final = "export the policy by torch.onnx.export or your training program
 
 _KEY: Final = b"location"  # Key of the entry of a tensor that says in which other file its numbers are
 
+_TORCH: Final = b"PK\x03\x04"  # How archives begin: PyTorch writes all of its files as such
+
 _MESSAGES: Final[Mapping[str, Mapping[int, str]]] = {
     "model": {7: "graph", 20: "training", 25: "function"},
     "training": {1: "graph", 2: "graph"},
@@ -47,6 +49,12 @@ def read_network(path: Path) -> bytes:
         content = read_bounded(path, LARGEST_NETWORK)
     except OSError as error:
         raise InputError(f"{message_of(error)}; {REMEDY}") from None
+    if content.startswith(_TORCH):
+        raise InputError(
+            f"{path}: this is a file of PyTorch, not ONNX. Without memory (LSTM, GRU), N inputs: import torch; "
+            f"policy = torch.jit.load({path.name!r}).eval(); "
+            f"torch.onnx.export(policy, torch.zeros(1, N), {path.stem + '.onnx'!r}, dynamo=False)"
+        )
     if _KEY not in content:
         return content
     try:

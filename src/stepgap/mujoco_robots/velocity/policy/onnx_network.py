@@ -22,6 +22,7 @@ class OnnxNetwork:
     Attributes:
         input_size: Size of its input.
         output_size: Size of its output.
+        ends: Names of its input and its output.
         metadata: What the file says of it, by names.
 
     Raises:
@@ -43,6 +44,7 @@ class OnnxNetwork:
         try:
             self._input, self._rank, self.input_size = _vector(self._session.get_inputs(), "input", path)
             self._output, _, self.output_size = _vector(self._session.get_outputs(), "output", path)
+            self.ends = self._input, self._output
             self.metadata = dict(self._session.get_modelmeta().custom_metadata_map)
         except UnicodeDecodeError as error:
             raise InputError(

@@ -21,6 +21,8 @@ _ROUND = (int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE))
 def policy_spec(settings: PolicySettings, file: Path) -> Any:
     """The model as a `mujoco.MjSpec`, with the time step of the policy, and its gains if it has any.
 
+    Servos with gains of the training are integrated as there, implicitly: small links are unstable otherwise.
+
     Args:
         settings: The policy.
         file: Its `policy.toml`, for paths and messages.
@@ -37,6 +39,8 @@ def policy_spec(settings: PolicySettings, file: Path) -> Any:
         raise InputError(f"{file}: imu = {settings.imu!r}, but the model has no such site")
     servos = [_servo(spec, joint, file) for joint in settings.joints]
     if settings.stiffness:
+        if spec.option.integrator == mujoco.mjtIntegrator.mjINT_EULER:  # explicit in the damping of servos
+            spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         gains = np.broadcast_arrays(settings.stiffness, settings.damping, np.zeros(len(servos)))[:2]
         for servo, stiffness, damping in zip(servos, *gains, strict=True):
             _set_gains(servo, float(stiffness), float(damping))

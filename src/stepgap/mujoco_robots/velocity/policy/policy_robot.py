@@ -32,7 +32,7 @@ class Moment(NamedTuple):
         joint_vel: Their velocities; shape (J,) [rad/s].
         actions: The actions before; shape (J,).
         command: Commanded velocities; shape (3,).
-        phase: Phases of the gait; shape (P,) [rad].
+        clock: Sines and cosines of the gait's phases; shape (2, P).
     """
 
     velocity: Array
@@ -41,7 +41,7 @@ class Moment(NamedTuple):
     joint_vel: Array
     actions: Array
     command: Array
-    phase: Array
+    clock: Array
 
 
 _VALUES: Final[Mapping[str, Callable[[Moment], Array]]] = {
@@ -52,8 +52,8 @@ _VALUES: Final[Mapping[str, Callable[[Moment], Array]]] = {
     "joint_vel": lambda now: now.joint_vel,
     "actions": lambda now: now.actions,
     "command": lambda now: now.command,
-    "phase_sin": lambda now: np.sin(now.phase),
-    "phase_cos": lambda now: np.cos(now.phase),
+    "phase_sin": lambda now: now.clock[0],
+    "phase_cos": lambda now: now.clock[1],
 }
 
 
@@ -76,7 +76,7 @@ class Observation:
         self._imu = int(kind), model.site(settings.imu).id if settings.imu else 1
         self._past = deque[list[Array]](maxlen=max(settings.histories))
 
-    def next(self, model: Any, data: Any, actions: Array, command: Array, seconds: float) -> Array:
+    def next(self, model: Any, data: Any, actions: Array, command: Array, turns: float) -> Array:
         """The next observation; shape (sum of all sizes times their histories,).
 
         Args:
@@ -84,9 +84,9 @@ class Observation:
             data: Its data.
             actions: The actions before; shape (J,).
             command: Commanded velocities; shape (3,).
-            seconds: Time since the start [s].
+            turns: Periods of the gait's clock since the start.
         """
-        now = self._moment(model, data, actions, command, seconds)
+        now = self._moment(model, data, actions, command, turns)
         terms = zip(self._settings.observation, self._scales, strict=True)
         values = [scale * _VALUES[term](now) for term, scale in terms]
         self._past.extend([values] * (1 if self._past else self._past.maxlen or 1))
@@ -98,13 +98,12 @@ class Observation:
         order = -1 if self._settings.newest_first else 1
         return np.concatenate([each for part in parts for each in part[::order]])
 
-    def _moment(self, model: Any, data: Any, actions: Array, command: Array, seconds: float) -> Moment:
+    def _moment(self, model: Any, data: Any, actions: Array, command: Array, turns: float) -> Moment:
         kind, number = self._imu
         velocity = np.empty(6)  # angular first
         mujoco.mj_objectVelocity(model, data, kind, number, velocity, 1)
         rotation = (data.site_xmat if self._settings.imu else data.xmat)[number].reshape(3, 3)
         gravity = model.opt.gravity / np.linalg.norm(model.opt.gravity)
-        turns = seconds / self._settings.gait_period + np.array(self._settings.gait_offsets)
         return Moment(
             velocity=velocity.reshape(2, 3)[::-1],
             gravity=gravity @ rotation,
@@ -112,8 +111,19 @@ class Observation:
             joint_vel=data.qvel[self._rates],
             actions=actions,
             command=command,
-            phase=2 * np.pi * (turns % 1.0),
+            clock=self._clock(command, turns),
         )
+
+    def _clock(self, command: Array, turns: float) -> Array:
+        """Sines and cosines of the gait's phases; shape (2, P)."""
+        offsets = np.array(self._settings.gait_offsets)
+        shares = (turns + offsets) % 1.0
+        if np.linalg.norm(command) < self._settings.gait_stands_below:
+            if not self._settings.gait_standing:
+                return np.zeros((2, len(offsets)))
+            shares = np.array(self._settings.gait_standing)
+        phase = 2 * np.pi * shares
+        return np.array([np.sin(phase), np.cos(phase)])
 
 
 class PolicyControl(WalkingControl):
@@ -134,19 +144,23 @@ class PolicyControl(WalkingControl):
         self._observation = Observation(self._settings, model)
         self._actions = np.zeros(len(self._settings.joints))
         self._calls = 0
+        self._quickened = 0.0
         self._ctrl = data.ctrl.copy()
         actuators = actuators_of_joints(model)
         self._actuators = [actuators[joint] for joint in self._settings.joints]
 
     def control(self, model: Any, data: Any, command: Array) -> Array:
         """Observes, and computes the targets of the joints."""
-        seconds = self._calls * self.period
-        observation = self._observation.next(model, data, self._actions, command, seconds)
-        clip = self._settings.action_clip
-        scale = np.array(self._settings.action_scale)
+        settings = self._settings
+        turns = self._calls * self.period / settings.gait_period + self._quickened
+        observation = self._observation.next(model, data, self._actions, command, turns)
+        quick = settings.gait_quickening * min(float(np.linalg.norm(command)), settings.gait_quickens_to)
+        self._quickened += quick * self.period
+        clip = settings.action_clip
+        scale = np.array(settings.action_scale)
         self._actions = np.clip(self._network(observation), -clip, clip)
         self._calls = self._calls + 1
-        self._ctrl[self._actuators] = np.array(self._settings.default_joint_pos) + scale * self._actions
+        self._ctrl[self._actuators] = np.array(settings.default_joint_pos) + scale * self._actions
         return self._ctrl
 
 

@@ -62,6 +62,11 @@ class PolicySettings:
         imu: Site of the model in whose frame the velocities and gravity are observed; empty: that of the first body.
         gait_period: Period of the gait's phases [s], for the terms `phase_sin` and `phase_cos`.
         gait_offsets: The phases at the start, as shares of a period; each term has one number for each.
+        gait_stands_below: Size of a command, the root of its summed squares, below which the gait stands: its phases
+            are `gait_standing`, while its clock goes on.
+        gait_standing: The phases of a gait that stands, as shares of a period; without any, sines and cosines are 0.
+        gait_quickening: How many more periods a second the clock has for each unit of the size of the command.
+        gait_quickens_to: Size of a command from which on the clock becomes no faster.
         history: Number of the latest observations that the network is given: one number for all terms, or one for each.
             At the start, all are the first one.
         history_by_term: Whether the observations of one term follow each other, as in Isaac Lab, or those of one time.
@@ -83,6 +88,10 @@ class PolicySettings:
     imu: str = ""
     gait_period: float = 0.8
     gait_offsets: tuple[float, ...] = (0.0,)
+    gait_stands_below: float = 0.0
+    gait_standing: tuple[float, ...] = ()
+    gait_quickening: float = 0.0
+    gait_quickens_to: float = inf
     history: tuple[int, ...] = (1,)
     history_by_term: bool = True
     newest_first: bool = False
@@ -95,6 +104,9 @@ class PolicySettings:
         whole = round(ticks) >= 1 and abs(ticks - round(ticks)) < 1e-6 * ticks
         require(whole, "period", self.period, f"be a multiple of timestep = {self.timestep:g}")
         require(0 < self.gait_period < inf, "gait_period", self.gait_period, "be positive")
+        require(self.gait_stands_below >= 0, "gait_stands_below", self.gait_stands_below, "not be negative")
+        require(0 <= self.gait_quickening < inf, "gait_quickening", self.gait_quickening, "not be negative")
+        require(self.gait_quickens_to > 0, "gait_quickens_to", self.gait_quickens_to, "be positive")
         require(self.action_clip > 0, "action_clip", self.action_clip, "be positive")
         joints = len(self.joints)
         terms = len(self.observation)
@@ -107,6 +119,7 @@ class PolicySettings:
         require(all(1 <= each <= 1000 for each in self.history), "history", [*self.history], "lie from 1 to 1000")
         _check_length("history", self.history, (1, terms))
         _check_length("gait_offsets", self.gait_offsets, range(1, 100))
+        _check_length("gait_standing", self.gait_standing, (0, len(self.gait_offsets)))
         _check_length("default_joint_pos", self.default_joint_pos, (joints,))
         _check_length("action_scale", self.action_scale, (1, joints))
         for name in ("stiffness", "damping"):

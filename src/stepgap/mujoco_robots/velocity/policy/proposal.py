@@ -1,35 +1,24 @@
 """What a network and a model say of the settings of a policy, and what is left to fill in."""
 
 from collections.abc import Mapping, Sequence
-from math import isfinite
 from typing import Any, Final, NamedTuple
 from xml.etree import ElementTree as ET
 
 from stepgap.base.settings_file import toml_line
 from stepgap.mujoco_robots.trial import NetworkParts, Parts
 from stepgap.mujoco_robots.velocity.policy.policy_settings import TERMS
+from stepgap.mujoco_robots.velocity.policy.training_files import GYM_TERMS, JOINT_TERMS, MOTION_TERMS, Training
 
-_ALIASES: Final = {
-    "velocity_commands": "command",
-    "twist": "command",
-    "generated_commands": "command",
-    "last_action": "actions",
-    "joint_pos_rel": "joint_pos",
-    "joint_vel_rel": "joint_vel",
-}
-"""Other names of terms, in mjlab, Isaac Lab and what extends them."""
-
-_MOTION: Final = ("base_lin_vel", "base_ang_vel", "projected_gravity")
-_JOINTS: Final = ("joint_pos", "joint_vel", "actions")
 _LAYOUTS: Final = {
-    "mjlab, MuJoCo Playground": (*_MOTION, *_JOINTS, "command"),
-    "Isaac Lab": (*_MOTION, "command", *_JOINTS),
-    "mjlab without base_lin_vel": (*_MOTION[1:], *_JOINTS, "command"),
-    "Isaac Lab without base_lin_vel": (*_MOTION[1:], "command", *_JOINTS),
-    "unitree_rl_gym": (*_MOTION[1:], "command", *_JOINTS, "phase_sin", "phase_cos"),
+    "mjlab, MuJoCo Playground": (*MOTION_TERMS, *JOINT_TERMS, "command"),
+    "Isaac Lab": (*MOTION_TERMS, "command", *JOINT_TERMS),
+    "mjlab without base_lin_vel": (*MOTION_TERMS[1:], *JOINT_TERMS, "command"),
+    "Isaac Lab without base_lin_vel": (*MOTION_TERMS[1:], "command", *JOINT_TERMS),
+    "unitree_rl_gym": GYM_TERMS,
 }
 """Usual observations."""
 
+_PER_JOINT: Final = ("default_joint_pos", "action_scale", "stiffness", "damping")
 _USUAL_PERIOD: Final = 0.02  # Time between two actions in most trainings [s]; the metadata of mjlab does not have it
 
 
@@ -45,70 +34,84 @@ class Proposal(NamedTuple):
     advice: Mapping[str, Sequence[str]]
 
 
-def propose_policy(network: NetworkParts, model: Parts) -> Proposal:
-    """The settings as far as metadata of the network, as mjlab writes it, or the model has them.
+def propose_policy(network: NetworkParts, model: Parts, training: Training | None) -> Proposal:
+    """The settings as far as the training or the model has them.
 
     Args:
         network: What is in the network.
         model: What is in the model.
+        training: What is known of the training, None if nothing.
     """
-    said = {key: _items(text) for key, text in network.metadata.items()}
-    values: dict[str, Any] = {"timestep": model.timestep, "period": _period(model.timestep)}
-    advice = {key: ["Check it: no file says it."] for key in ("timestep", "period")}
-    _propose_joints(said, network, model, values, advice)
-    for key, name in (("action_scale", "action_scale"), ("stiffness", "joint_stiffness"), ("damping", "joint_damping")):
-        numbers = _numbers(said.get(name, []))
+    said = dict(training.values) if training else {}
+    values: dict[str, Any] = {"timestep": model.timestep}
+    values |= {key: value for key, value in said.items() if key not in (*_PER_JOINT, "joints", "observation")}
+    values.setdefault("period", _period(values["timestep"]))
+    advice = {key: ["Check it: no file says it."] for key in ("timestep", "period") if key not in said}
+    if training:
+        advice["policy"] = [f"Its settings are from {training.source}."]
+        advice["policy"] += ["Not used: " + "; ".join(training.unused) + "."] if training.unused else []
+        advice |= {key: [line] for key, line in training.checks.items()}
+    _propose_joints(said, training.keyframe if training else "", network, model, values, advice)
+    for key in _PER_JOINT:
+        numbers = said.get(key, [])
         if len(numbers) in (1, network.outputs):
-            values[key] = numbers
+            values.setdefault(key, numbers)
     if "action_scale" not in values:
         advice["action_scale"] = ["Fill it in, such as 0.25 or 0.5:"]
     if "stiffness" not in values and not (model.servos and all(model.servos)):
         advice["stiffness"] = ["Fill it in, and damping: not every joint has a position servo with gains in the model."]
-    if imus := [site for site in model.sites if "imu" in site.lower()]:
-        values["imu"], advice["imu"] = imus[0], ["Check it: the name of a site of the model."]
+    imus = sorted((site for site in model.sites if "imu" in site.lower()), key=lambda site: "pelvis" not in site)
+    if values.get("imu") not in model.sites:
+        values["imu"], advice["imu"] = (*imus, "")[0], ["Check it: the name of a site of the model."]
     _propose_observation(said, network, values, advice)
     return Proposal(values, advice)
 
 
 def _propose_joints(
-    said: Mapping[str, list[str]],
+    said: Mapping[str, Any],
+    keyframe: str,
     network: NetworkParts,
     model: Parts,
     values: dict[str, Any],
     advice: dict[str, list[str]],
 ) -> None:
     """Adds the joints and their default positions."""
-    named = said.get("action_joint_names") or said.get("joint_names", [])
-    known = [_in_model(name, list(model.addresses)) for name in named]
-    driven = [joint for joint in model.driven if joint in model.addresses] or list(model.addresses)
+    known = [_in_model(name, list(model.addresses)) for name in said.get("joints", [])]
+    driven = driven_joints(model)
     values["joints"] = known if known and all(known) else driven
-    if values["joints"] is driven:
+    if values["joints"] is driven and not keyframe:
         advice["joints"] = ["Check the order: it is that of the model, not of the training."]
     if len(values["joints"]) != network.outputs:
         found = values.pop("joints")
         advice["joints"] = [f"Fill in the joints of the {network.outputs} actions; the model has these {len(found)}:"]
         advice["joints"].append(toml_line("joints", found))
-    positions = _numbers(said.get("default_joint_pos", []))
+    positions = said.get("default_joint_pos", [])
     if values.get("joints") is known and len(positions) == network.outputs:
         values["default_joint_pos"] = positions
     elif "joints" in values:
-        name = "home" if "home" in model.keyframes else next(iter(model.keyframes), "")
+        name = next((each for each in (keyframe, "home", *model.keyframes) if each in model.keyframes), "")
         posture = model.keyframes.get(name, model.start)
         values["default_joint_pos"] = [posture[model.addresses[joint]] for joint in values["joints"]]
+        others = [f"{each!r:.40}" for each in model.keyframes if each != name]
         where = f"keyframe {name!r}" if name else "first posture"
         advice["default_joint_pos"] = [f"Check it: it is the {where} of the model."]
+        advice["default_joint_pos"] += [f"Its other keyframes are {', '.join(others):.300}."] if others else []
+        if name == keyframe != "":
+            del advice["default_joint_pos"]
     else:
         advice["default_joint_pos"] = ["Fill in one number for each joint."]
 
 
+def driven_joints(model: Parts) -> list[str]:
+    """Joints that the actuators of a model move, in their order; all hinges and slides of a model without actuators."""
+    return [joint for joint in model.driven if joint in model.addresses] or list(model.addresses)
+
+
 def _propose_observation(
-    said: Mapping[str, list[str]], network: NetworkParts, values: dict[str, Any], advice: dict[str, list[str]]
+    said: Mapping[str, Any], network: NetworkParts, values: dict[str, Any], advice: dict[str, list[str]]
 ) -> None:
-    """Adds the terms of the observation and their histories, or the usual ones that would fit."""
-    names = [_ALIASES.get(name, name) for name in said.get("observation_names", [])]
-    histories = [int(number) for number in _numbers(said.get("observation_history_lengths", []))]
-    if len(histories) == len(names) and max(histories, default=1) > 1:
-        values["history"] = histories
+    """Adds the terms of the observation, or the usual ones that would fit."""
+    names = said.get("observation", [])
     if names and all(name in TERMS for name in names):
         values["observation"] = names
         return
@@ -126,7 +129,7 @@ def _propose_observation(
 
 def _term_size(term: str, joints: int) -> int:
     """Number of values of a term of the observation."""
-    if term in _JOINTS:
+    if term in JOINT_TERMS:
         return joints
     return 1 if "phase" in term else 3
 
@@ -166,17 +169,3 @@ def _in_model(name: str, known: Sequence[str]) -> str:
     """A joint of the model that has this name, perhaps after a prefix such as `robot/`; empty if there is none."""
     found = [each for each in known if each == name] or [each for each in known if each.endswith(f"/{name}")]
     return found[0] if len(found) == 1 else ""
-
-
-def _items(text: str) -> list[str]:
-    """Items of a list in metadata: separated by commas, perhaps as JSON."""
-    return [word for part in text.strip(" []").split(",") if (word := part.strip(" \"'"))]
-
-
-def _numbers(items: Sequence[str]) -> list[float]:
-    """The items as numbers; none if one is no finite number."""
-    try:
-        numbers = [float(item) for item in items]
-    except ValueError:
-        return []
-    return numbers if all(map(isfinite, numbers)) else []
