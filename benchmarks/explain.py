@@ -31,7 +31,6 @@ from stepgap.learning.observations import Observations, observe
 from stepgap.learning.steps import Steps
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
-from stepgap.robots.hopper.twin.twin import LONGEST_STEP
 from stepgap.step import Array, StepSpace
 from stepgap.study.explanation import (
     REST_LOG_ODDS,
@@ -106,8 +105,6 @@ def planted(robot: Robot, causes: Mapping[str, Cause], draw: int) -> dict[str, f
     for name in names:
         share = rng.uniform(0.6, 1.5) * (rng.choice([-1, 1]) if causes[name].signed else 1)
         values[name] = causes[name]._replace(usual=USUAL[name]).value(share)
-    if "delay" in values:
-        values["delay"] = LONGEST_STEP * round(values["delay"] / LONGEST_STEP)  # as the twin rounds it
     return values
 
 

@@ -8,8 +8,8 @@ the full ones from the first hop on.
 Of each twin: hops, deployments, ticks, lost frames, late ticks, largest joint speed, largest jump of a motor as a
 multiple of its threshold, largest evidence against the yaw as a part of that for which it is doubted, and the reasons
 of all stops, with the largest joint speed of the deployments that ended so.
-The last line counts the stops by doubtful sensors. Lengths of a physics step other than the twin's 0.25 ms show what
-is an error of the simulation.
+The last line counts the stops by doubtful sensors. Shorter physics steps near the ground than the twin's 0.25 ms show
+what is an error of the simulation.
 
     ./go python benchmarks/false_alarms.py [--seeds 100-109] [--hops 227] [--lost 0.05] [--late 0.005]
         [--joint-speed 80] [--no-other-limits] [--physics-step 0.00025] [--roughness 0.003] [--slope 0.003]
@@ -216,7 +216,7 @@ def measure(
     seed: int,
 ) -> Row:
     """The row of a twin, on a floor that may be more uneven than it draws, or on uneven ground."""
-    twin_module.LONGEST_STEP = physics_step
+    twin_module.STANCE_STEP = physics_step
     rng = np.random.default_rng(seed)
     gap = replace(RealityGap.random(rng), **floor)
     profile = GroundProfile(gap, ROBOT.boom_length, rng, ground) if ground.is_measured else None

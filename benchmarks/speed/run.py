@@ -12,13 +12,11 @@ alone.
 import signal
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from copy import copy
 from dataclasses import asdict, dataclass
 from time import process_time, thread_time
 from types import FrameType
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from benchmarks.speed.timing import machine
@@ -32,6 +30,8 @@ from stepgap.robots.hopper.robot import as_hopper
 from stepgap.robots.hopper.tick.hop_control import HopperControl
 from stepgap.robots.hopper.tick.hop_tick import tick
 from stepgap.robots.hopper.tick.tick_row import TICK_COLUMN
+from stepgap.robots.hopper.twin.devices import drive
+from stepgap.robots.hopper.twin.physics import move
 from stepgap.robots.hopper.twin.twin import Twin
 
 _SAMPLING_PERIOD = 1e-3
@@ -128,32 +128,40 @@ class RecordedTwin(Twin):
 
     def record(self) -> None:
         """Starts a recording at the present motion."""
-        self.start, self.given = copy(self._data), list[tuple[float, ...]]()
+        self.start, self.given = self.fork(np.random.default_rng(0)), list[tuple[float, ...]]()
 
     @property
     def ticks(self) -> int:
         """Number of ticks since the start of the recording."""
-        return round((self._data.time - self.start.time) / self.sensor_model.tick)
+        return round((self._data.time - self.start._data.time) / self.sensor_model.tick)
 
-    def keep(self, _rows: Rows, _step: int) -> None:
+    def keep(self, rows: Rows, _step: int) -> None:
         """Records the inputs of a tick at its end, when they are still in memory."""
-        views = self._views
-        self.given.append((*views.ctrl, *views.force[self._motors], views.ground[2]))
+        (row,) = rows
+        applied = (row[TICK_COLUMN.applied_1], row[TICK_COLUMN.applied_2])
+        self.given.append((*applied, *self._views.force[self._motors], self._views.ground[2]))
 
     def bare_time(self) -> float:
-        """CPU time of `mj_step` over the recorded ticks [s]; asserts that the motion is the same."""
-        data = copy(self.start)
-        ctrl, force, ground = data.ctrl, data.qfrc_applied, data.mocap_pos[0]
-        (first, second), model, steps = self._motors, self._model, self._substeps
+        """CPU time of drives and `mj_step` over the recorded ticks [s]; asserts that the motion is the same."""
+        twin = self.start.fork(np.random.default_rng(0))
+        given = np.array(self.given)
+        _repeat_physics(twin._devices, twin._views, twin._physics, given[:0])  # compiles
         begin = thread_time()
-        for ctrl[0], ctrl[1], force[first], force[second], ground[2] in self.given:
-            pass
-        between = thread_time()
-        for ctrl[0], ctrl[1], force[first], force[second], ground[2] in self.given:
-            mujoco.mj_step(model, data, steps)
-        spent = (thread_time() - between) - (between - begin)
-        assert np.array_equal(data.qpos, self._data.qpos), "the recorded ticks must reproduce the motion"
+        _repeat_physics(twin._devices, twin._views, twin._physics, given)
+        spent = thread_time() - begin
+        assert np.array_equal(twin._data.qpos, self._data.qpos), "the recorded ticks must reproduce the motion"
         return spent
+
+
+@as_written
+def _repeat_physics(devices, views, physics, given):
+    """Moves a twin by recorded torques, their noise and heights of the ground."""
+    rig = devices[0]
+    silence = np.zeros(2)
+    for now in given:
+        drive(devices, now[0], now[1], silence, views)
+        views.force[rig.motor_1], views.force[rig.motor_2], views.ground[2] = now[2], now[3], now[4]
+        move(devices, views, physics)
 
 
 def tick_cost(settings: Experiment) -> TickCost:

@@ -161,8 +161,8 @@ def test_flight_conserves_energy_and_momentum_of_the_declared_masses():
         values.append((energy(q, qd), (mass_matrix(q) @ qd)[0]))
     total, momentum = np.array(values).T
     moved = np.ptp(momentum)
-    assert moved < 2e-5 * abs(momentum[0])
-    assert np.ptp(total) < 2e-3  # of 12 J, with a kinetic energy of several
+    assert moved < 4e-5 * abs(momentum[0])
+    assert np.ptp(total) < 2e-5  # of 10 J, with a kinetic energy of several
 
 
 def test_body_falls_as_if_gravity_were_weaker():
@@ -320,38 +320,25 @@ def test_boom_encoders_do_not_see_the_deflection(arc: bool):
     assert state.hip[1] - seen == pytest.approx(state.deflection[1], rel=0.01)
 
 
-def test_delay_and_lag_shape_the_torque():
-    gap = replace(NONE, delay=3e-4, torque_lag=1e-3, torque_scale=0.9)
-    twin = make(gap, tick=1e-4)
-    delivered = []
-    for _ in range(40):
-        twin.write((2.0, -1.0))
-        delivered.append(twin._data.actuator_force.copy())
-    time = 1e-4 * np.arange(1, 41) - 2.5e-5  # of the last physics step in a tick
-    rise = np.where(time > 3e-4, 1 - np.exp(-(time - 3e-4) / 1e-3), 0)
-    np.testing.assert_allclose(np.array(delivered), np.outer(rise, [1.8, -0.9]), atol=0.03)
-    assert delivered[2][0] == 0
-    assert delivered[4][0] > 0
-
-
-@pytest.mark.parametrize(("delay", "steps"), [(2.5e-4, 1), (5e-4, 2), (1e-3, 4), (2e-3, 8)])
-def test_the_delay_stays_the_same_however_long_the_twin_runs(delay: float, steps: int):
-    """MuJoCo's time accumulates rounding errors; they must not turn four steps of delay into five."""
-    twin = make(replace(NONE, delay=delay), tick=2.5e-4 * 4)
-    model, data = twin._model, twin._data
-    for seconds in (0.0, 8.5, 31.0, 64.2, 100.3, 180.1, 260.7):
-        data.time = 0.0
-        clock = np.cumsum(np.full(round(seconds / model.opt.timestep) + 1, model.opt.timestep))
-        data.time = clock[-1] if seconds else 0.0
-        data.ctrl[:] = 0.0
-        for _ in range(30):
-            mujoco.mj_step(model, data)
-        data.ctrl[:] = 1.0
-        seen = []
-        for _ in range(20):
-            mujoco.mj_step(model, data)
-            seen.append(float(data.actuator_force[0]))
-        assert seen.index(1.0) == steps, seconds
+@pytest.mark.parametrize("hold", [0.0, 10.0])
+@pytest.mark.parametrize("delay", [0.0, 2.5e-4, 1e-3, 1.3e-3, 2e-3])
+@pytest.mark.parametrize("lag", [0.0, 1.5e-3])
+def test_a_step_has_the_mean_torque_after_delay_and_lag(hold: float, delay: float, lag: float):
+    """Of the last step of each tick: a step of 1 ms in flight, of 0.25 ms where the held foot is near the ground."""
+    gap = replace(NONE, delay=delay, torque_lag=lag, torque_scale=0.9)
+    height = LENGTH + ROBOT.foot_length + (2e-3 if hold else 0.2)
+    twin, commands = make(gap, start_height=height, hold=hold), np.sin(np.arange(12.0))
+    fine, per_tick = 1e-6, 1000
+    command = np.concatenate([np.zeros(round(delay / fine)), np.repeat(commands, per_tick)])[: 12 * per_tick]
+    torque, now, kept = np.empty_like(command), 0.0, np.exp(-fine / lag) if lag else 0.0
+    for i, aim in enumerate(command):
+        now = aim + kept * (now - aim)
+        torque[i] = now
+    steps = 4 if hold else 1
+    expected = torque.reshape(12, steps, -1).mean(axis=2)[:, -1]
+    for value, mean in zip(commands.tolist(), expected, strict=True):
+        twin.write((value, -value))
+        np.testing.assert_allclose(twin._data.actuator_force, [0.9 * mean, -0.9 * mean], atol=1e-3)
 
 
 def test_connecting_discards_delayed_torques():

@@ -5,14 +5,13 @@ from typing import NamedTuple
 import numpy as np
 
 from stepgap.base.compiled import as_written
+from stepgap.robots.hopper.twin.drives import command
 from stepgap.robots.hopper.twin.treads import (
-    TREAD_HEIGHT,
-    TREAD_SLOPE,
     UnevenViews,
-    along_tread,
     move_riser,
     put_on_tread,
     tilt_ground,
+    tread_height,
     tread_under,
 )
 from stepgap.step import Array
@@ -45,6 +44,11 @@ class Devices(NamedTuple):
         torque_saturation: Torque at which a motor's iron saturates [N·m].
         noise_kept: Fraction of a motor's torque noise that persists to the next tick.
         noise_fresh: Standard deviation of the noise added at each tick [N·m].
+        delay: Delay of the drives [ticks].
+        lag: Time constant of their lag [ticks].
+        tick: Time from one read to the next [s].
+        reach: How far the foot may come in a tick [m].
+        steepness: Steepest rise of the ground, over length.
     """
 
     motor_1: int
@@ -67,6 +71,11 @@ class Devices(NamedTuple):
     torque_saturation: float
     noise_kept: float
     noise_fresh: float
+    delay: float
+    lag: float
+    tick: float
+    reach: float
+    steepness: float
 
 
 class Views(NamedTuple):
@@ -76,7 +85,8 @@ class Views(NamedTuple):
         qpos: MuJoCo's coordinates.
         qvel: Their rates.
         touch: Contact force; shape (1,) [N].
-        ctrl: Commands to the actuators; shape (2,) [N·m].
+        ctrl: Torques of the motors before their scales; shape (2,) [N·m].
+        memory: What the drives remember, MuJoCo's `userdata`.
         force: External forces on the coordinates; those on the motors are the torque noise [N·m].
         foot: Position of the foot in MuJoCo's frame; shape (3,) [m].
         ground: Position of the ground; shape (3,) [m].
@@ -88,6 +98,7 @@ class Views(NamedTuple):
     qvel: Array
     touch: Array
     ctrl: Array
+    memory: Array
     force: Array
     foot: Array
     ground: Array
@@ -137,7 +148,7 @@ def boom_angles(devices, qpos):
 
 @as_written
 def drive(devices, torque_1, torque_2, noise, views):
-    """Passes to MuJoCo the torques of a tick, their noise and, while the foot is in the air, the ground's height.
+    """Passes on the torques of a tick, their noise and, while the foot is in the air, the ground's height.
 
     Args:
         devices: Record of `Devices`.
@@ -147,10 +158,9 @@ def drive(devices, torque_1, torque_2, noise, views):
         views: `Views`.
 
     Returns:
-        The torques within the drives' limit [N·m]; NaN, and nothing passed to MuJoCo, if one is not finite.
+        The torques within the drives' limit [N·m]; NaN, and nothing passed on, if one is not finite.
     """
     rig = devices[0]
-    ctrl = views.ctrl
     force = views.force
     waves = views.waves
     if not (np.isfinite(torque_1) and np.isfinite(torque_2)):
@@ -158,7 +168,7 @@ def drive(devices, torque_1, torque_2, noise, views):
     limit = rig.torque_limit
     torque_1 = min(max(torque_1, -limit), limit)
     torque_2 = min(max(torque_2, -limit), limit)
-    ctrl[0], ctrl[1] = _saturated(rig, torque_1), _saturated(rig, torque_2)
+    command(rig, views.memory, _saturated(rig, torque_1), _saturated(rig, torque_2))
     force[rig.motor_1] = rig.noise_kept * force[rig.motor_1] + rig.noise_fresh * noise[0]
     force[rig.motor_2] = rig.noise_kept * force[rig.motor_2] + rig.noise_fresh * noise[1]
     if len(waves) > 0 and views.touch[0] == 0.0:
@@ -181,10 +191,24 @@ def ground_under(devices, views):
     yaw = _foot_yaw(rig, views.foot) + rig.floor_yaw
     height = _wave_height(views.waves, yaw)
     if len(uneven.treads) > 0:
-        tread = int(uneven.under[0])
-        along = along_tread(uneven, tread, rig.boom_length * yaw)
-        height += uneven.treads[tread, TREAD_HEIGHT] + uneven.treads[tread, TREAD_SLOPE] * along
+        height += tread_height(uneven, int(uneven.under[0]), rig.boom_length * yaw)
     return height
+
+
+@as_written
+def in_flight(devices, views):
+    """Whether the foot cannot come to the ground, nor to a riser, within a tick."""
+    rig = devices[0]
+    foot = views.foot
+    uneven = views.uneven
+    highest = views.ground[2]
+    if len(uneven.treads) > 0:
+        yaw = _foot_yaw(rig, foot) + rig.floor_yaw
+        for side in range(-1, 2):
+            place = rig.boom_length * yaw + side * rig.reach
+            tread = tread_under(uneven, int(uneven.under[0]), place, np.inf)
+            highest = max(highest, _wave_height(views.waves, yaw) + tread_height(uneven, tread, place))
+    return foot[2] - highest > rig.reach * (1.0 + rig.steepness)
 
 
 @as_written

@@ -7,7 +7,8 @@ origin; in the plane the hip starts over it. Angles of the leg turn forward, abo
 # pyright: reportAttributeAccessIssue=false
 # (MuJoCo ships no types for its compiled part.)
 
-from math import cos, inf, isinf, pi, sin, sqrt, tan
+from copy import copy
+from math import cos, exp, inf, isinf, pi, sin, sqrt, tan
 from typing import NamedTuple
 
 import mujoco
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from stepgap.base.ranges import require
 from stepgap.robots.ground import FLAT_GROUND, UnevenGround
 from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.twin.drives import memory_size
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.treads import LOWEST_RISER
 from stepgap.robots.scene import GroundPieces
@@ -38,8 +40,9 @@ RIGID_SHARE = 2.0
 the integration error of a step lifts it."""
 
 SLIP_RATE = 2000.0
-"""Rate at which friction, where it is large enough, stops a sliding foot [1/s]. MuJoCo's convex friction adds a normal
-force of friction coefficient × this × slip speed × the mass coupled to the foot, so neither may be large."""
+"""Rate at which friction, where it is large enough, stops a sliding foot [1/s]: exponentially, whatever the step.
+MuJoCo's convex friction adds a normal force of friction coefficient × this × slip speed × the mass coupled to the foot,
+so neither may be large."""
 
 HARMONICS = (3, 5, 8, 13, 21)
 """Waves of the rough ground per turn of the boom; the shortest is about two hops long."""
@@ -99,6 +102,13 @@ class GroundProfile:
             changed=(stiffness != 1) | (friction != 1),
         )
 
+    @property
+    def steepness(self) -> float:
+        """Steepest rise of the ground, over length; at most that of all waves and the steepest tread together."""
+        k, _, amplitude = self.waves.T
+        steepest = np.abs(self.treads.slope).max() if self.treads else 0.0
+        return float(np.abs(k * amplitude).sum() / self._boom_length + steepest)
+
     def tread_at(self, yaw: float) -> int:
         """Number of the tread at a boom angle ψ [rad] of the foot; 0 without treads."""
         return self.treads.at(self._boom_length * (yaw % (2 * pi))) if self.treads else 0
@@ -147,16 +157,28 @@ def build_spec(
     _add_leg(spec, hopper, robot, gap)
     _close_four_bar(spec, timestep)
     _add_start_locks(spec, gap, timestep)
-    _add_motors(spec, gap, timestep)
+    _add_motors(spec, gap)
     _add_ground(spec, gap, ("ground", "riser") if risers else ("ground",))
     if visual:
         _add_shapes(spec, robot, gap)
     return spec
 
 
-def build_model(robot: RobotParameters, gap: RealityGap, timestep: float, risers: bool = False) -> mujoco.MjModel:
-    """Builds the compiled model of the twin, with the ground's stiffness in N/m; arguments as for `build_spec`."""
-    model = build_spec(robot, gap, timestep, risers=risers).compile()
+def build_model(
+    robot: RobotParameters, gap: RealityGap, timestep: float, risers: bool = False, tick: float = 1e-3
+) -> mujoco.MjModel:
+    """Builds the compiled model of the twin, with the ground's stiffness in N/m and with memory for its drives.
+
+    Args:
+        robot: As for `build_spec`.
+        gap: As for `build_spec`.
+        timestep: As for `build_spec`.
+        risers: As for `build_spec`.
+        tick: Time from one command to the drives to the next [s].
+    """
+    spec = build_spec(robot, gap, timestep, risers=risers)
+    spec.nuserdata = memory_size(gap.delay / tick)
+    model = spec.compile()
     _set_contact(model, robot, gap)
     return model
 
@@ -171,6 +193,7 @@ def export_xml(robot: RobotParameters, gap: RealityGap, timestep: float, start: 
         start: Coordinates of the pose that is stored as keyframe `start`; shape (nq,).
     """
     spec = build_spec(robot, gap, timestep, visual=True)
+    _add_drives(spec, gap, timestep)
     spec.add_key(name="start", qpos=start)
     model = spec.compile()
     _set_contact(model, robot, gap)
@@ -283,17 +306,33 @@ def _add_start_locks(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> N
         lock.solref, lock.solimp = _deadbeat(timestep), np.array(HARD)
 
 
+def with_timestep(model: mujoco.MjModel, timestep: float) -> mujoco.MjModel:
+    """Returns a copy of the model with another physics step [s], in which it closes the four-bar as quickly.
+
+    Only for motions without contact: its constants remain those of the other step.
+    """
+    changed = copy(model)
+    changed.opt.timestep = timestep
+    changed.eq_solref[:] = _deadbeat(timestep)
+    return changed
+
+
 def _deadbeat(timestep: float) -> NDArray[np.float64]:
     """Spring and damper constants (negative: per unit mass) that remove a constraint's error within one step."""
     return np.array([-1 / timestep**2, -1 / timestep])
 
 
-def _add_motors(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> None:
-    """Adds the motors: torque command → delay → first-order lag → scale."""
-    steps = round(gap.delay / timestep)
+def _add_motors(spec: mujoco.MjSpec, gap: RealityGap) -> None:
+    """Adds the motors with their scales; they are given the torques of the drives."""
     for name, share in (("motor_1", 1 + gap.torque_imbalance), ("motor_2", 1 - gap.torque_imbalance)):
         motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.gainprm[0] = gap.torque_scale * share
+
+
+def _add_drives(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> None:
+    """Adds the drives to the motors: torque command → delay, rounded to steps → first-order lag."""
+    steps = round(gap.delay / timestep)
+    for motor in spec.actuators:
         if gap.torque_lag > 0:
             motor.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
             motor.dynprm[0] = gap.torque_lag
@@ -359,7 +398,7 @@ def contact_of(
         impedance=impedance,
         spring=-stiffness / mass * impedance,
         damper=-damping / mass * impedance,
-        slip=-impedance * (1 / step if sticks else min(SLIP_RATE, 0.5 / step)),
+        slip=-impedance * (1 / step if sticks else (1 - exp(-SLIP_RATE * step)) / step),
         friction=STICKING if sticks else friction * gap.ground_friction,
     )
 

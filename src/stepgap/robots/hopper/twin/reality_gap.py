@@ -85,7 +85,7 @@ class RealityGap(Gap):
     ground_damping_ratio: float = difference(0.1, NOT_NEGATIVE)
     """Damping ratio of the robot's whole mass on that ground; no effect on rigid ground."""
 
-    ground_friction: float = difference(0.363, POSITIVE, exact=inf, drawn=Drawn(0.4, 1.2))
+    ground_friction: float = difference(0.357, POSITIVE, exact=inf, drawn=Drawn(0.4, 1.2))
     """Coulomb coefficient; with inf the foot never slips. With `boom_arc` inf is refused: it would lock the boom's
     pitch in stance, because the foot could not scrub."""
 
@@ -135,13 +135,12 @@ class RealityGap(Gap):
         exact=0.0,
         drawn=SHARE,
     )
-    """Time from writing a torque to its start in the drive [s], rounded to an integer number of physics steps; at most
-    1 s."""
+    """Time from writing a torque to its start in the drive [s]; at most 1 s."""
 
-    motor_offset_1: float = difference(-0.0052, exact=0.0, drawn=EITHER_SIGN)
+    motor_offset_1: float = difference(-0.0048, exact=0.0, drawn=EITHER_SIGN)
     """Offset of motor encoder 1, reading minus true angle [rad]."""
 
-    motor_offset_2: float = difference(-0.0052, exact=0.0, drawn=EITHER_SIGN)
+    motor_offset_2: float = difference(-0.0048, exact=0.0, drawn=EITHER_SIGN)
     """Offset of motor encoder 2, reading minus true angle [rad]."""
 
     motor_counts: float = difference(16384.0, POSITIVE, exact=inf)

@@ -1,34 +1,19 @@
 """Control, drives, physics and sensors of the twin, tick after tick, as one compiled function."""
 
-# pyright: reportAttributeAccessIssue=false
-# (Numba makes its types at run time.)
-
-from ctypes import c_void_p, cast
-
-import mujoco
 import numpy as np
-from llvmlite import binding
-from numba import types
 
 from stepgap.base.compiled import as_written
 from stepgap.plants.tick_control import TickFlag
 from stepgap.robots.hopper.tick.hop_tick import UNREADABLE, tick
 from stepgap.robots.hopper.tick.tick_row import TICK_COLUMN
-from stepgap.robots.hopper.twin.devices import READ, drive, move_ground, read_counts
+from stepgap.robots.hopper.twin.devices import READ, drive, read_counts
+from stepgap.robots.hopper.twin.physics import move
 from stepgap.robots.hopper.twin.true_apex import update_apex
-from stepgap.robots.mujoco_callbacks import c_library
 
 NO_NUMBER, NO_TORQUE = 3, 4
 """How a tick ended, besides the outcomes of a reading: a sensor value or a torque is not finite."""
 
 _ENDS_RUN = int(TickFlag.STEP_ENDED | TickFlag.FAILED | TickFlag.TOUCHDOWN)
-
-# Compiled code finds MuJoCo's C function by its name; its address is that in the library which Python has loaded.
-try:
-    binding.add_symbol("mj_step", cast(c_library().mj_step, c_void_p).value)
-except (OSError, AttributeError) as error:
-    raise ImportError(f"MuJoCo {mujoco.__version__} has no C function mj_step for the twin; install 3.17") from error
-_mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
 
 
 @as_written
@@ -42,7 +27,7 @@ def run_ticks(
         control: Records of `TickSettings` and `HopState`, and a row of the tick log.
         devices: Record of `Devices`.
         views: `Views`.
-        physics: Addresses of MuJoCo's model and data, and the number of physics steps in a tick.
+        physics: `Physics`.
         apex: Record of `TrueApex`.
         noise: Standard normal numbers for each tick and motor; shape (k, 2).
         rows: Rows of the tick log, which are filled; shape (k, fields).
@@ -54,9 +39,7 @@ def run_ticks(
         Number of ticks, how the last one ended, its flags, the time of the next tick, and the torques applied.
     """
     settings, memory, row = control
-    model, data, substeps = physics
     flags = 0
-    uneven = len(views.uneven.treads) > 0
     for i in range(len(rows)):
         counts, outcome = read_counts(devices, views)
         if outcome != READ:
@@ -71,10 +54,7 @@ def run_ticks(
         if np.isnan(applied[0]):
             return i, NO_TORQUE, flags, time, applied_1, applied_2
         applied_1, applied_2 = applied
-        for _ in range(substeps):
-            if uneven:
-                move_ground(devices, views)
-            _mj_step(model, data)
+        move(devices, views, physics)
         update_apex(apex, devices, views)
         time += tick_time
         for column in range(len(row)):  # an assignment of arrays would compile the text of its error, for seconds

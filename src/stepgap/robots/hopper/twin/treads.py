@@ -63,6 +63,12 @@ def _long(uneven, tread):
 
 
 @as_written
+def tread_height(uneven, tread, place):
+    """Height of a tread, or of what continues it, at a place [m]."""
+    return uneven.treads[tread, TREAD_HEIGHT] + uneven.treads[tread, TREAD_SLOPE] * along_tread(uneven, tread, place)
+
+
+@as_written
 def _end_height(uneven, tread):
     """Height at the end of a tread [m]."""
     return uneven.treads[tread, TREAD_HEIGHT] + uneven.treads[tread, TREAD_SLOPE] * _long(uneven, tread)

@@ -30,7 +30,8 @@ from stepgap.robots.hopper.twin.devices import (
     move_ground,
     read_counts,
 )
-from stepgap.robots.hopper.twin.model import GroundProfile, build_model, contact_of, export_xml, gravity
+from stepgap.robots.hopper.twin.model import GroundProfile, build_model, contact_of, export_xml, gravity, with_timestep
+from stepgap.robots.hopper.twin.physics import Physics, move
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.run_ticks import NO_NUMBER, NO_TORQUE, run_ticks
 from stepgap.robots.hopper.twin.treads import UnevenViews, put_on_tread
@@ -42,15 +43,16 @@ from stepgap.robots.mujoco_faults import mujoco_fault
 from stepgap.robots.scene import GroundPieces
 from stepgap.step import Array
 
-LONGEST_STEP = 2.5e-4
-"""Longest physics step [s]. It is part of what the twin is, like its stiffness: contact and friction converge slowly.
+STANCE_STEP, FLIGHT_STEP = 2.5e-4, 1e-3
+"""Longest physics steps near the ground, where contact and friction decide, and in flight [s]. They are part of what
+the twin is, like its stiffness; `benchmarks/twin_steps.py` measures what others would change."""
 
-From the start to the first apex, over 500 random starts of the preset `paper`, speed and height differ by 2.5 mm/s and
-1.2 mm RMS from those with a quarter of this step; with half of it by 1.1 mm/s and 0.7 mm, with twice by 2.3 mm/s and
-2.5 mm. A repeated step scatters by 8 mm/s and 1.1 mm.
-"""
+FEWEST_STEPS = 4  # Smallest number of physics steps in a tick near the ground
 
-FEWEST_STEPS = 4  # Smallest number of physics steps in a tick
+FASTEST_FOOT = 8.0
+"""Speed to which a foot is trusted [m/s], some six times that of a touchdown: a tick is one of flight as long as the
+foot could not come to the ground at this speed before its end."""
+
 START_LENGTH = Gains().landing_length  # Leg length of the held twin [m]
 
 OVERSPEED = 400.0
@@ -112,12 +114,14 @@ class Twin(CompiledRig):
         self._start_height = start_height
         self._start_speed = start_speed
         self._hold_ticks = round(hold / tick)
-        self._substeps = max(FEWEST_STEPS, ceil(tick / LONGEST_STEP - 1e-9))
+        self._stance_steps = max(FEWEST_STEPS, ceil(tick / STANCE_STEP - 1e-9))
+        self._flight_steps = ceil(tick / FLIGHT_STEP - 1e-9)
         self._ground = ground or GroundProfile(gap, robot.boom_length, rng)
         self._under = np.zeros(1)
         self._sensor_model = twin_sensor_model(robot, gap, tick)
         set_mujoco_callbacks()
-        self._model = build_model(robot, gap, tick / self._substeps, self._ground.has_risers)
+        self._model = build_model(robot, gap, tick / self._stance_steps, self._ground.has_risers, tick)
+        self._flight_model = with_timestep(self._model, tick / self._flight_steps)
         self._data = mujoco.MjData(self._model)
         self._bind()
         self._noise = NO_NOISE
@@ -143,11 +147,19 @@ class Twin(CompiledRig):
             qvel=data.qvel,
             touch=data.sensordata,
             ctrl=data.ctrl,
+            memory=data.userdata,
             force=data.qfrc_applied,
             foot=data.geom("foot").xpos,
             ground=data.mocap_pos[0],
             waves=self._ground.waves,
             uneven=self._uneven_views(),
+        )
+        self._physics = Physics(
+            data=data._address,
+            stance=model._address,
+            flight=self._flight_model._address,
+            stance_steps=self._stance_steps,
+            flight_steps=self._flight_steps,
         )
         self._motors = [int(model.joint(f"motor_{motor}").qposadr[0]) for motor in (1, 2)]
 
@@ -214,6 +226,11 @@ class Twin(CompiledRig):
             torque_saturation=gap.torque_saturation,
             noise_kept=kept,
             noise_fresh=gap.torque_noise * sqrt(1 - kept**2),
+            delay=gap.delay / sensors.tick,
+            lag=gap.torque_lag / sensors.tick,
+            tick=sensors.tick,
+            reach=FASTEST_FOOT * sensors.tick * (1 + 0.5 / self._flight_steps),  # the foot is known half a step late
+            steepness=self._ground.steepness,
         )
 
     @property
@@ -240,16 +257,18 @@ class Twin(CompiledRig):
         """Puts the robot into its starting pose, held and with limp motors, and sets the time to zero."""
         model = self._model
         data = self._data
+        move(self._devices, self._views, self._physics)  # compiles it, for which a ring would not wait later
         mujoco.mj_resetData(model, data)
         data.qpos[:] = self._start_pose()
-        model.eq("hold_boom_vertical").data[0] = data.qpos[1]
+        for either in (model, self._flight_model):
+            either.eq("hold_boom_vertical").data[0] = data.qpos[1]
         self._views.ground[2] = self._ground.height(self._floor_yaw)
         if self._ground.treads is not None:
             put_on_tread(self._views.uneven, self._ground.tread_at(self._floor_yaw))
         data.eq_active[:] = 1
         mujoco.mj_forward(model, data)
         if self._ground.treads is not None:
-            move_ground(self._devices, self._views)  # also compiles it, for which a ring would not wait later
+            move_ground(self._devices, self._views)
         self._connected = True
         self._fault = ""
         self._apex = as_record(TrueApex())
@@ -284,11 +303,7 @@ class Twin(CompiledRig):
         applied = drive(self._devices, torque_1, torque_2, self._next_noise(1)[0], self._views)
         if applied[0] != applied[0]:
             raise self._trip(f"torques must be finite, not {torque_1}, {torque_2}")
-        if self._ground.treads is None:
-            mujoco.mj_step(self._model, self._data, self._substeps)
-        for _ in range(0 if self._ground.treads is None else self._substeps):
-            move_ground(self._devices, self._views)
-            mujoco.mj_step(self._model, self._data)
+        move(self._devices, self._views, self._physics)
         update_apex(self._apex, self._devices, self._views)
         self._count_ticks(1)
         return applied
@@ -308,7 +323,7 @@ class Twin(CompiledRig):
             control.memory,
             self._devices,
             self._views,
-            (self._model._address, self._data._address, self._substeps),
+            self._physics,
             self._apex,
             noise,
             rows,
@@ -337,7 +352,8 @@ class Twin(CompiledRig):
                 the robot did the same at another yaw.
         """
         twin = copy(self)
-        twin._model, twin._data, twin._rng = copy(self._model), copy(self._data), rng
+        twin._model, twin._flight_model = copy(self._model), copy(self._flight_model)
+        twin._data, twin._rng = copy(self._data), rng
         twin._apex, twin._under = self._apex.copy(), self._under.copy()
         twin._bind()
         twin._set_floor_yaw(self._floor_yaw + floor_yaw)
@@ -355,14 +371,15 @@ class Twin(CompiledRig):
             ValueError: The sensors, the delay or the joints would be other ones.
         """
         sensors = twin_sensor_model(self._robot, gap, self._sensor_model.tick)
-        model = build_model(self._robot, gap, self._model.opt.timestep, self._ground.has_risers)
-        sizes = ("nq", "nu", "na", "neq", "nhistory")
+        model = build_model(self._robot, gap, self._model.opt.timestep, self._ground.has_risers, sensors.tick)
+        sizes = ("nq", "nu", "neq", "nuserdata")
         if sensors != self._sensor_model or any(getattr(model, n) != getattr(self._model, n) for n in sizes):
             raise ValueError("a robot that moves keeps its sensors, delays and joints; only other numbers may change")
         data = mujoco.MjData(model)
         mujoco.mj_copyData(data, model, self._data)
         self._gap = gap
         self._model = model
+        self._flight_model = with_timestep(model, self._flight_model.opt.timestep)
         self._data = data
         self._bind()
         self._set_floor_yaw(self._floor_yaw)
@@ -416,7 +433,7 @@ class Twin(CompiledRig):
     def _torque_off(self) -> None:
         data = self._data
         data.ctrl[:] = 0
-        data.act[:] = 0
+        data.userdata[:] = 0
         data.qfrc_applied[:] = 0
 
     def _vertical_coordinate(self, height: float) -> float:
@@ -430,7 +447,8 @@ class Twin(CompiledRig):
     def _set_floor_yaw(self, floor_yaw: float) -> None:
         """Turns the floor, and with it the tilt of the boom's axis, by an angle under the robot [rad]."""
         self._floor_yaw = floor_yaw
-        self._model.opt.gravity[:] = gravity(self._robot, self._gap, floor_yaw)
+        for model in (self._model, self._flight_model):
+            model.opt.gravity[:] = gravity(self._robot, self._gap, floor_yaw)
         self._devices = as_record(self._devices_at(floor_yaw))
 
     def _next_noise(self, most: int) -> Array:
