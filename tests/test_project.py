@@ -166,6 +166,21 @@ def test_readme_names_every_verb_of_the_help() -> None:
     assert named == {verb for verbs in GROUPS.values() for verb in verbs}
 
 
+def test_a_release_is_published_from_a_checked_tag_without_a_token() -> None:
+    """Only the job that uploads may name itself to the registry, and it waits for a person and runs no code of ours."""
+    text = (ROOT / ".github/workflows/release.yml").read_text(encoding="utf-8")
+    release = yaml.safe_load(text)
+    assert release[True] == {"push": {"tags": ["v*"]}}, "YAML reads the key `on` as true"
+    build, publish = release["jobs"]["build"], release["jobs"]["publish"]
+    assert release["permissions"] == {"contents": "read"}
+    assert "permissions" not in build
+    assert publish["permissions"] == {"id-token": "write"}
+    assert (publish["needs"], publish["environment"]) == ("build", "release")
+    assert all("uses" in step for step in publish["steps"])
+    assert "sh .ci/package" in [step.get("run") for step in build["steps"]]
+    assert "secrets." not in text
+
+
 def test_the_workflow_runs_the_check_and_the_tests_with_pythons_that_we_name() -> None:
     (job,) = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))["jobs"].values()
     classifiers = PYPROJECT["project"]["classifiers"]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +33,8 @@ from stepgap.step import Array, Outcome, StepFailed, StepMap, StepSpace, StepSta
 WORTH_PROCESSES = 0.02
 """Duration of a simulated step [s] from which several processes sample a simulator; they start in seconds."""
 
-SLOW = 0.02  # Duration of a step [s] from which on a map is too slow for the choice of commands
+SLOW = 0.004
+"""CPU time of a step [s] from which on a map delays a run, which has hundreds of commands, each of tens of steps."""
 
 FEW_EVALUATIONS = 15
 """Number of steps that the choice of a command evaluates on a smooth map that reaches the target."""
@@ -99,6 +100,8 @@ def _load_map(settings: Experiment, on_samples: Callable[[int, Array], None]) ->
     file = settings.nominal.file
     robot = settings.robot
     if kind in (FROM_TEMPLATE, FROM_LOG):
+        if settings.nominal.surrogate:
+            raise InputError(f"nominal.surrogate = true: a map of kind '{kind}' is fast; leave it out")
         if not file:
             example = "template.toml" if kind == FROM_TEMPLATE else "steps.csv"
             raise InputError(f"nominal.kind = {kind}: give its file by nominal.file, such as {example}")
@@ -111,7 +114,7 @@ def _load_map(settings: Experiment, on_samples: Callable[[int, Array], None]) ->
         kinds = ", ".join([*maps, FROM_TEMPLATE, FROM_LOG])
         raise InputError(f"nominal.kind = {kind}: robot '{robot.name}' has no such map; it must be one of {kinds}")
     nominal = maps[kind]()
-    if not isinstance(nominal, SimulatorMap):
+    if not isinstance(nominal, SimulatorMap) and not settings.nominal.surrogate:
         if file:
             raise InputError(f"nominal.file = {file}: nominal map '{kind}' needs no file")
         read = _differenced(kind, nominal) if has_no_formula(nominal) else Nominal(nominal)
@@ -127,7 +130,7 @@ def _load_map(settings: Experiment, on_samples: Callable[[int, Array], None]) ->
 def _differenced(kind: str, nominal: StepMap) -> Nominal:
     """A map whose derivatives are differences, with a step that suits it, whatever the seed of the experiment."""
     chosen, rough = with_suitable_step(nominal, random_stream(0, 0, 2))
-    advice = "locate its events exactly, or use a SimulatorMap, to which a smooth surrogate is fitted"
+    advice = "locate its events exactly, or set nominal.surrogate = true, by which a smooth surrogate is fitted to it"
     return Nominal(chosen, warnings=(f"nominal map '{kind}' {rough}; {advice}",) if rough else ())
 
 
@@ -155,39 +158,39 @@ def check_surrogate(surrogate: SurrogateMap) -> None:
 
 
 def slowness(kind: str, nominal: StepMap, evaluations: int) -> str:
-    """A sentence on a map that is so slow that commands take seconds; empty for others.
+    """A sentence on a map that is so slow that it delays a run; empty for others.
 
     Args:
         kind: Its name.
         nominal: The map.
         evaluations: Largest number of steps that the choice of a command evaluates (`ControlSettings.evaluations`).
     """
-    seconds = _seconds_per_step(nominal)
+    seconds = _seconds_per_step(nominal, process_time)
     if seconds <= SLOW:
         return ""
     few = min(FEW_EVALUATIONS, evaluations)
     return (
-        f"nominal map '{kind}' takes {1e3 * seconds:.0f} ms for a step, and the choice of a command evaluates {few} to "
-        f"{evaluations} steps (control.evaluations), so it takes {few * seconds:.1f} to {evaluations * seconds:.0f} s; "
-        "lower control.evaluations, or make the map a SimulatorMap: then a fast surrogate is fitted to it"
+        f"nominal map '{kind}' takes {1e3 * seconds:.0f} ms of CPU time for a step, and the choice of a command "
+        f"evaluates {few} steps, in difficult cases up to {evaluations} (control.evaluations), so it takes "
+        f"{few * seconds:.2g} to {evaluations * seconds:.0f} s; --nominal.surrogate true fits a fast surrogate to it"
     )
 
 
-def _seconds_per_step(nominal: StepMap) -> float:
-    """Shortest of some durations of a step [s]."""
+def _seconds_per_step(nominal: StepMap, clock: Callable[[], float]) -> float:
+    """Shortest of some durations of a step by a clock [s]."""
     centre = (nominal.space.state_centre, nominal.space.command_centre)
     durations = []
     for _ in range(TIMED_STEPS):
-        begin = perf_counter()
+        begin = clock()
         nominal.evaluate(*centre)
-        durations.append(perf_counter() - begin)
+        durations.append(clock() - begin)
     return min(durations)
 
 
 @contextmanager
 def _on_all_cores(robot: Robot, kind: str, nominal: StepMap) -> Iterator[MapFunction]:
     """The function with which samples are computed: by processes that each make the map, if one step takes long."""
-    if _seconds_per_step(nominal) < WORTH_PROCESSES:
+    if _seconds_per_step(nominal, perf_counter) < WORTH_PROCESSES:
         yield map
         return
     with ProcessPoolExecutor(initializer=_keep_map, initargs=(robot, kind), mp_context=process_context()) as pool:

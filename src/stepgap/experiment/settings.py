@@ -154,11 +154,14 @@ class NominalSettings:
             relative to the experiment's file.
         linear: Whether the map is linearised at the mean target of the reference. On a linear map no step fails, so
             `control.viability` finds nothing.
+        surrogate: Whether a smooth surrogate is fitted to the map, because it is slow or rough, such as equations that
+            SciPy integrates; a simulator always has one.
     """
 
     kind: str = ""
     file: str = ""
     linear: bool = False
+    surrogate: bool = False
 
 
 @dataclass(frozen=True)

@@ -3,10 +3,11 @@
 import shutil
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from time import process_time
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
@@ -26,6 +27,8 @@ if TYPE_CHECKING:  # slow imports are made where they are used
 
 _WRONG = 1  # Exit code if a part of the robot is wrong
 
+_LONG = 30  # CPU time of a check [s] that is said at its end
+
 
 @announces_compilation
 def check_robot(
@@ -40,7 +43,8 @@ def check_robot(
 ) -> None:
     """Test the parts of a robot before its first run, from its map to the noise of its steps, and draw 20 steps.
 
-    Each part is ok, wrong, or left out where the robot does not have it. The exit code is 1 if a part is wrong.
+    Each part, printed as soon as it is tested, is ok, wrong, or left out where the robot does not have it. The exit
+    code is 1 if a part is wrong.
 
     Args:
         robot: Name of the robot, or a TOML file of settings. [default: hopper]
@@ -52,14 +56,19 @@ def check_robot(
     if out:
         check_new(out, "--out")
     settings = _settings(robot, {"reference": reference, "plant": plant}, overrides or [])
-    results = results_of_robot(settings, out, program or [])
-    print(_table(results))
-    if any(result.verdict == "wrong" for result in results):
+    begin = process_time()
+    wrong = False
+    for result in results_of_robot(settings, out, program or []):
+        print(_row(result), flush=True)
+        wrong |= result.verdict == "wrong"
+    if (taken := process_time() - begin) > _LONG:
+        warn(f"this check took {taken:.0f} s of CPU time")
+    if wrong:
         sys.exit(_WRONG)
 
 
-def results_of_robot(settings: "Experiment", out: Path | None, program: Sequence[str]) -> "list[PartResult]":
-    """The results for all parts of a robot, in the order in which they are best mended.
+def results_of_robot(settings: "Experiment", out: Path | None, program: Sequence[str]) -> "Iterator[PartResult]":
+    """Yields the results for all parts of a robot, as soon as they are known, in the order in which to mend them.
 
     Args:
         settings: Settings of an experiment with it.
@@ -68,20 +77,22 @@ def results_of_robot(settings: "Experiment", out: Path | None, program: Sequence
     """
     from stepgap.report.robot_check import PartResult, check_placing, results_of
 
-    results = results_of("placing", check_placing(settings.robot, settings.seed))
+    yield from results_of("placing", check_placing(settings.robot, settings.seed))
     try:
         nominal = nominal_with_progress(settings)
     except InputError as error:
-        text = f"{error}. Without a map, the parts that need one are left out."
-        return [*results, PartResult("map", "wrong", text)]
-    of_map = _of_map(settings, nominal)
-    results += of_map
-    if any(result.verdict == "wrong" for result in of_map):
-        return [*results, PartResult("others", "left out", "Mend the map first: all other parts need it.")]
-    results += _of_motion(settings, nominal, out, program)
+        yield PartResult("map", "wrong", f"{error}. Without a map, the parts that need one are left out.")
+        return
+    wrong = False
+    for result in _of_map(settings, nominal):
+        yield result
+        wrong |= result.verdict == "wrong"
+    if wrong:
+        yield PartResult("others", "left out", "Mend the map first: all other parts need it.")
+        return
+    yield from _of_motion(settings, nominal, out, program)
     if path := kept_surrogate(nominal):
         warn(f"the simulated steps are kept: --nominal.file {path}")
-    return results
 
 
 def _settings(robot: str | None, given: "dict[str, str | None]", overrides: Sequence[tuple[str, str]]) -> "Experiment":
@@ -99,7 +110,7 @@ def _settings(robot: str | None, given: "dict[str, str | None]", overrides: Sequ
     return settings
 
 
-def _of_map(settings: "Experiment", nominal: "Nominal") -> "list[PartResult]":
+def _of_map(settings: "Experiment", nominal: "Nominal") -> "Iterator[PartResult]":
     """The results on the nominal map alone."""
     from stepgap.base.random_streams import random_stream
     from stepgap.report.map_check import check_jacobian, check_map, check_smooth
@@ -107,15 +118,16 @@ def _of_map(settings: "Experiment", nominal: "Nominal") -> "list[PartResult]":
 
     rng = random_stream(settings.seed, 0, 6)
     results = results_of("map", check_map(nominal.map, rng))
-    if any(result.verdict == "wrong" for result in results):
-        return results
-    smooth = results_of("smooth", check_smooth(nominal.map, rng))
-    return [*results, *results_of("jacobian", check_jacobian(nominal.map, rng)), *smooth]
+    yield from results
+    if all(result.verdict != "wrong" for result in results):
+        smooth = results_of("smooth", check_smooth(nominal.map, rng))
+        yield from results_of("jacobian", check_jacobian(nominal.map, rng))
+        yield from smooth
 
 
 def _of_motion(
     settings: "Experiment", nominal: "Nominal", out: Path | None, program: Sequence[str]
-) -> "list[PartResult]":
+) -> "Iterator[PartResult]":
     """The results on what the robot shall do, and on what it does in some steps, which are drawn."""
     from stepgap.control.limit_cycle import held_reference
     from stepgap.experiment.inputs import load_reference, trial_reference
@@ -126,34 +138,35 @@ def _of_motion(
     reference = load_reference(settings, nominal.map.space)
     held = held_reference(nominal.map, reference)
     file = kept_reference(held) if held and held is not reference else None
-    results = results_of("targets", check_targets(nominal.map, reference, held is not None, file))
+    yield from results_of("targets", check_targets(nominal.map, reference, held is not None, file))
     if held is None:
-        return [*results, PartResult("motion", "left out", "Without a target that is held, there is nothing to do.")]
-    results += results_of("commands", check_commands(nominal.map, held))
-    results += results_of("authority", check_authority(nominal.map, held))
+        yield PartResult("motion", "left out", "Without a target that is held, there is nothing to do.")
+        return
+    yield from results_of("commands", check_commands(nominal.map, held))
+    yield from results_of("authority", check_authority(nominal.map, held))
     if not settings.simulated and not (settings.plant == PROCESS and program):
         text = f"Plant '{settings.plant}' is no simulation. Give the program of the robot after two dashes, or a plant."
-        return [*results, PartResult("motion", "left out", text)]
-    if settings.simulated:
-        found = settings.robot.findings()
-        results += [PartResult(each.part, "ok" if each.right else "wrong", each.sentence) for each in found]
-    return [*results, *_of_trial(settings, nominal, trial_reference(settings, held), out, program)]
+        yield PartResult("motion", "left out", text)
+        return
+    for each in settings.robot.findings() if settings.simulated else ():
+        yield PartResult(each.part, "ok" if each.right else "wrong", each.sentence)
+    yield from _of_trial(settings, nominal, trial_reference(settings, held), out, program)
 
 
 def _of_trial(
     settings: "Experiment", nominal: "Nominal", targets: "Reference", out: Path | None, program: Sequence[str]
-) -> "list[PartResult]":
+) -> "Iterator[PartResult]":
     from stepgap.cli.progress import progress_bar
     from stepgap.experiment.trial import probing_steps, trial_run
     from stepgap.report.robot_check import check_robot_steps, check_section, results_of
 
-    with TemporaryDirectory() as folder, TemporaryDirectory() as other, progress_bar("steps") as progress:
-        run = trial_run(settings, nominal, targets, Path(folder), program, progress)
-        probes = probing_steps(settings, nominal, targets, Path(other), program, progress)
-        results = results_of("motion", check_robot_steps(run, probes))
-        results += results_of("section", check_section(run.ticks.get(0)))
+    with TemporaryDirectory() as folder, TemporaryDirectory() as other:
+        with progress_bar("steps") as progress:
+            run = trial_run(settings, nominal, targets, Path(folder), program, progress)
+            probes = probing_steps(settings, nominal, targets, Path(other), program, progress)
+        yield from results_of("motion", check_robot_steps(run, probes))
+        yield from results_of("section", check_section(run.ticks.get(0)))
         _draw(run, out)
-    return results
 
 
 def _draw(run: "Run", out: Path | None) -> None:
@@ -172,16 +185,12 @@ def _draw(run: "Run", out: Path | None) -> None:
     write_new(path, "--out", content.getvalue())
 
 
-def _table(results: "Sequence[PartResult]") -> str:
-    """The results as lines that fit the terminal."""
-    width = max(60, shutil.get_terminal_size((110, 24)).columns)
-    return "\n".join(
-        textwrap.fill(
-            result.sentence,
-            width,
-            initial_indent=f"{result.part:10}{result.verdict:10}",
-            subsequent_indent=" " * 20,
-            break_on_hyphens=False,
-        )
-        for result in results
+def _row(result: "PartResult") -> str:
+    """A result as lines that fit the terminal."""
+    return textwrap.fill(
+        result.sentence,
+        max(60, shutil.get_terminal_size((110, 24)).columns),
+        initial_indent=f"{result.part:10}{result.verdict:10}",
+        subsequent_indent=" " * 20,
+        break_on_hyphens=False,
     )
