@@ -9,6 +9,8 @@ import pytest
 
 from stepgap.control.reference import Reference
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.experiment.settings import read_experiment
+from stepgap.report.cli.check import results_of_robot
 from stepgap.report.map_check import check_map
 from stepgap.report.robot_check import (
     PartResult,
@@ -45,6 +47,18 @@ def test_a_mujoco_robot_has_every_part(stepgap: Command, monkeypatch: pytest.Mon
     picture = Path("steps.svg").read_text()
     assert "Along the track" in picture
     refused(stepgap("check", "spring_hopper", "--out", "steps.svg"), "steps.svg: exists already; choose another --out")
+
+
+@pytest.mark.usefixtures("package", "no_repeats")
+def test_a_part_is_known_before_the_next_one_is_tested(stepgap: Command) -> None:
+    """So a slow map is no silence: the robot has made no step while the parts of its map are there to be read."""
+    settings = read_experiment(None, [("robot", "ball")])
+    results = results_of_robot(settings, None, [])
+    first = [next(results).part for _ in range(4)]
+    assert first == ["placing", "map", "jacobian", "smooth"]
+    assert not Path("check.png").exists()
+    assert [result.part for result in results][-1] == "section"
+    assert Path("check.png").exists()
 
 
 @pytest.mark.usefixtures("package", "no_repeats")
