@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from stepgap.control.reference import Reference
-from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.experiment.settings import read_experiment
+from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.report.cli.check import results_of_robot
 from stepgap.report.map_check import check_map
 from stepgap.report.robot_check import (
