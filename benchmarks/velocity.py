@@ -10,6 +10,9 @@ its own reference, of some 100 steps,
   run before. Its gain, of 0.1, 0.2, 0.4 and 0.7, has the least error on other gaps;
 - with StepGap, default settings, after one and two redeployments, and online in the first deployment and the next.
 
+*Held* are errors from the third step after a change of target on, and *change* is the root mean square change of the
+command there, from step to step, in half ranges of use: of a command that rings it is large.
+
 Each has 100 steps of experience, but for the second redeployment, which has 200, and the first deployment online, which
 has none. Errors are RMSE up to a fall, medians over the cells; the last column is the root of the mean square of all
 errors in half ranges of use, and its ratio to the robot as it is.
@@ -32,6 +35,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.disturbed_plant import METHODS, finished, own_priors
 from stepgap.base.random_streams import random_stream
@@ -78,6 +82,17 @@ class Trip(NamedTuple):
     @property
     def errors(self) -> Array:
         return self.velocities - self.targets
+
+    @property
+    def changes(self) -> Array:
+        """Changes of the command from the step before; the first is zero."""
+        return np.diff(self.commands, axis=0, prepend=self.commands[:1])
+
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """Steps whose target is that of the two steps before; shape (N,)."""
+        same = np.append(False, (np.diff(self.targets, axis=0) == 0).all(axis=1))
+        return same & np.append(False, same[:-1])
 
 
 def robot_of(cell: Cell) -> Robot:
@@ -148,7 +163,12 @@ def integrated(cell: Cell, gain: float) -> Trip:
 
 def error(walk: Trip, space: StepSpace) -> float:
     """Root of the mean square of the errors [half ranges]; a fall counts as one more error of a half range a step."""
-    return float(np.sqrt(np.mean((walk.errors / space.state_scale) ** 2)) + walk.fell)
+    return size_of(walk.errors, space) + walk.fell
+
+
+def size_of(values: Array, space: StepSpace) -> float:
+    """Root of the mean square of velocities (N, n) [half ranges]."""
+    return float(np.sqrt(np.mean((values / space.state_scale) ** 2)))
 
 
 def best_gain(robot: str) -> float:
@@ -198,7 +218,9 @@ def measure(cell: Cell, gain: float, methods: Sequence[str]) -> dict[str, Any]:
     found = {
         name: {
             "rmse": np.sqrt(np.mean(walk.errors**2, axis=0)).tolist(),
-            "all": float(np.sqrt(np.mean((walk.errors / space.state_scale) ** 2))),
+            "all": size_of(walk.errors, space),
+            "held": size_of(walk.errors[walk.held], space),
+            "change": size_of(walk.changes[walk.held], space),
             "fell": walk.fell,
         }
         for name, walk in walks.items()
@@ -214,12 +236,14 @@ def print_table(rows: Sequence[Mapping[str, Any]]) -> None:
         units = " | ".join(f"{each.name} [{each.unit}]" for each in space.state)
         gain = next(row["gain"] for row in rows if row["robot"] == robot)
         print(f"\n{robot}, {len(here)} cells; gain of the integrator {gain}")
-        print(f"| | {units} | all [half ranges] | of that as it is | falls |\n|---|{'---|' * (len(space.state) + 3)}")
+        print(f"| | {units} | all [half ranges] | of that as it is | held | change | falls |")
+        print(f"|---|{'---|' * (len(space.state) + 5)}")
         for name in here[0]:
             rmse = " | ".join(f"{each:.3f}" for each in np.median([walks[name]["rmse"] for walks in here], axis=0))
-            every = np.median([walks[name]["all"] for walks in here])
+            every, held, change = (np.median([walks[name][key] for walks in here]) for key in ("all", "held", "change"))
             ratio = np.median([walks[name]["all"] / walks["command = target"]["all"] for walks in here])
-            print(f"| {name} | {rmse} | {every:.3f} | {ratio:.2f} | {sum(walks[name]['fell'] for walks in here)} |")
+            falls = sum(walks[name]["fell"] for walks in here)
+            print(f"| {name} | {rmse} | {every:.3f} | {ratio:.2f} | {held:.3f} | {change:.3f} | {falls} |")
 
 
 def main() -> None:

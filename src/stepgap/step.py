@@ -176,6 +176,8 @@ class StepSpace:
         command: The m coordinates of the step command.
         context: What else is measured around a step; at most one of these quantities has a period.
         advice: What the robot advises after a step that failed, by its status, instead of `ADVICE`.
+        is_lagged: Whether the command of the step before may still act in a step, as where a robot needs a good part of
+            a step to reach a commanded velocity. Its effect is always learned; here plans of later steps count it, too.
 
     Raises:
         ValueError: Several quantities of the context have a period, no state coordinate is tracked, or one is measured
@@ -186,6 +188,7 @@ class StepSpace:
     command: tuple[Quantity, ...]
     context: tuple[ContextQuantity, ...] = ()
     advice: Mapping[StepStatus, str] = field(default_factory=dict, compare=False, repr=False, kw_only=True)
+    is_lagged: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         periodic = [quantity.name for quantity in self.context if isfinite(quantity.period)]
@@ -399,6 +402,20 @@ class Outcome(NamedTuple):
     status: Codes
 
 
+class CommandBefore(NamedTuple):
+    """The effect of the command of the step before, which a `StepMap` counts as known.
+
+    If that command had been another one, the next state would be higher by `effect` times the difference.
+
+    Attributes:
+        effect: Shape (n, m) [units of the state per unit of the command].
+        command: Of the step before the next one; shape (m,).
+    """
+
+    effect: Array
+    command: Array
+
+
 class StepMap(ABC):
     """Predicts the next state from the state and the command (Eq. 9).
 
@@ -421,6 +438,11 @@ class StepMap(ABC):
     @abstractmethod
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails."""
+
+    @property
+    def command_before(self) -> CommandBefore | None:
+        """The effect of the command of the step before; None if it has none, or is not known."""
+        return None
 
     @property
     def noise_std(self) -> Array:

@@ -19,14 +19,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.control.box_points import box_points, composite_design
+from stepgap.control.command_before import COMMAND_WEIGHT, MapWithCommand, space_with_command
 from stepgap.control.command_table import CommandTable
 from stepgap.control.gauss_newton import minimise
-from stepgap.control.goal import Goal, goals_for
+from stepgap.control.goal import UNTRACKED_WEIGHT, Goal, goals_for
 from stepgap.control.horizon import plan_ahead
 from stepgap.control.settings import ALL_RULES, ControlSettings
-from stepgap.control.step_controller import StepController, checked_target
+from stepgap.control.step_controller import StepController, as_vector, checked_target
 from stepgap.control.wrapped_map import BudgetedMap, CommandChange, EvaluationBudget
-from stepgap.step import Array, StepFailed, StepMap, StepSpace, StepStatus
+from stepgap.step import Array, CommandBefore, StepFailed, StepMap, StepSpace, StepStatus
 
 RISK = 2.0  # The next state must be viable even if it is off by this number of standard deviations
 FAILURE_RADIUS = 0.2
@@ -66,6 +67,7 @@ class CautiousController:
         table: Table of the commands of `step_map`, used in place of solving; None to solve.
         previous: Command of the step before, from which the next one may differ by `settings.largest_change`; None for
             no limit. Shape (m,).
+        untracked: Weights of the coordinates without a target, as of `goals_for`.
     """
 
     step_map: StepMap
@@ -74,6 +76,7 @@ class CautiousController:
     settings: ControlSettings = ALL_RULES
     table: CommandTable | None = None
     previous: Array | None = None
+    untracked: Array | float = UNTRACKED_WEIGHT
 
     @property
     def change(self) -> CommandChange:
@@ -100,12 +103,15 @@ class CautiousController:
             StepFailed: No command that was searched makes a step.
             ValueError: State, target or guess has the wrong size, a target is infinite, or the guess is not finite.
         """
+        space = self.step_map.space
+        targets = np.array([checked_target(space, row) for row in (target, *np.asarray(ahead))])
+        before = self.step_map.command_before
+        if before is not None and self.table is None:
+            return self._with_command_before(before, state, targets, guess)
         searching = self._with_half_the_budget()
         checking = self._with_half_the_budget()
-        space = self.step_map.space
         predicting = searching.step_map
-        targets = np.array([checked_target(space, row) for row in (target, *np.asarray(ahead))])
-        goals = goals_for(self._with_half_the_budget().step_map, targets)
+        goals = goals_for(self._with_half_the_budget().step_map, targets, self.untracked)
         goal = goals.onward[0]
         solver = StepController(self.change.limited(predicting))
         exact = self.table(state, target, guess) if self.table else solver.towards(state, goal, guess)
@@ -130,6 +136,33 @@ class CautiousController:
             best = checking._best(state, goal, self.bounds.command_at(everywhere))
         command = exact.command if best is None else best
         return CautiousPlan(command, self.step_map(state, command), self.step_std(state, command))
+
+    def _with_command_before(
+        self, before: CommandBefore, state: ArrayLike, targets: Array, guess: ArrayLike | None
+    ) -> CautiousPlan:
+        """Plans with the command of the step before as a part of the state.
+
+        Args:
+            before: Its effect.
+            state: As of a call.
+            targets: Of the step and of those after it; shape (1 + k, n).
+            guess: As of a call.
+        """
+        n, m = before.effect.shape
+        space = space_with_command(self.step_map.space)
+        without_effect = CommandBefore(np.zeros((n, m)), before.command)
+        # The command before a failed step is not compared with the present one.
+        present = np.tile(before.command, (len(self.failures), 1))
+        whole = replace(
+            self,
+            step_map=MapWithCommand(self.step_map, space, before),
+            nominal=MapWithCommand(self.nominal, space, without_effect),
+            failures=np.hstack([self.failures[:, :n], present, self.failures[:, n:]]),
+            untracked=np.repeat([UNTRACKED_WEIGHT, COMMAND_WEIGHT], [n, m]),
+        )
+        first, *later = np.hstack([targets, np.full((len(targets), m), np.nan)])
+        plan = whole(np.append(as_vector("state", state, n), before.command), first, guess, later)
+        return CautiousPlan(plan.command, plan.predicted[:n], plan.std[:n])
 
     def step_std(self, state: ArrayLike, command: ArrayLike) -> Array:
         """Standard deviation of the measured next state; shape (…, n)."""

@@ -132,24 +132,25 @@ class StepGoals:
         return *self.alone[:-1], self.onward[-1]
 
 
-def goals_for(step_map: StepMap, targets: Array) -> StepGoals:
+def goals_for(step_map: StepMap, targets: Array, untracked: Array | float = UNTRACKED_WEIGHT) -> StepGoals:
     """What is wanted of steps to targets: the targets where all states are tracked, otherwise the least cost.
 
     Args:
         step_map: Predicts steps; where it does not about a target, that is wanted without later costs.
         targets: NaN in coordinates without a target; shape (k, n).
+        untracked: Weight of the squared deviation [half ranges] of coordinates without a target; shape (n,).
     """
     space = step_map.space
     goals = dict[bytes, tuple[Goal, Goal]]()  # of each distinct target
     for target in targets:
         if target.tobytes() not in goals:
             plain = Targets(space, target)
-            goals[target.tobytes()] = (plain, plain) if space.tracked.all() else _regulated(step_map, plain)
+            goals[target.tobytes()] = (plain, plain) if space.tracked.all() else _regulated(step_map, plain, untracked)
     alone, onward = zip(*(goals[target.tobytes()] for target in targets), strict=True)
     return StepGoals(alone, onward)
 
 
-def _regulated(step_map: StepMap, plain: Targets) -> tuple[Goal, Goal]:
+def _regulated(step_map: StepMap, plain: Targets, untracked: Array | float) -> tuple[Goal, Goal]:
     """The cost of a step alone and its cost-to-go, about a state that has the values of a target and repeats itself."""
     space = step_map.space
     state, command = whole_state(step_map, plain.target)
@@ -159,7 +160,7 @@ def _regulated(step_map: StepMap, plain: Targets) -> tuple[Goal, Goal]:
         return plain, plain
     by_state = matrix[:, :n] * space.state_scale / space.state_scale[:, None]
     by_command = matrix[:, n:] * space.command_scale / space.state_scale[:, None]
-    weights = np.where(plain.wanted, (space.state_scale / space.error_scale) ** 2, UNTRACKED_WEIGHT)
+    weights = np.where(plain.wanted, (space.state_scale / space.error_scale) ** 2, untracked)
     form = _cost_to_go(by_state, by_command, np.diag(weights))
     roots = np.diag(np.sqrt(weights)), np.linalg.cholesky(form).T
     return Deviation(state, roots[0] / space.state_scale), Deviation(state, roots[1] / space.state_scale)

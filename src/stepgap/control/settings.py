@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from stepgap.base.ranges import require
 
+MOST_MADE_UP = 1000  # Largest number of steps over which errors are made up for
 LONGEST_HORIZON = 10  # Largest number of steps that are planned together
 
 
@@ -26,6 +27,9 @@ class ControlSettings:
         largest_change: Largest change of each command from one step to the next, as a share of its range; 1 for no
             limit. The first command of a deployment has none. A later command of a horizon may lie as many changes
             away from the present one as there are steps between them.
+        make_up: Number of steps over which the sum of all errors of a deployment is made up for, by targets that differ
+            from those wanted by that much; 0 for not at all. Where states are velocities, such as of walking, the sum
+            is a distance: a robot keeps its heading and its place, and not only its mean velocity.
         table: Points along each axis of a look-up table of commands that is computed before every deployment and used
             in place of solving (the paper, Sec. 6); 0 for none. Its prediction is interpolated, too. It covers the
             range of use of state and target: for a state outside, the command is that of the nearest state inside.
@@ -38,10 +42,12 @@ class ControlSettings:
     table: int = 0
     horizon: int = 2
     largest_change: float = 1.0
+    make_up: int = 0
 
     def __post_init__(self) -> None:
         require(self.evaluations >= 20, "evaluations", self.evaluations, "be at least 20")
         require(1 <= self.horizon <= LONGEST_HORIZON, "horizon", self.horizon, f"lie between 1 and {LONGEST_HORIZON}")
+        require(0 <= self.make_up <= MOST_MADE_UP, "make_up", self.make_up, f"lie between 0 and {MOST_MADE_UP}")
         rule = "lie between 0.001 and 1, the whole range"
         require(0.001 <= self.largest_change <= 1, "largest_change", self.largest_change, rule)
         require(self.table == 0 or 2 <= self.table <= 41, "table", self.table, "be 0, or lie between 2 and 41")

@@ -6,7 +6,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.step import Array, Outcome, StepMap, StepSpace, StepStatus
+from stepgap.step import Array, CommandBefore, Outcome, StepMap, StepSpace, StepStatus
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -18,6 +18,11 @@ class WrappedMap(StepMap):
     """
 
     inner: StepMap
+
+    @property
+    def command_before(self) -> CommandBefore | None:
+        """The effect of the command of the step before; None if it has none, or is not known."""
+        return self.inner.command_before
 
     @property
     def noise_std(self) -> Array:

@@ -36,6 +36,7 @@ NO_PLAN = (
 )
 """What is said of a step whose plan has no prediction, without a full stop."""
 
+MADE_UP = 0.4  # Largest difference of a target by which errors before are made up for [half ranges]
 MISSED = 0.1  # Part of half a range of use by which a plan misses a distance that may be out of reach
 
 
@@ -86,6 +87,8 @@ class DeploymentController:
         table: Table of the commands of the first map, if the settings want one.
         command: Command of the step before, from which the search for the next one starts; None before the first.
         calibration: Calibration of the standard deviations of its plans; None before the first step.
+        behind: Sum of what its steps fell short of their targets, if it is made up for; None before the first step.
+            Shape (n,).
     """
 
     learner: AdaptiveMap
@@ -93,6 +96,7 @@ class DeploymentController:
     table: CommandTable | None = None
     command: Array | None = None
     calibration: IntervalCalibration | None = None
+    behind: Array | None = None
 
     @classmethod
     def start(cls, learner: AdaptiveMap, settings: ControlSettings = ALL_RULES) -> Self:
@@ -125,6 +129,11 @@ class DeploymentController:
             ResidualError: The learned residual has no finite prediction of the step.
         """
         ahead = np.asarray(ahead)[: self.settings.horizon - 1]
+        if self.behind is not None:
+            most = MADE_UP * self.learner.nominal.space.state_scale
+            more = np.clip(self.behind / self.settings.make_up, -most, most)
+            target = target + more
+            ahead = ahead + more
         return self.calibrated(state, tracking_plan(self.step_controller, state, target, self.command, ahead))
 
     def calibrated(self, state: Array, plan: CautiousPlan) -> CautiousPlan:
@@ -155,7 +164,14 @@ class DeploymentController:
             learner=self.learner.after(logged),
             command=logged.record.command,
             calibration=self._calibration_after(logged),
+            behind=self._behind_after(logged),
         )
+
+    def _behind_after(self, logged: LoggedStep) -> Array | None:
+        if not self.settings.make_up:
+            return None
+        short = np.nan_to_num(logged.target - logged.record.next_state)
+        return short if self.behind is None else self.behind + short
 
     def _calibration_after(self, logged: LoggedStep) -> IntervalCalibration | None:
         record = logged.record

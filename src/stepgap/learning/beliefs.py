@@ -148,7 +148,12 @@ class Beliefs:
 
     @classmethod
     def start(
-        cls, features: Features, sizes: tuple[int, int], families: Sequence[Family], fitted: Array | None
+        cls,
+        features: Features,
+        sizes: tuple[int, int],
+        families: Sequence[Family],
+        fitted: Array | None,
+        lagged: bool = False,
     ) -> Self:
         """Returns the beliefs before the first step of a robot.
 
@@ -157,8 +162,9 @@ class Beliefs:
             sizes: Number of state coordinates n and of command coordinates m.
             families: Priors over robots, equally probable ones.
             fitted: Noise of a fitted residual, whose remaining error is believed about; shape (n,) [half ranges].
+            lagged: Whether the command of the step before may act as much as that of the step.
         """
-        beliefs = first_beliefs(features, sizes, families, fitted)
+        beliefs = first_beliefs(features, sizes, families, fitted, lagged)
         size = beliefs[0].weights.mean.shape[1]
         between_robots = beliefs[0] if fitted is None else beliefs[len(RATES)]
         change = CHANGED_PART * between_robots.weights.covariance

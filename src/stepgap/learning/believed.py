@@ -13,7 +13,7 @@ from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.observations import Observations, context_inputs_of, no_observations
 from stepgap.learning.posterior import POSTERIOR, Posterior
 from stepgap.learning.residual import HistoryInputs, Residual, join_points
-from stepgap.step import Array, StepMap, StepRecord
+from stepgap.step import Array, CommandBefore, StepMap, StepRecord, StepSpace
 
 LARGEST: Final = 1e6
 """Largest number of a step that is learned from [half ranges]: the square of a larger one could be no number."""
@@ -135,5 +135,18 @@ def planning_map(
         return CorrectedMap(nominal, residual.conditioned_on(history))
     mixture = beliefs.mixture(phase)
     mixed = believed(residual, beliefs.features, mixture, no_observations(nominal.space))
-    offset = mixture.offset * nominal.space.state_scale
-    return CorrectedMap(nominal, mixed.conditioned_on(history), offset=offset if offset.any() else None)
+    space = nominal.space
+    offset = mixture.offset * space.state_scale
+    return CorrectedMap(
+        nominal,
+        mixed.conditioned_on(history),
+        offset=offset if offset.any() else None,
+        before=_command_before(space, mixture) if space.is_lagged else None,
+    )
+
+
+def _command_before(space: StepSpace, mixture: Mixture) -> CommandBefore:
+    """The expected effect of the command of the step before, whose features are the last ones."""
+    m = len(space.command)
+    effect = mixture.mean[:, -m:] * space.state_scale[:, None] / space.command_scale
+    return CommandBefore(effect, space.command_at(mixture.side[-m:]))

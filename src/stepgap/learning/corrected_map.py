@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.learning.residual import Residual, join_points
-from stepgap.step import Array, Outcome, StepMap, StepSpace
+from stepgap.step import Array, CommandBefore, Outcome, StepMap, StepSpace
 
 
 @final
@@ -23,11 +23,13 @@ class CorrectedMap(StepMap):
             actual − nominal on all steps, so corrections never stack.
         residual: Model of actual − nominal, of the same sizes.
         offset: Measured minus true state at the start of the next step, as far as it is known; None for none.
+        before: The effect of the command of the step before, which is in the residual; None for none.
     """
 
     nominal: StepMap
     residual: Residual
     offset: Array | None = None
+    before: CommandBefore | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.nominal, CorrectedMap):
@@ -51,6 +53,11 @@ class CorrectedMap(StepMap):
         """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails."""
         of_residual = self.residual.mean_gradient(self._points(state, command))
         return self.nominal.jacobian(self._true(state), command) + self._acting * of_residual
+
+    @property
+    def command_before(self) -> CommandBefore | None:
+        """The effect of the command of the step before; None if it has none, or is not known."""
+        return self.before
 
     @property
     def noise_std(self) -> Array:

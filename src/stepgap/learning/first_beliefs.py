@@ -20,6 +20,10 @@ RATES: Final = (0.0, 0.1)
 PERIODIC_STD: Final = 0.3  # Prior standard deviation of the periodic part [noise deviations]
 ERROR_BEFORE_STD, COMMAND_BEFORE_STD = 0.05, 0.03
 """Prior standard deviations of the weights of the step before: of its error, and of its command [half ranges]."""
+LAGGED_COMMAND_STD: Final = 0.2
+"""The same of the command before, of robots on which it acts beyond its step. With 0.03, what it does was taken for an
+effect of the error before, which plans of later steps do not count, so that their commands grew; with 0.3, a policy
+that stands at slow commands was told too much there."""
 WAVE_STD: Final = 0.06  # Prior standard deviation of the part that no quadratic has [half ranges]
 UNKNOWN_STDS: Final = ((0.3, 0.08), (0.6, 0.6))
 """Prior standard deviations of the weights of robots of which nothing is known: up to degree 1, and of degree 2."""
@@ -50,7 +54,7 @@ class Family(NamedTuple):
 
 
 def first_beliefs(
-    features: Features, sizes: tuple[int, int], families: Sequence[Family], fitted: Array | None
+    features: Features, sizes: tuple[int, int], families: Sequence[Family], fitted: Array | None, lagged: bool = False
 ) -> tuple[Belief, ...]:
     """Returns the beliefs before the first step of a robot, those of what is expected of it first.
 
@@ -59,6 +63,7 @@ def first_beliefs(
         sizes: Number of state coordinates n and of command coordinates m.
         families: Priors over robots, equally probable ones.
         fitted: Noise of a fitted residual, whose remaining error is believed about; shape (n,) [half ranges].
+        lagged: Whether the command of the step before may act as much as that of the step.
     """
     n, _ = sizes
     zero = np.zeros((n, features.monomials))
@@ -72,7 +77,7 @@ def first_beliefs(
     if fitted is None:
         groups.append((RIVAL, nominal))
     return tuple(
-        _belief(kind, family, log(share / len(group) / len(RATES)), rate, features, sizes)
+        _belief(kind, family, log(share / len(group) / len(RATES)), rate, features, sizes, lagged)
         for share, group in groups
         for kind, family in group
         for rate in RATES
@@ -106,16 +111,17 @@ def unknown(features: Features, coordinates: int, stds: tuple[float, float] = UN
 
 
 def _belief(
-    kind: Kind, family: Family, log_weight: float, rate: float, features: Features, sizes: tuple[int, int]
+    kind: Kind, family: Family, log_weight: float, rate: float, features: Features, sizes: tuple[int, int], lagged: bool
 ) -> Belief:
     n, m = sizes
+    command_std = LAGGED_COMMAND_STD if lagged else COMMAND_BEFORE_STD
     count = features.monomials
     size = features.count + 2 + n + m
     mean = np.zeros((n, size))
     covariance = np.zeros((n, size, size))
     mean[:, :count], covariance[:, :count, :count] = family.mean, family.covariance
     for coordinate, noise in enumerate(family.noise_std):
-        parts = [(features.waves, WAVE_STD), (2, PERIODIC_STD * noise), (n, ERROR_BEFORE_STD), (m, COMMAND_BEFORE_STD)]
+        parts = [(features.waves, WAVE_STD), (2, PERIODIC_STD * noise), (n, ERROR_BEFORE_STD), (m, command_std)]
         stds = np.concatenate([np.full(number, std) for number, std in parts])
         covariance[coordinate, range(count, size), range(count, size)] = stds**2
     freedom = np.full(n, EXPECTED_NOISE_COUNT)

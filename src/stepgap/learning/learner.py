@@ -238,8 +238,9 @@ def _begun(nominal: StepMap, known: Steps, residual: Residual, priors: Sequence[
     context = len(space.context_inputs)
     features = features_of(n + m + context, len(known))
     if residual.kind != "none":
-        return Beliefs.start(features, (n, m), (), residual.noise_std / space.state_scale)
-    beliefs = Beliefs.start(features, (n, m), [prior.family(space, features) for prior in priors], None)
+        return Beliefs.start(features, (n, m), (), residual.noise_std / space.state_scale, space.is_lagged)
+    families = [prior.family(space, features) for prior in priors]
+    beliefs = Beliefs.start(features, (n, m), families, None, space.is_lagged)
     doubtful = known.doubtful  # a doubt reaches back into earlier deployments
     of_runs = [np.isin(known.iteration, run) for run in runs_before(known)]
     runs = [list(_observed_in(known.selected(rows), doubtful[rows], nominal)) for rows in of_runs]

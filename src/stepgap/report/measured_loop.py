@@ -57,7 +57,7 @@ def measured_loop(steps: Steps) -> MeasuredLoop | None:
     """
     visits = [visit for visit in _visits(steps) if len(visit) > 2]
     count = sum(len(visit) - 1 for visit in visits)
-    n = len(steps.space.state)
+    n = visits[0].shape[1] if visits else 0
     degrees_of_freedom = count - len(visits) - n
     if degrees_of_freedom < FEWEST_DEGREES_OF_FREEDOM:
         return None
@@ -81,11 +81,17 @@ def _largest_multiplier(matrix: Array) -> Array:
 
 
 def _visits(steps: Steps) -> list[Array]:
-    """Errors of consecutive states at an unchanged target, without that which the change left; shapes (T + 1, n)."""
+    """Errors of consecutive states at an unchanged target, without that which the change left; shapes (T + 1, n).
+
+    Where the command of the step before acts in a step, it is a part of the state; shapes (T + 1, n + m).
+    """
     steps = steps.tracking()
     target = np.nan_to_num(steps.target)
     error = steps.state - target
     after = steps.next_state - target
+    if steps.space.is_lagged:  # the loop goes through the command of the step before, too
+        error = np.hstack([error, np.roll(steps.requested, 1, axis=0)])
+        after = np.hstack([after, steps.requested])
     same = np.r_[False, same_target(steps.target[1:], steps.target[:-1])] & steps.follows
     used = same & np.isfinite(error).all(axis=1) & np.isfinite(after).all(axis=1)
     visits = list[list[Array]]()

@@ -60,6 +60,7 @@ def model_document(controller: PortableController) -> dict[str, Any]:
         "passport": dict(controller.passport),
         "state": [{**_quantity(quantity), "weight": quantity.weight} for quantity in controller.space.state],
         "command": [_quantity(quantity) for quantity in controller.space.command],
+        **({"lagged": True} if controller.space.is_lagged else {}),
         "nominal": _nominal(controller.nominal),
         "residual": {
             "kind": residual.kind,

@@ -63,7 +63,8 @@ def read_portable(path: Path) -> PortableController:
 
 
 def _controller(saved: Mapping[str, Any]) -> PortableController:
-    space = StepSpace(_quantities(saved, "state"), _quantities(saved, "command"))
+    is_lagged = "lagged" in saved and boolean(saved, "lagged")
+    space = StepSpace(_quantities(saved, "state"), _quantities(saved, "command"), is_lagged=is_lagged)
     control = as_object(saved["control"], "control")
     beliefs = None if saved["beliefs"] is None else as_object(saved["beliefs"], "beliefs")
     return PortableController(

@@ -193,11 +193,18 @@ def _notes(space: StepSpace, control: ControlSettings, learner: Learner) -> tupl
             f"{untracked}: the errors of the planned steps count alone in C and FMU; a run and Python, where states "
             "are not tracked, count those of all later steps, too"
         )
+    if space.is_lagged:
+        notes.append(
+            "C and FMU plan for the command of the step before as it is; a run and Python also plan what a command "
+            "does to the step after it"
+        )
     if control.horizon > 1:
         notes.append(
             "control.horizon: with one target, each command is chosen for its own step; C has ..._plan_ahead, and "
             "Python the argument ahead"
         )
+    if control.make_up:
+        notes.append("control.make_up: no errors are made up for; add their sum, over so many steps, to the target")
     if control.table:
         notes.append("control.table: the commands are solved for, not taken from a table")
     if learner.settings.online and learner.beliefs is None and learner.settings.residual != "none":

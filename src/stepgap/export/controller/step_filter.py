@@ -175,7 +175,8 @@ class FormulaMap(StepMap):
 
     def __init__(self, model: Mapping[str, Any]):
         state = [replace(_quantity(quantity), weight=float(quantity["weight"])) for quantity in model["state"]]
-        self._space = StepSpace(tuple(state), tuple(map(_quantity, model["command"])))
+        command = tuple(map(_quantity, model["command"]))
+        self._space = StepSpace(tuple(state), command, is_lagged=bool(model.get("lagged")))
         self._nominal = _arrays(model["nominal"])
 
     @property

@@ -211,6 +211,7 @@ class Walk:
         return StepSpace(
             tuple(Quantity(name, unit, each.lower, each.upper) for name, unit, each in ranges),
             tuple(Quantity(f"command_{name}", u, each.command_lower, each.command_upper) for name, u, each in ranges),
+            is_lagged=True,
         )
 
 
