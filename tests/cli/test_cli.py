@@ -224,7 +224,7 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ),
         ("run --command.fx_lower 40", ["--command.fx_lower = 40.0, but it must lie below fx_upper = 30.0"]),
         ("run --parameters.boom_inertia_vertical 0 --parameters.boom_inertia_horizontal 0", ["boom_stiffness", "must"]),
-        ("run --reference none.csv", ["none.csv: No such file or directory; reference must be 'paper' or"]),
+        ("run --reference none.csv", ["none.csv: No such file or directory; reference must be 'paper', a CSV file"]),
         ("run --reference far.csv", ["reference far.csv, step 2: speed 3 m/s, height 0.55 m is out of reach"]),
         ("run --reference deep.csv", ["reference deep.csv, step 1: speed 0.1 m/s, height -1 m is out of reach"]),
         ("run --reference inf.csv", ["inf.csv, line 2, column 'speed': 'inf'; it must be a finite number"]),
