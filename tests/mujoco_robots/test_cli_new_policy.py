@@ -1,6 +1,7 @@
 """`stepgap new --policy`: with metadata the folder runs at once, without them it says what is to be filled in."""
 
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +84,7 @@ def test_a_policy_with_the_file_of_its_training_beside_it_needs_nothing(stepgap:
     names = ["base_lin_vel", "base_ang_vel", "projected_gravity", "joint_pos_rel", "joint_vel_rel", "last_action"]
     terms = "".join(f"  {name}: {{scale: [0.5], clip: null, history_length: 1}}\n" for name in names)
     Path("run/params/deploy.yaml").write_text(
+        "commands: {base_velocity: {ranges: {lin_vel_x: [-0.1, 0.7], ang_vel_z: [2, 3]}}}\n"
         "joint_ids_map: [0, 1, 2, 3]\nstep_dt: 0.02\nstiffness: [2, 2, 2, 2]\ndamping: [.8, .8, .8, .8]\n"
         "default_joint_pos: [0, 0, 0, 0]\nactions:\n  JointPositionAction: {clip: null, scale: [1, 1, 1, 1], "
         f"offset: [0, 0, 0, 0]}}\nobservations:\n{terms}  velocity_commands: {{scale: [1.0, 1.0, 1.0]}}\n"
@@ -91,6 +93,10 @@ def test_a_policy_with_the_file_of_its_training_beside_it_needs_nothing(stepgap:
     made = stepgap("new", "cart", "--policy", "run/exported/policy.onnx", "--mjcf", "cart.xml")
     assert made.code == 0, made.err
     assert "fill in" not in made.err
+    walk = tomllib.loads(Path("cart/experiment.toml").read_text())["walk"]
+    assert walk["vx"] == {"lower": -0.1, "upper": 0.7, "command_lower": -0.1, "command_upper": 0.7}
+    assert walk["wz"] == {"lower": 2.0, "upper": 3.0, "command_lower": 2.0, "command_upper": 3.0}
+    assert "vy" not in walk
     settings = read_policy_settings(Path("cart/policy.toml"))
     assert settings.observation == TERMS
     assert settings.scale.joint_vel == (0.5,)

@@ -59,6 +59,7 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> tuple[lis
     except ValueError as error:
         raise InputError(f"--policy {error}") from None
     found = propose_policy(network, parts, training)
+    ranges = _ranges(training.commands if training else {})
     known = {"policy": NETWORK_FILE, "model": MODEL_FILE, **found.values}
     joints = known.get("joints", [])
     positions = known.get("default_joint_pos", [])
@@ -71,7 +72,7 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> tuple[lis
     try:
         height = standing_height(joints, positions, model)
         if not missing:
-            walk = Walk(seconds=seconds, fall_height=0.5 * height)
+            walk = Walk(seconds=seconds, fall_height=0.5 * height, **ranges)
             robot = PolicyRobot(policy=PolicyFile(str(folder / POLICY_FILE)), walk=walk)
             seconds, gait = _seconds_by_gait(robot)
     except ValueError as error:
@@ -82,6 +83,7 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> tuple[lis
         "seconds": f"{seconds:.4g}",
         "fall_height": f"{0.5 * height:.3f}",
         "todo": todo,
+        "ranges": "".join(f"\n[walk.{key}]\n{_lines_of(each)}" for key, each in ranges.items()),
         "added": "",
     }
     if added:
@@ -89,6 +91,25 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> tuple[lis
     for target, source in {"experiment.toml": "policy.toml.txt", "README.md": "README_policy.md.txt"}.items():
         create(folder / target, Template(starter_text(source, TEXTS)).substitute(values))
     return missing, gait
+
+
+def _ranges(commands: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+    """Ranges of a walk by its velocities: the commands of the training, and the usual use as far as it lies in them."""
+    from stepgap.mujoco_robots.velocity.walking_robot import VelocityRange, Walk
+
+    ranges = dict[str, Any]()
+    for name, (low, high) in commands.items():
+        usual: VelocityRange = getattr(Walk(), name)
+        lower, upper = max(usual.lower, low), min(usual.upper, high)
+        ranges[name] = VelocityRange(*((lower, upper) if lower < upper else (low, high)), low, high)
+    return ranges
+
+
+def _lines_of(settings: Any) -> str:
+    """The keys of settings with their values, in lines."""
+    from stepgap.base.settings_file import to_table, toml_line
+
+    return "".join(f"{toml_line(key, value)}\n" for key, value in to_table(settings).items())
 
 
 def _seconds_by_gait(robot: "PolicyRobot") -> tuple[float, str]:

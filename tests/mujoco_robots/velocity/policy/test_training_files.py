@@ -106,8 +106,8 @@ def test_deploy_yaml_of_unitree_has_gains_by_motor_and_all_else_by_joint(tmp_pat
         "observation": ["base_ang_vel", "joint_vel", "phase_sin", "phase_cos"],
         "scale": {"base_ang_vel": [0.2], "joint_vel": [0.05, 0.05, 0.1]},
     }
-    assert training.unused[0] == "clip of joint_vel_rel: [-9, 9]"
-    assert "{'lin_vel_x': [-0.5, 1.0]}" in training.unused[1]
+    assert training.unused == ["clip of joint_vel_rel: [-9, 9]"]
+    assert training.commands == {"vx": [-0.5, 1.0]}
     assert training.checks.keys() == {"joints"}
 
 
@@ -146,6 +146,9 @@ def test_a_term_with_other_joints_is_none_of_ours(tmp_path: Path) -> None:
     assert read(tmp_path).values["observation"] == ["command", "joint_pos_rel of its own"]
     write(tmp_path, "IO_descriptors.yaml", ISAAC.replace("offset: [0.3, 0.1, 0.2]", "offset: 0.7"))
     assert "offset of the actions, which is not default_joint_pos" in read(tmp_path).unused
+    write(tmp_path, "IO_descriptors.yaml", ISAAC.replace("joint_names: [c, a, b], offset", "joint_names: 5, offset"))
+    network = NetworkParts(99, 3, {})
+    assert training_of(network, tmp_path / "run" / "exported" / "policy.onnx", JOINTS, JOINTS) is None
 
 
 def test_config_of_rl_sar_has_times_and_names_in_the_base_of_its_robot(tmp_path: Path) -> None:

@@ -35,6 +35,7 @@ GYM_TERMS: Final = (*MOTION_TERMS[1:], "command", *JOINT_TERMS, "phase_sin", "ph
 """Observation of unitree_rl_gym."""
 
 _CLOCK: Final = ("phase_sin", "phase_cos")  # What `gait_phase` is
+_RANGES: Final = {"vx": "lin_vel_x", "vy": "lin_vel_y", "wz": "ang_vel_z"}  # Names of commands in deploy.yaml
 _MOTORS: Final = [f"{leg}_{part}_joint" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "thigh", "calf")]
 """Motors of Unitree's quadrupeds in their own order."""
 
@@ -47,6 +48,7 @@ class Training(NamedTuple):
         values: Settings by their keys, `scale` as a table; terms that StepGap does not have keep their names.
         unused: What else the file says, which is not used.
         checks: What is to be checked of settings, by their keys.
+        commands: Smallest and largest commands of the training, by the names of the velocities.
         keyframe: Name of the keyframe with the default positions, if they are not in `values`.
     """
 
@@ -54,6 +56,7 @@ class Training(NamedTuple):
     values: Mapping[str, Any]
     unused: Sequence[str] = ()
     checks: Mapping[str, str] = {}
+    commands: Mapping[str, Sequence[float]] = {}
     keyframe: str = ""
 
 
@@ -154,13 +157,15 @@ def _unitree(table: Any, path: Path, joints: Sequence[str], driven: Sequence[str
     motors = _MOTORS if {*driven} == {*_MOTORS} else driven
     order = _numbers(table["joint_ids_map"])
     terms, unused = _described((str(name), term, _at(term, "params", "asset_cfg")) for name, term in observed.items())
-    if ranges := _at(table, "commands", "base_velocity", "ranges"):
-        unused.append(f"the velocities that were commanded, for [walk] in experiment.toml: {ranges}")
+    ranges = {key: _numbers(_at(table, "commands", "base_velocity", "ranges", name)) for key, name in _RANGES.items()}
+    commands = {key: pair for key, pair in ranges.items() if len(pair) == 2 and pair[0] < pair[1]}
     action = _at(table, "actions", "JointPositionAction")
     values = _in_order(_settings(table), order, ("stiffness", "damping")) | {"joints": _picked(motors, order)}
     checks = {"joints": "Check: its motors are those of the actuators of the model, in their order."}
     unused += _unused_of_action(action, values)
-    return Training(str(path), _given(values) | _observation(terms), unused, {} if motors is _MOTORS else checks)
+    checks = {} if motors is _MOTORS else checks
+    known = _given(values) | _observation(terms)
+    return Training(source=str(path), values=known, unused=unused, checks=checks, commands=commands)
 
 
 def _isaac_lab(table: Any, path: Path, joints: Sequence[str], driven: Sequence[str]) -> Training | None:
@@ -171,7 +176,8 @@ def _isaac_lab(table: Any, path: Path, joints: Sequence[str], driven: Sequence[s
     if not all(isinstance(each, list) for each in (actions, observed, all_joints)):
         return None
     action = actions[0] if len(actions) == 1 else {}
-    names = _at(action, "joint_names") or []
+    names = _at(action, "joint_names")
+    names = names if isinstance(names, list) else []
     order = [float(all_joints.index(name)) for name in names if name in all_joints]
     others = [_at(term, "joint_names") not in (None, names) or None for term in observed]
     terms, unused = _described(
@@ -303,7 +309,7 @@ def _playground(name: str, keyframe: str, **values: Any) -> Training:
     """The joystick policy of a robot of MuJoCo Playground."""
     terms = (*MOTION_TERMS, "command", *JOINT_TERMS, "phase_cos", "phase_sin")
     usual = {"period": 0.02, "timestep": 0.002, "action_scale": [0.5], "observation": [*terms], "imu": "imu"}
-    clock = {"gait_period": 1 / 1.5, "gait_offsets": [0.0, 0.5]}
+    clock = {} if "observation" in values else {"gait_period": 1 / 1.5, "gait_offsets": [0.0, 0.5]}
     source = f"MuJoCo Playground, whose {name} has a network of this size"
     return Training(source, usual | clock | values, keyframe=keyframe)
 
