@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stepgap.mujoco_robots.velocity.gait import Gait, gait_finding, gait_of, gait_period, measured_walk
+from stepgap.mujoco_robots.velocity.gait import Gait, gait_of, gait_period
 from stepgap.mujoco_robots.velocity.robot import TrottingRobot
-from stepgap.mujoco_robots.velocity.walking_robot import Walk
+from stepgap.mujoco_robots.velocity.walking_robot import Walk, gait_finding, measured_walk
 from stepgap.step import Array
 
 

@@ -117,7 +117,8 @@ def _seconds_by_gait(robot: "PolicyRobot") -> tuple[float, str]:
 
     A clock in the observation is more accurate than the walk, if both agree.
     """
-    from stepgap.mujoco_robots.velocity.gait import gait_of, measured_walk
+    from stepgap.mujoco_robots.velocity.gait import gait_of
+    from stepgap.mujoco_robots.velocity.walking_robot import measured_walk
 
     clock = robot.walk.seconds
     walk = measured_walk(robot)

@@ -5,23 +5,15 @@ it begins. The period is where the autocorrelation of the velocity at constant c
 and turning velocity together, has its first high peak. The height of that peak says how strictly the gait is repeated.
 """
 
-# pyright: reportAttributeAccessIssue=false
-# (MuJoCo ships no types for its compiled part.)
-
 from dataclasses import dataclass
 from math import nan
 from typing import Final
 
-import mujoco
 import numpy as np
 
-from stepgap.mujoco_robots.velocity.walking_robot import WalkingRobot, body_velocity
 from stepgap.records.text import listed
-from stepgap.robots.robot import RobotFinding
 from stepgap.step import Array, StepSpace
 
-_INTERVAL: Final = 0.02  # About the time between two samples of a walk [s]
-_HELD: Final = 4.0  # Time for which a walk to measure a gait has the same command [s]
 _SETTLED: Final = 1.0  # Time after a change of command from which on its velocity counts as that of a held command [s]
 _SHORTEST, _LONGEST = 0.15, 1.6
 """Range in which a period is sought [s]."""
@@ -29,26 +21,10 @@ _HIGH: Final = 0.85  # Part of the height of the highest peak that makes an earl
 _PERIODIC: Final = 0.5  # Height of the peak from which on a gait is called strictly periodic
 _OFF: Final = 0.05  # Largest distance of a step from whole periods that still counts as whole [periods]
 
-_COMMANDS: Final = np.array(
-    [
-        (0.5, 0.0, 0.0),
-        (0.8, 0.0, 0.0),
-        (0.4, 0.0, 0.0),
-        (0.6, 0.5, 0.0),
-        (0.6, -0.5, 0.0),
-        (0.6, 0.0, 0.5),
-        (0.6, 0.0, -0.5),
-        (0.9, 0.0, 0.0),
-        (0.4, 0.4, 0.4),
-        (0.4, -0.4, -0.4),
-    ]
-)
-"""Commands of that walk, as shares of the upper end of each range of use, or of the lower one."""
-
 
 @dataclass(frozen=True, eq=False)
 class ConstantWalk:
-    """Velocities of a body during a walk with commands that are held for `_HELD` seconds.
+    """Velocities of a body during a walk with commands that are held for the same time each.
 
     Attributes:
         commands: Shape (K, 3) [m/s, m/s, rad/s].
@@ -106,52 +82,6 @@ class Gait:
             repeats = f"It has no strict period (autocorrelation of its velocities {self.height:.2f} at most)"
         follows = f"90 % of a change of command is done after {slow}" if slow else "it follows no command"
         return f"{repeats}; {follows}; at a constant command its steps scatter by {spread} half ranges."
-
-
-def measured_walk(robot: WalkingRobot) -> ConstantWalk | None:
-    """Walks the model without differences at constant commands; None if it falls.
-
-    Args:
-        robot: The robot; its commands are shares of its ranges of use.
-    """
-    upper, lower = np.array([[quantity.upper, -quantity.lower] for quantity in robot.space.state]).T
-    commands = np.where(_COMMANDS >= 0, _COMMANDS * upper, _COMMANDS * lower)
-    model = robot.mjcf_model()
-    data = mujoco.MjData(model)
-    robot.place(model, data, np.zeros(3))
-    mujoco.mj_forward(model, data)
-    control = robot.controller()
-    substeps = max(1, round(robot.tick / model.opt.timestep))
-    ticks = max(1, round(_INTERVAL / robot.tick))
-    interval = ticks * substeps * model.opt.timestep
-    velocities = np.empty((len(commands), round(_HELD / interval), 3))
-    for number, command in enumerate(commands):
-        for sample in range(velocities.shape[1]):
-            for _ in range(ticks):
-                control(model, data, command)
-                mujoco.mj_step(model, data, substeps)
-            if robot.failed(model, data) or not np.isfinite(data.qvel).all():
-                return None
-            velocities[number, sample] = body_velocity(data)
-    return ConstantWalk(commands, velocities, interval)
-
-
-def gait_finding(robot: WalkingRobot) -> RobotFinding:
-    """What a walk of the model shows of its gait, and whether its step has whole periods."""
-    walk = measured_walk(robot)
-    if walk is None:
-        advice = "Compare the policy with its training, or choose narrower ranges of use."
-        found = "The model falls at constant commands within its ranges of use."
-        return RobotFinding("gait", right=False, sentence=f"{found} {advice}")
-    seconds = robot.walk.seconds
-    gait = gait_of(walk, seconds)
-    words = gait.in_words(robot.space)
-    if gait.fits(seconds):
-        return RobotFinding("gait", right=True, sentence=words)
-    part = f"A step of {seconds:g} s is {seconds / gait.period:.2f} periods"
-    why = "so its mean velocity depends on where in the gait it begins"
-    advice = f"Set walk.seconds = {gait.whole_steps(seconds):.4g}."
-    return RobotFinding("gait", right=False, sentence=f"{words} {part}, {why}. {advice}")
 
 
 def gait_of(walk: ConstantWalk, seconds: float) -> Gait:

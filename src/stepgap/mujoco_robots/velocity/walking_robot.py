@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import exp, isfinite, radians
-from typing import Any, Self, final
+from typing import Any, Final, Self, final
 
 import mujoco
 import numpy as np
@@ -20,6 +20,7 @@ from stepgap.control.reference import Reference
 from stepgap.mujoco_robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfRobot
 from stepgap.mujoco_robots.mjcf.section import Section, every
+from stepgap.mujoco_robots.velocity.gait import ConstantWalk, gait_of
 from stepgap.robots.gap import NOT_NEGATIVE, Drawn, Rule, difference, within
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.robot import RobotFinding
@@ -278,8 +279,6 @@ class WalkingRobot(MjcfRobot):
 
     def findings(self) -> Sequence[RobotFinding]:
         """Period, response and scatter of its gait, and whether a step has whole periods."""
-        from stepgap.mujoco_robots.velocity.gait import gait_finding
-
         return [gait_finding(self)]
 
     def references(self) -> Mapping[str, Callable[[], Reference]]:
@@ -352,3 +351,69 @@ def body_velocity(data: Any) -> Array:
     mujoco.mju_negQuat(back, data.qpos[3:7])
     mujoco.mju_rotVecQuat(velocity, data.qvel[:3], back)
     return np.array([velocity[0], velocity[1], data.qvel[5]])
+
+
+_INTERVAL: Final = 0.02  # About the time between two samples of a walk [s]
+_HELD: Final = 4.0  # Time for which a walk to measure a gait has the same command [s]
+
+_COMMANDS: Final = np.array(
+    [
+        (0.5, 0.0, 0.0),
+        (0.8, 0.0, 0.0),
+        (0.4, 0.0, 0.0),
+        (0.6, 0.5, 0.0),
+        (0.6, -0.5, 0.0),
+        (0.6, 0.0, 0.5),
+        (0.6, 0.0, -0.5),
+        (0.9, 0.0, 0.0),
+        (0.4, 0.4, 0.4),
+        (0.4, -0.4, -0.4),
+    ]
+)
+"""Commands of that walk, as shares of the upper end of each range of use, or of the lower one."""
+
+
+def measured_walk(robot: WalkingRobot) -> ConstantWalk | None:
+    """Walks the model without differences at constant commands; None if it falls.
+
+    Args:
+        robot: The robot; its commands are shares of its ranges of use.
+    """
+    upper, lower = np.array([[quantity.upper, -quantity.lower] for quantity in robot.space.state]).T
+    commands = np.where(_COMMANDS >= 0, _COMMANDS * upper, _COMMANDS * lower)
+    model = robot.mjcf_model()
+    data = mujoco.MjData(model)
+    robot.place(model, data, np.zeros(3))
+    mujoco.mj_forward(model, data)
+    control = robot.controller()
+    substeps = max(1, round(robot.tick / model.opt.timestep))
+    ticks = max(1, round(_INTERVAL / robot.tick))
+    interval = ticks * substeps * model.opt.timestep
+    velocities = np.empty((len(commands), round(_HELD / interval), 3))
+    for number, command in enumerate(commands):
+        for sample in range(velocities.shape[1]):
+            for _ in range(ticks):
+                control(model, data, command)
+                mujoco.mj_step(model, data, substeps)
+            if robot.failed(model, data) or not np.isfinite(data.qvel).all():
+                return None
+            velocities[number, sample] = body_velocity(data)
+    return ConstantWalk(commands, velocities, interval)
+
+
+def gait_finding(robot: WalkingRobot) -> RobotFinding:
+    """What a walk of the model shows of its gait, and whether its step has whole periods."""
+    walk = measured_walk(robot)
+    if walk is None:
+        advice = "Compare the policy with its training, or choose narrower ranges of use."
+        found = "The model falls at constant commands within its ranges of use."
+        return RobotFinding("gait", right=False, sentence=f"{found} {advice}")
+    seconds = robot.walk.seconds
+    gait = gait_of(walk, seconds)
+    words = gait.in_words(robot.space)
+    if gait.fits(seconds):
+        return RobotFinding("gait", right=True, sentence=words)
+    part = f"A step of {seconds:g} s is {seconds / gait.period:.2f} periods"
+    why = "so its mean velocity depends on where in the gait it begins"
+    advice = f"Set walk.seconds = {gait.whole_steps(seconds):.4g}."
+    return RobotFinding("gait", right=False, sentence=f"{words} {part}, {why}. {advice}")
