@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 
 from stepgap.base.errors import InputError
 from stepgap.base.files import read_bounded_text
+from stepgap.base.versions import optional_package
 from stepgap.mujoco_robots.trial import NetworkParts
 from stepgap.mujoco_robots.velocity.policy.yaml_text import parse_yaml
 
@@ -95,6 +96,8 @@ def _of_folders(policy: Path, outputs: int, joints: Sequence[str], driven: Seque
         folder = policy.parent / place
         paths = sorted(folder.glob("*.y*ml"))[:_MOST_FILES] if folder.is_dir() else []
         fitting = []
+        if paths:
+            optional_package("yaml", str(paths[0]), "policy")
         for path in paths:
             try:
                 table = parse_yaml(read_bounded_text(path, _LARGEST_FILE))
