@@ -1,6 +1,7 @@
 """YAML in which trainings write what belongs to a policy: tables, lists, numbers and texts. Nothing in it is called."""
 
 import re
+from importlib import import_module
 from typing import Any, Final
 
 _EXPONENT: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
@@ -16,7 +17,7 @@ def parse_yaml(text: str) -> Any:
     Raises:
         ValueError: It is not YAML; the message is the reason in one line.
     """
-    import yaml  # of the extra `policy`
+    yaml: Any = import_module("yaml")  # of the extra `policy`
 
     class Loader(yaml.SafeLoader):
         """PyYAML's loader of plain values."""
