@@ -29,11 +29,10 @@ def test_the_shell_reads_the_script(script: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("stepgap comple", "completion"),
+        ("stepgap docto", "doctor"),
         ("stepgap run --iterat", "--iterations"),
         ("stepgap run --gains.stif", "--gains.stiffness"),
         ("stepgap export --gains.stif", ""),
-        ("stepgap completion z", "zsh"),
     ],
 )
 def test_bash_completes(script: Path, line: str, expected: str) -> None:

@@ -112,6 +112,7 @@ def _warnings_as_lines() -> Iterator[None]:
             warn(str(message))
 
     with warnings.catch_warnings():
+        warnings.simplefilter("always", StepGapWarning)  # also where the environment turns warnings into errors
         warnings.showwarning = show
         yield
 

@@ -237,7 +237,7 @@ def test_a_residual_that_fails_in_a_run_is_named_by_its_file_and_line(
     stepgap: Command, packages: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     install(packages, "broken", OUT_OF_SPACE, own="broken:MODEL")
-    monkeypatch.setattr("stepgap.cli.app._run_verb", lambda arguments, program, verbs: fit_residual("own", steps()))
+    monkeypatch.setattr("stepgap.cli.app.run_words", lambda arguments, program, verbs: fit_residual("own", steps()))
     result = stepgap("run")
     assert result.code == 2
     assert result.err.startswith(
