@@ -24,7 +24,7 @@ def weak(tmp_path: Path, stepgap: Command) -> Path:
 
 
 def test_a_weak_motor_is_found(weak: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(simulated_errors, "STEPS_PER_MONOMIAL", 2)
+    monkeypatch.setattr(simulated_errors, "STEPS_PER_MONOMIAL", 4)
     known = ["--known", "motor_counts=200000, torque_noise=0.01"]
     found = stepgap("explain", weak, *known, "--causes", "torque_scale, boom_drag", "--out", "page.html", "--quiet")
     assert found.code == 0, found.err

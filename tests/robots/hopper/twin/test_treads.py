@@ -70,7 +70,8 @@ def test_the_foot_is_never_in_the_ground(seed):
             assert min(profile.height(yaw + side * 2e-3 / RADIUS) for side in (-1, 1)) - state.foot[2] < 4e-3
         if state.contact_force > 20:
             landed.add(profile.tread_at(yaw))
-            assert state.ground_height == pytest.approx(profile.height(yaw), abs=2e-3) or depth > 0
+            near = [profile.height(yaw + side * 2e-3 / RADIUS) for side in (-1, 0, 1)]  # on an edge, either tread
+            assert np.abs(np.array(near) - state.ground_height).min() < 2e-3 or depth > 0
     assert len(landed) > 2
 
 

@@ -48,6 +48,10 @@ _FIRST_BOUND, _MARGIN, _MOST_LEARNED = 3.0, 1.6, 6.0
 """Bound in the first stances as a multiple of `motion_torque`; later as one of the largest own deviation, and the most
 that is learned of that as a multiple of `motion_torque`: links of some robots ring in flight."""
 
+_UNEVEN = 2
+"""Factor of `motion_torque` and `WRONG_TICKS` on uneven ground: risers push a foot, and slopes brush it before its force
+is that of a touchdown."""
+
 WRONG_TICKS = 3
 """Number of ticks in a row in which the motion deviates, after which a drive is doubted."""
 
@@ -229,10 +233,11 @@ def judge_motion(settings, state, sampled, motion, inputs):
     else:
         contact = _contact(force, before.force, before.force_before)
         if contact != before.contact:
-            after, doubts = _begun(before, contact)
+            after, doubts = _begun(before, contact, settings.uneven)
         if contact != _BETWEEN:
             after = _compared(settings, state, after, motion, inputs)
-            after, wrong = _judged(settings.limits.motion_torque, after)
+            lenience = _UNEVEN if settings.uneven else 1
+            after, wrong = _judged(lenience * settings.limits.motion_torque, lenience * WRONG_TICKS, after)
             doubts |= wrong
     applied = Applied(
         latest_1=inputs.applied_1, latest_2=inputs.applied_2, before_1=before.applied.latest_1,
@@ -262,8 +267,11 @@ def _contact(latest, before, earlier):
 
 
 @as_written
-def _begun(before, contact):
-    """`DriveMotion` at the first tick of another contact, and the drives to doubt by the stance that ended."""
+def _begun(before, contact, uneven):
+    """`DriveMotion` at the first tick of another contact, and the drives to doubt by the stance that ended.
+
+    On uneven ground a stance is not judged as a whole, since its gain depends on the slope.
+    """
     loaded = before.loaded
     doubted = before.doubted
     doubts = 0
@@ -272,7 +280,7 @@ def _begun(before, contact):
     if loaded.ticks >= LEAST_LOADED:
         gain = loaded.product / loaded.square
         stances += 1
-        ratio = gain / mean if stances > LEARNING_STANCES else 1.0
+        ratio = gain / mean if stances > LEARNING_STANCES and not uneven else 1.0
         if LEAST_RATIO <= ratio <= MOST_RATIO:
             mean += max(1.0 / stances, _MEAN_GAIN) * (gain - mean)
         else:
@@ -440,7 +448,7 @@ def _moving_torques(masses, rates, tick, motion, force, grounded):
 
 
 @as_written
-def _judged(limit, drives):
+def _judged(limit, wrong_ticks, drives):
     """`DriveMotion` after the comparison, from which it learns, and the drives to doubt."""
     learns = drives.loaded.stances < LEARNING_STANCES
     moved_1 = drives.compared_1.moved
@@ -469,7 +477,7 @@ def _judged(limit, drives):
         wrong = wrong + min(int(ratio), _CLEARLY) if ratio > 1.0 else 0
     doubted = drives.doubted
     doubts = 0
-    if wrong >= WRONG_TICKS:
+    if wrong >= wrong_ticks:
         doubted, doubts = _disobedience(sent_1, sent_2, sent_1 + off_1, sent_2 + off_2)
     return DriveMotion(
         applied=drives.applied, force=drives.force, force_before=drives.force_before, contact=drives.contact,
