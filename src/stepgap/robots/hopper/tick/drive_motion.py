@@ -49,8 +49,8 @@ _FIRST_BOUND, _MARGIN, _MOST_LEARNED = 3.0, 1.6, 6.0
 that is learned of that as a multiple of `motion_torque`: links of some robots ring in flight."""
 
 _UNEVEN = 2
-"""Factor of `motion_torque` and `WRONG_TICKS` on uneven ground: risers push a foot, and slopes brush it before its force
-is that of a touchdown."""
+"""Factor of `motion_torque` and `WRONG_TICKS` on uneven ground: risers push a foot, and slopes brush it before its
+force is that of a touchdown."""
 
 WRONG_TICKS = 3
 """Number of ticks in a row in which the motion deviates, after which a drive is doubted."""
