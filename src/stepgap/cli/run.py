@@ -189,7 +189,7 @@ def run_verb(
         recorder, live = _watchers(settings, folder, display)
         reference = load_reference(settings, settings.space)
         with plant_compiled_beside(settings):
-            nominal = nominal_with_progress(settings)
+            nominal = nominal_with_progress(settings, reference)
             if nominal.surrogate:  # it was fitted now
                 check_surrogate(nominal.surrogate)
         on_ticks = _all_of(recorder.on_ticks, live)

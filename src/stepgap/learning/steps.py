@@ -140,9 +140,10 @@ class Steps:
         return self.selected(rows)
 
     def __repr__(self) -> str:
-        counts = [f"{len(self.of_iteration(number))} of deployment {number}" for number in self.iterations]
-        of_deployments = f" ({', '.join(counts)})" if len(counts) <= _MOST_COUNTS else f" of {len(counts)} deployments"
-        return f"<{len(self)} steps{of_deployments if counts else ''}: {self.space.in_a_line}>"
+        numbers, counts = np.unique(self.iteration, return_counts=True)
+        of_each = ", ".join(f"{count} of deployment {one}" for count, one in zip(counts, numbers, strict=True))
+        of_deployments = f" ({of_each})" if len(numbers) <= _MOST_COUNTS else f" of {len(numbers)} deployments"
+        return f"<{len(self)} steps{of_deployments if len(numbers) else ''}: {self.space.in_a_line}>"
 
     def _repr_html_(self) -> str:
         """The first steps as a table, which notebooks show."""

@@ -5,7 +5,7 @@ after it: a robot that does not respond has no reachable targets.
 """
 
 from collections.abc import Iterator
-from itertools import islice
+from itertools import chain, islice
 from shlex import quote
 from typing import Final, NamedTuple
 
@@ -56,15 +56,16 @@ def reasons(run: Run) -> list[Reason]:
     jumps = list(_jumps(run, last))
     if not achieved.last.failed_steps and not achieved.far_rows:
         return jumps
-    found = [
-        *_response(run),
-        *_known_before(run),
-        *_reach(run, achieved),
-        *_cut(run, achieved),
-        *_changes(run, achieved),
-        *jumps,
-    ]
-    return list(islice((*found, *_goes_on(run, achieved)), MOST_REASONS))
+    possible = chain(
+        _response(run),
+        _known_before(run),
+        _reach(run, achieved),
+        _cut(run, achieved),
+        _changes(run, achieved),
+        jumps,
+        _goes_on(run, achieved),
+    )
+    return list(islice(possible, MOST_REASONS))
 
 
 def changes_at_constant_targets(steps: Steps) -> Array:
@@ -73,15 +74,15 @@ def changes_at_constant_targets(steps: Steps) -> Array:
     return np.abs(np.diff(steps.requested, axis=0))[held] / (2 * steps.space.command_scale)
 
 
-def _again(run: Run, options: str) -> str:
-    """The command that runs the same experiment with other settings."""
-    return f"stepgap run {quote(str(run.folder / 'experiment.toml'))} {options}"
+def _with_settings(verb: str, run: Run, options: str = "") -> str:
+    """The command that calls a verb with the settings of a run, and with other ones."""
+    return f"stepgap {verb} {quote(str(run.folder / 'experiment.toml'))} {options}".rstrip()
 
 
 def _response(run: Run) -> Iterator[Reason]:
     """Coordinates that do not follow the commands, or stay on one side of all targets."""
     first = run.steps.of_iteration(run.steps.iterations[0])
-    check = f"stepgap check {quote(str(run.folder / 'experiment.toml'))}"
+    check = _with_settings("check", run)
     if not isinstance(run.nominal, Missing):
         for sentence in response_sentences(first, run.nominal):
             yield Reason(sentence, "The test of the robot says which part of it to mend.", check)
@@ -102,33 +103,32 @@ def _known_before(run: Run) -> Iterator[Reason]:
             f"The {run.summary.warm_start.steps} steps known before the run predict its first deployment "
             f"{learned / nominal:.2g} times worse than the nominal map: they are of another robot."
         )
-        settings = "the line warm_start from the settings"
-        yield Reason(sentence, f"Begin without them: leave out --warm-start, or {settings}.")
+        advice = "Begin without them: leave out --warm-start, or the line warm_start from the settings."
+        yield Reason(sentence, advice)
 
 
 def _reach(run: Run, achieved: Achievement) -> Iterator[Reason]:
     """Targets that no command holds, and commands at their bounds."""
     space = run.space
     last = achieved.last
-    bounds = bound_sentences(run.steps.of_iteration(last.iteration))
+    steps = run.steps.of_iteration(last.iteration)
+    bounds = bound_sentences(steps)
     names = [space.state_names[row] for row in achieved.rows]
     if len(last.unreachable):
-        count = len(np.unique(run.steps.of_iteration(last.iteration).tracking().target, axis=0))
+        count = len(np.unique(steps.tracking().target, axis=0))
         sentence = f"By what was learned, no command holds {len(last.unreachable)} of {count} targets."
     elif bounds:
         sentence = " ".join(bounds)
     else:
         return
     if len(names) > 1 and last.failed_steps == 0:
-        ratios = achieved.parts
-        worst = space.state_names[max(achieved.rows, key=lambda row: ratios[row])]
+        worst = space.state_names[max(achieved.rows, key=lambda row: achieved.parts[row])]
         better = [name for name in names if name != worst]
         advice = f"Track {listed(better)} alone, to see whether {worst} is what asks too much; or widen the bounds."
-        yield Reason(sentence, advice, _again(run, f"--weights.{worst} 0"))
+        yield Reason(sentence, advice, _with_settings("run", run, f"--weights.{worst} 0"))
         return
-    gait = f"stepgap gait {quote(str(run.folder / 'experiment.toml'))}"
     advice = "Choose targets nearer to the middle, or wider bounds; a figure shows the set that one step can reach."
-    yield Reason(sentence, advice, gait)
+    yield Reason(sentence, advice, _with_settings("gait", run))
 
 
 def _cut(run: Run, achieved: Achievement) -> Iterator[Reason]:
@@ -146,7 +146,7 @@ def _changes(run: Run, achieved: Achievement) -> Iterator[Reason]:
         names = listed([run.space.state_names[row] for row in late])
         sentence = f"The errors of {names} are mostly those of the {SETTLING_STEPS} steps after a change of the target."
         advice = "Let the controller plan several steps, or change the target in smaller steps."
-        yield Reason(sentence, advice, _again(run, "--control.horizon 4"))
+        yield Reason(sentence, advice, _with_settings("run", run, "--control.horizon 4"))
 
 
 def _jumps(run: Run, last: Steps) -> Iterator[Reason]:
@@ -162,7 +162,7 @@ def _jumps(run: Run, last: Steps) -> Iterator[Reason]:
             "from a step to the next, in the median."
         )
         advice = "Other commands do about equally well: a limit of its change keeps to one of them."
-        yield Reason(capitalised(sentence), advice, _again(run, "--control.largest_change 0.1"))
+        yield Reason(capitalised(sentence), advice, _with_settings("run", run, "--control.largest_change 0.1"))
 
 
 def _goes_on(run: Run, achieved: Achievement) -> Iterator[Reason]:

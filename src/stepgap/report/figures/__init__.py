@@ -73,7 +73,7 @@ def run_figures() -> list[RunFigure]:
 
 def drawn_figures(analysis: Analysis) -> list[DrawnFigure]:
     """Draws the figures of a run."""
-    return [part.drawn() for part in _parts(analysis)]
+    return [part.drawn() for part in _parts(analysis) if part.is_known]
 
 
 def run_figure(run: Run, name: str) -> "Figure":
@@ -87,9 +87,10 @@ def run_figure(run: Run, name: str) -> "Figure":
         InputError: There is no such figure of this run, or a file of the run is not valid; the message has the names.
     """
     parts = {part.file: part for part in _parts(Analysis(run.checked()))}
-    if name not in parts:
-        raise InputError(f"figure {name!r:.80}: this run has {one_of(name, parts)}")
     with one_blas_thread():
+        if name not in parts or not parts[name].is_known:
+            names = [file for file, part in parts.items() if part.is_known]
+            raise InputError(f"figure {name!r:.80}: this run has {one_of(name, names)}")
         return shown_in_notebooks(parts[name].draw)
 
 
@@ -99,6 +100,11 @@ class _Part(NamedTuple):
     figure: RunFigure
     analysis: Analysis
     row: int | None
+
+    @property
+    def is_known(self) -> bool:
+        """Whether all that is drawn is known; to find that out may take seconds."""
+        return self.figure.is_known(self.analysis)
 
     @property
     def file(self) -> str:
@@ -128,6 +134,5 @@ class _Part(NamedTuple):
 
 def _parts(analysis: Analysis) -> Iterator[_Part]:
     for figure in run_figures():
-        if figure.is_known(analysis):
-            rows = range(len(analysis.run.space.state)) if figure.of_each_state else [None]
-            yield from (_Part(figure, analysis, row) for row in rows)
+        rows = range(len(analysis.run.space.state)) if figure.of_each_state else [None]
+        yield from (_Part(figure, analysis, row) for row in rows)
