@@ -85,7 +85,7 @@ def test_the_steps_of_a_simulator_are_kept_if_the_run_does_not_start(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "far.csv").write_text("speed\n9\n")
     nominal = Nominal(LossyHopper(), fit_surrogate(LossyHopper(), np.random.default_rng(0)))
-    monkeypatch.setattr("stepgap.cli.nominal.nominal_with_progress", lambda settings: nominal)
+    monkeypatch.setattr("stepgap.cli.nominal.nominal_with_progress", lambda settings, reference: nominal)
     for name in ("nominal_map.json", "nominal_map_2.json"):
         with pytest.raises(SystemExit) as end:
             main(["run", "--reference", "far.csv"])
