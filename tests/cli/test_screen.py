@@ -1,9 +1,12 @@
 """Bars and colours only where a person looks at a terminal, and no text of others that commands it."""
 
 import io
+import warnings
 
 import pytest
+from cyclopts import App
 
+from stepgap.cli.app import main
 from stepgap.cli.screen import screen
 from stepgap.cli.terminal import printable, warn
 
@@ -48,3 +51,19 @@ def test_a_name_from_a_file_is_shown_and_does_not_command_the_terminal(capsys: p
     line = r"stepgap: sweep.toml: \x1b[2J\x1b]0;title\x07 Höhe \u202e\udcff: unknown key; did you mean seed?"
     assert capsys.readouterr().err == f"{line}\n"
     assert printable("speed 0.3 m/s² – 5 %") == "speed 0.3 m/s² – 5 %"
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_a_warning_of_another_library_does_not_command_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    messages = list[str]()
+    monkeypatch.setattr(warnings, "showwarning", lambda message, *place: messages.append(str(message)))
+    app = App()
+
+    @app.default
+    def verb() -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")
+            warnings.warn("log\x1b[2J.csv has no rows", UserWarning, stacklevel=1)
+
+    main([], lambda word: app)
+    assert messages == [r"log\x1b[2J.csv has no rows"]

@@ -14,7 +14,7 @@ from stepgap.control.settings import ControlSettings
 from stepgap.experiment import run_start
 from stepgap.experiment.nominal import Nominal, check_surrogate
 from stepgap.experiment.plants import PlantRequest
-from stepgap.experiment.run_start import load_setup, run_folder
+from stepgap.experiment.run_start import discard_unrecorded, load_setup, run_folder
 from stepgap.experiment.settings import Experiment
 from stepgap.robots.nominal_maps.surrogate_map import fit_surrogate
 from stepgap.step import Array
@@ -94,3 +94,15 @@ def test_the_steps_of_a_simulator_are_kept_if_the_run_does_not_start(
         assert message.endswith(f" (its simulated steps are kept: --nominal.file {name})\n")
         assert (tmp_path / name).read_text() == nominal.file
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_run_that_does_not_start_removes_nothing_through_a_link(tmp_path: Path) -> None:
+    run, others = tmp_path / "run", tmp_path / "others"
+    for folder in (run, others):
+        folder.mkdir()
+    (run / "experiment.toml").touch()
+    (others / "mine.json").touch()
+    (run / "models").symlink_to(others)
+    discard_unrecorded(run)
+    assert (others / "mine.json").exists()
+    assert not (run / "experiment.toml").exists()

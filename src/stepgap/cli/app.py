@@ -24,6 +24,7 @@ from stepgap.cli.terminal import (
     discard_output,
     flush_output,
     is_output_error,
+    printable,
     replace_unwritable_characters,
     warn,
 )
@@ -100,13 +101,13 @@ def run_words(arguments: Sequence[str], program: list[str], verbs: Callable[[str
 
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
-    """Shows each warning of StepGap once, as one line on stderr."""
+    """Shows each warning of StepGap once, as one line on stderr; names of files in those of others are escaped."""
     show_other = warnings.showwarning
     shown = set[str]()
 
     def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
         if not issubclass(category, StepGapWarning):
-            show_other(message, category, *place)
+            show_other(printable(str(message)), category, *place)
         elif str(message) not in shown:
             shown.add(str(message))
             warn(str(message))

@@ -121,7 +121,8 @@ def discard_unrecorded(folder: Path) -> None:
         return
     written = ("experiment.toml", "steps.csv", TIMES_FILE, "models/*.json", *INPUT_FILES)
     for path in (path for name in written for path in folder.glob(name)):
-        path.unlink()
+        if path.parent.resolve().is_relative_to(folder.resolve()):  # not through a link, to files of somebody else
+            path.unlink()
     for name in ("models", PRIOR_FOLDER):
         with suppress(OSError):  # there is none, or it has other files
             (folder / name).rmdir()
