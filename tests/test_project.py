@@ -171,11 +171,14 @@ def test_a_release_is_published_from_a_checked_tag_without_a_token() -> None:
     text = (ROOT / ".github/workflows/release.yml").read_text(encoding="utf-8")
     release = yaml.safe_load(text)
     assert release[True] == {"push": {"tags": ["v*"]}}, "YAML reads the key `on` as true"
-    build, publish = release["jobs"]["build"], release["jobs"]["publish"]
+    build, objects, publish = (release["jobs"][name] for name in ("build", "objects", "publish"))
     assert release["permissions"] == {"contents": "read"}
     assert "permissions" not in build
+    assert "permissions" not in objects
     assert publish["permissions"] == {"id-token": "write"}
-    assert (publish["needs"], publish["environment"]) == ("build", "release")
+    assert (objects["needs"], publish["needs"], publish["environment"]) == ("build", "objects", "release")
+    for version in objects["strategy"]["matrix"]["python"]:
+        assert f"Programming Language :: Python :: {version}" in PYPROJECT["project"]["classifiers"]
     assert all("uses" in step for step in publish["steps"])
     assert "sh .ci/package" in [step.get("run") for step in build["steps"]]
     assert "secrets." not in text

@@ -2,6 +2,7 @@
 
 import json
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -199,6 +200,44 @@ def test_system_types_of_one_program_do_not_break_another(run: Run, package, tmp
     elsewhere.mkdir()
     package.rename(elsewhere / "other_robot")
     assert run(code.format("other_robot"), elsewhere, NUMBA_CACHE_DIR=cache) == "1.0"
+
+
+MADE = """
+import numba
+from numba.core.registry import cpu_target
+numba.config.CPU_NAME = "generic"
+from robot.outer import doubled
+doubled(1.0)
+print(*cpu_target.target_context.codegen().magic_tuple(), sep="\\n")
+"""
+
+
+@pytest.mark.parametrize(
+    ("difference", "used"),
+    [
+        ({}, True),
+        ({"machine": "another"}, False),
+        ({"system": "another"}, False),
+        ({"features": ["unheard-of"]}, False),
+    ],
+)
+def test_code_that_a_wheel_brought_is_used_on_computers_that_it_fits(run: Run, package, difference, used) -> None:
+    """As a release makes it: compiled for another processor than this one, with the name of a kind of processors."""
+    target = run(MADE, package.parent).split("\n")
+    (code,) = (package.parent / "cache").iterdir()
+    objects = package / "objects" / code.name
+    shutil.copytree(code, objects)
+    made = {"machine": platform.machine(), "system": platform.system(), "features": [], "target": target}
+    (objects / "target.json").write_text(json.dumps({**made, **difference}))
+    cache = package.parent / "users"
+    assert run(CALL, package.parent, NUMBA_CACHE_DIR=str(cache)) == ("4.0 1" if used else "4.0 0")
+    assert bool(list(cache.rglob("*.nbc"))) != used
+
+
+def test_code_beside_a_script_is_no_code_of_a_package(run: Run, package: Path) -> None:
+    """A folder `objects` may be there for any reason, and pickled files of others are not read."""
+    (package / "__init__.py").unlink()
+    test_code_that_a_wheel_brought_is_used_on_computers_that_it_fits(run, package, {}, used=False)
 
 
 @pytest.mark.parametrize("chosen", ["/dev/null/no", "robot/__init__.py"])

@@ -4,12 +4,15 @@ Numba's own cache checks only the file of the compiled function, so a function w
 version of a function that it calls from another file; and it is named after the path of that file, so that
 each checkout would compile again. Here the name of the cache folder is the digest of all compiled sources of
 the function's package, wherever they are.
+
+A wheel may bring compiled code along (`.ci/wheel_objects.py`), which is used where it fits.
 """
 
 # pyright: reportAttributeAccessIssue=false
 # (Numba creates the attributes of its config at run time.)
 
 import hashlib
+import json
 import os
 import re
 import shutil
@@ -18,11 +21,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, lru_cache
 from pathlib import Path
+from platform import machine, system
 from types import FunctionType
 from typing import Any, Self, final
 
 import numba
 from numba.core import config
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.extending import overload
 
 OPTIONS = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "arcp", "nsz"}}
@@ -30,6 +35,13 @@ OPTIONS = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "arcp
 
 Sums are not regrouped: Numba tests whether x is finite by x − x, which would always be 0 then.
 """
+
+OBJECTS = "objects"
+"""Folder of a package that has compiled code of it, in a folder named as in the cache, with `TARGET_FILE`."""
+
+TARGET_FILE = "target.json"
+"""Which computers can run the code: `machine` and `system` as Python names them, `features` of the processor as LLVM
+names them; and `target`, by which Numba's index names what it was compiled for."""
 
 KEPT_VERSIONS = 12  # Number of versions of compiled code, some 10 MB each, that remain in the cache
 
@@ -152,11 +164,50 @@ def _cached(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]
         previous = config.CACHE_LOCATOR_CLASSES
         config.CACHE_LOCATOR_CLASSES = f"{ContentLocator.__module__}.{ContentLocator.__name__}"
         try:
-            return numba.njit(cache=True, **options)(function)
+            dispatcher: Any = numba.njit(**options)(function)
+            dispatcher._cache = _Cache(function)
+            return dispatcher
         finally:
             config.CACHE_LOCATOR_CLASSES = previous
 
     return decorate
+
+
+class _Cache(FunctionCache):
+    """Numba's cache of a function, before which objects of its package are used, if there are some that fit.
+
+    So results do not depend on what else a user's cache contains. Files of both are pickled. Those of the package are
+    trusted as its source and its `.pyc` files are, in whose folder they lie; no other file is read in this way.
+    """
+
+    def _load_overload(self, sig: Any, target_context: Any) -> Any:
+        codegen, locator = target_context.codegen(), self._impl.locator
+        if (target := _target(locator.objects, codegen.magic_tuple())) is not None:
+            folder, stamp = str(locator.objects / locator.module), locator.get_source_stamp()
+            signature, _, code = self._index_key(sig, codegen)
+            data = IndexDataCacheFile(folder, self._impl.filename_base, stamp).load((signature, target, code))
+            if data is not None:
+                return self._impl.rebuild(target_context, data)
+        return super()._load_overload(sig, target_context)
+
+
+@lru_cache
+def _target(objects: Path, host: tuple[str, str, str]) -> tuple[str, ...] | None:
+    """What the objects of a folder were compiled for, or None if there are none, or none for this computer.
+
+    Args:
+        objects: The folder.
+        host: Numba's description of this computer: triple, processor, features such as "+avx2".
+    """
+    if not (objects.parents[1] / "__init__.py").is_file():
+        return None  # beside a script there may be anything
+    try:
+        made = json.loads((objects / TARGET_FILE).read_text("utf-8"))
+    except (OSError, ValueError):
+        return None
+    lacking = {f"+{feature}" for feature in made["features"]} - set(host[2].split(","))
+    fits = (made["machine"], made["system"]) == (machine(), system()) and not lacking and config.CPU_NAME is None
+    return tuple(made["target"]) if fits else None
 
 
 @final
@@ -168,6 +219,10 @@ class ContentLocator:
     Args:
         function: The function.
         file: Its source.
+
+    Attributes:
+        module: Name of the folder of the source as a module, in the cache and below `objects`.
+        objects: Folder of what a wheel brought along for this content; it need not be there.
     """
 
     def __init__(self, function: Callable[..., Any], file: str):
@@ -178,7 +233,9 @@ class ContentLocator:
         self._py_file = file
         self._line = function.__code__.co_firstlineno
         self._stamp = f"{_digest(_package_folder(Path(__file__).resolve()))}-{_digest(package)}"
-        self._folder = _used(home / self._stamp) / ".".join(source.relative_to(package.parent).parent.parts)
+        self.module = ".".join(source.relative_to(package.parent).parent.parts)
+        self.objects = package / OBJECTS / self._stamp
+        self._folder = _used(home / self._stamp) / self.module
 
     @classmethod
     def from_function(cls, function: Callable[..., Any], file: str) -> Self:
