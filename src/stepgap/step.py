@@ -405,15 +405,19 @@ class Outcome(NamedTuple):
 class CommandBefore(NamedTuple):
     """The effect of the command of the step before, which a `StepMap` counts as known.
 
-    If that command had been another one, the next state would be higher by `effect` times the difference.
+    If that command had been another one, the next state would be higher by `effect` times the difference. The error of
+    the step before may act, too: if the state had been another one by that error, the next state would be higher by
+    `memory` times the difference.
 
     Attributes:
         effect: Shape (n, m) [units of the state per unit of the command].
         command: Of the step before the next one; shape (m,).
+        memory: Shape (n, n).
     """
 
     effect: Array
     command: Array
+    memory: Array
 
 
 class StepMap(ABC):

@@ -8,6 +8,9 @@ import pytest
 from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.command_before import MapWithCommand, space_with_command
 from stepgap.control.step_controller import StepController
+from stepgap.learning.beliefs import Mixture
+from stepgap.learning.believed import command_before_of
+from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.step import Array, CommandBefore, Quantity, StepSpace, difference_jacobian
 from tests.control.maps import ClosedFormMap
 
@@ -39,7 +42,7 @@ class Lagging(ClosedFormMap):
 
     @property
     def command_before(self) -> CommandBefore:
-        return CommandBefore(np.array([[self.later]]), np.array([self.before]))
+        return CommandBefore(np.array([[self.later]]), np.array([self.before]), np.zeros((1, 1)))
 
     def next_state(self, state: Array, command: Array) -> Array:
         return KEPT * state + self.now * command + self.later * self.before
@@ -74,7 +77,8 @@ def test_a_command_does_not_grow_where_one_step_inversion_rings_up_to_the_bounds
 
 
 def test_the_map_with_the_command_before_is_that_of_the_equation() -> None:
-    whole = MapWithCommand(Lagging(-1.5, 0.1), space_with_command(SPACE), Lagging(-1.5, 0.1).command_before)
+    lagging = Lagging(-1.5, 0.1)
+    whole = MapWithCommand(lagging, space_with_command(SPACE), lagging.command_before, np.zeros(1))
     assert whole.space.state_names == ("v", "c_before")
     assert whole.space.tracked.tolist() == [True, False]
     state, command = np.array([[0.2, 0.4], [0.3, -0.1]]), np.array([[0.5], [0.0]])
@@ -83,3 +87,14 @@ def test_the_map_with_the_command_before_is_that_of_the_equation() -> None:
     np.testing.assert_allclose(whole(state, command), expected, rtol=0, atol=1e-12)
     jacobian = whole.jacobian(state, command)
     np.testing.assert_allclose(jacobian, difference_jacobian(whole, state, command), rtol=0, atol=1e-8)
+
+
+def test_an_error_that_acts_on_is_a_part_of_the_effect_of_the_command_before() -> None:
+    """Beliefs know error and command of the step before, and cannot tell what each of them does to the next one."""
+    lag = AffineMap(SPACE, np.zeros(1), np.zeros(1), np.zeros(1), np.array([[KEPT, 1 - KEPT]]))
+    weights = np.array([[0.0, 0.0, -0.3, 0.1]])  # the last two are of error and command before, in half ranges
+    mixture = Mixture(weights, np.zeros((1, 4, 4)), np.ones(1), np.zeros(2), np.zeros(1))
+    before = command_before_of(lag, mixture)
+    np.testing.assert_allclose(before.memory, [[-0.3]])
+    in_units = 0.1 * SPACE.state_scale / SPACE.command_scale
+    np.testing.assert_allclose(before.effect, [in_units + 0.3 * (1 - KEPT)])

@@ -150,18 +150,19 @@ class CautiousController:
         """
         n, m = before.effect.shape
         space = space_with_command(self.step_map.space)
-        without_effect = CommandBefore(np.zeros((n, m)), before.command)
+        start = as_vector("state", state, n)
+        without_effect = CommandBefore(np.zeros((n, m)), before.command, np.zeros((n, n)))
         # The command before a failed step is not compared with the present one.
         present = np.tile(before.command, (len(self.failures), 1))
         whole = replace(
             self,
-            step_map=MapWithCommand(self.step_map, space, before),
-            nominal=MapWithCommand(self.nominal, space, without_effect),
+            step_map=MapWithCommand(self.step_map, space, before, start),
+            nominal=MapWithCommand(self.nominal, space, without_effect, start),
             failures=np.hstack([self.failures[:, :n], present, self.failures[:, n:]]),
             untracked=np.repeat([UNTRACKED_WEIGHT, COMMAND_WEIGHT], [n, m]),
         )
         first, *later = np.hstack([targets, np.full((len(targets), m), np.nan)])
-        plan = whole(np.append(as_vector("state", state, n), before.command), first, guess, later)
+        plan = whole(np.append(start, before.command), first, guess, later)
         return CautiousPlan(plan.command, plan.predicted[:n], plan.std[:n])
 
     def step_std(self, state: ArrayLike, command: ArrayLike) -> Array:

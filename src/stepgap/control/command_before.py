@@ -35,11 +35,13 @@ class MapWithCommand(StepMap):
         inner: The map of the other state coordinates, for one command before.
         quantities: As of `space_with_command`.
         before: That command, and the effect of another one.
+        start: State of the inner map at which that effect is none; shape (n,).
     """
 
     inner: StepMap
     quantities: StepSpace
     before: CommandBefore
+    start: Array
 
     @property
     def space(self) -> StepSpace:
@@ -50,13 +52,15 @@ class MapWithCommand(StepMap):
         """Next states and status codes."""
         state, earlier = self._parts(state)
         next_state, status = self.inner.evaluate(state, command)
-        next_state = next_state + (earlier - self.before.command) @ self.before.effect.T
+        of_command = (earlier - self.before.command) @ self.before.effect.T
+        next_state = next_state + of_command + (state - self.start) @ self.before.memory.T
         return Outcome(self._joined(next_state, command), status)
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n + m, n + 2m)."""
         n, m = self.before.effect.shape
         whole = self._spread_out(self.inner.jacobian(self._parts(state)[0], command))
+        whole[..., :n, :n] += self.before.memory
         whole[..., :n, n : n + m] = self.before.effect
         whole[..., n:, n + m :] = np.eye(m)
         return whole

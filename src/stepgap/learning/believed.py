@@ -13,7 +13,7 @@ from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.observations import Observations, context_inputs_of, no_observations
 from stepgap.learning.posterior import POSTERIOR, Posterior
 from stepgap.learning.residual import HistoryInputs, Residual, join_points
-from stepgap.step import Array, CommandBefore, StepMap, StepRecord, StepSpace
+from stepgap.step import Array, CommandBefore, StepMap, StepRecord
 
 LARGEST: Final = 1e6
 """Largest number of a step that is learned from [half ranges]: the square of a larger one could be no number."""
@@ -141,12 +141,21 @@ def planning_map(
         nominal,
         mixed.conditioned_on(history),
         offset=offset if offset.any() else None,
-        before=_command_before(space, mixture) if space.is_lagged else None,
+        before=command_before_of(nominal, mixture) if space.is_lagged else None,
     )
 
 
-def _command_before(space: StepSpace, mixture: Mixture) -> CommandBefore:
-    """The expected effect of the command of the step before, whose features are the last ones."""
+def command_before_of(nominal: StepMap, mixture: Mixture) -> CommandBefore:
+    """The expected effect of the command of the step before; the last features are the error before and this command.
+
+    The error of the step before is its end less what the nominal map expects. So it would have been another one with
+    another command, too.
+    """
+    space = nominal.space
+    n = len(space.state)
     m = len(space.command)
-    effect = mixture.mean[:, -m:] * space.state_scale[:, None] / space.command_scale
-    return CommandBefore(effect, space.command_at(mixture.side[-m:]))
+    memory = mixture.mean[:, -m - n : -m] * space.state_scale[:, None] / space.state_scale
+    of_command = mixture.mean[:, -m:] * space.state_scale[:, None] / space.command_scale
+    expected = nominal.jacobian(space.state_centre, space.command_centre)[:, n:]
+    effect = of_command - memory @ expected if np.isfinite(expected).all() else of_command
+    return CommandBefore(effect, space.command_at(mixture.side[-m:]), memory)
