@@ -84,10 +84,8 @@ def test_a_run_its_resume_its_report_and_its_controller_follow(
     assert stepgap("run", "--resume", "--out", "out", "--quiet").code == 0
     assert Path("out/steps.csv").read_bytes() == whole
     refused(stepgap("gait", "--robot", "pitching", "--weights.pich", "1"), "the name of a state coordinate: speed, hei")
-    Path("targets.csv").write_text("speed,height\n0.2,0.58\n")
-    refused(
-        stepgap("run", *CHANGED, "--reference", "targets.csv"), "header is 'speed,height'; it must be 'speed,pitch'"
-    )
+    Path("targets.csv").write_text("speed,yaw\n0.2,0.58\n")
+    refused(stepgap("run", *CHANGED, "--reference", "targets.csv"), "header is 'speed,yaw'; it must be 'speed,height")
 
 
 def test_a_weight_is_an_axis_of_a_sweep(package: Path, tmp_path: Path) -> None:
@@ -109,3 +107,12 @@ def test_they_decide_the_reward_of_an_environment(package: Path) -> None:
     height = rewards[0.0] - rewards[1.0]
     assert height > 0.01
     assert rewards[0.0] - rewards[4.0] == pytest.approx(4 * height)
+
+
+def test_a_file_of_targets_loses_those_of_what_is_not_tracked(tmp_path: Path) -> None:
+    """So the same file serves a run with fewer tracked coordinates, as a report proposes it."""
+    (tmp_path / "targets.csv").write_text("speed,height\n0.2,0.58\n0.3,0.6\n")
+    settings = Experiment(weights={"height": 0.0}, reference=str(tmp_path / "targets.csv"))
+    reference = load_reference(settings, settings.space)
+    assert reference.targets[:, 0].tolist() == [0.2, 0.3]
+    assert np.isnan(reference.targets[:, 1]).all()

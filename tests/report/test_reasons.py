@@ -10,6 +10,7 @@ import pytest
 from stepgap.control.reference import Reference
 from stepgap.experiment.loop import Plants, Setup, run_experiment
 from stepgap.experiment.run import Run
+from stepgap.experiment.settings import Experiment
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.plants.model_plant import ModelPlant
@@ -93,7 +94,7 @@ def test_steps_of_another_robot_known_before_the_run(tracked: Run) -> None:
     far = replace(before, deployments=tuple(replace(each, rmse=50 * each.rmse) for each in before.deployments))
     first = reasons(Run(tracked.folder, space=tracked.space, nominal=NOMINAL, recorded=off, summary=far))[0]
     assert "times worse than the nominal map: they are of another robot" in first.sentence
-    assert "leave out --warm-start" in first.advice
+    assert first.command.endswith("/run/experiment.toml --warm-start none")
 
 
 def test_a_robot_of_which_nothing_was_learned(tmp_path: Path) -> None:
@@ -101,3 +102,46 @@ def test_a_robot_of_which_nothing_was_learned(tmp_path: Path) -> None:
     last = reasons(run)[-1]
     assert last.sentence == "Nothing was learned yet."
     assert last.command == f"stepgap run --out {run.folder} --extend 2"
+
+
+def test_what_made_it_worse_stands_alone(tracked: Run) -> None:
+    before, last = tracked.summary.deployments
+    worse = replace(last, rmse=10 * before.rmse)
+    run = Run(
+        tracked.folder,
+        space=tracked.space,
+        nominal=NOMINAL,
+        recorded=tracked.recorded,
+        summary=replace(tracked.summary, deployments=(before, worse)),
+    )
+    (reason,) = reasons(run)
+    assert reason.sentence.startswith("Deployment 0 made all its 30 steps with the nominal map, and what was learned")
+
+
+def test_drives_that_are_too_weak_hide_other_causes(tracked: Run) -> None:
+    steps = tracked.recorded
+    low = steps.with_columns(next_state=np.tile([0.05, 0.5], (len(steps), 1)))
+    *before, last = tracked.summary.deployments
+    weak = replace(last, rmse=50 * last.rmse, cut=last.steps)
+    run = Run(
+        tracked.folder,
+        space=tracked.space,
+        nominal=NOMINAL,
+        recorded=low,
+        summary=replace(tracked.summary, deployments=(*before, weak)),
+    )
+    (reason,) = reasons(run)
+    assert reason.sentence.startswith(
+        "Limits of the drives cut 30 of 30 commands of the last deployment. In all"
+    )
+    assert reason.command.endswith("--target speed=0.05,height=0.5")
+
+
+def test_bounds_of_a_setting_are_proposed_wider(tracked: Run) -> None:
+    steps = tracked.recorded
+    at_bound = steps.with_columns(requested=np.tile([30.0, 0.0], (len(steps), 1)))
+    far = replace(tracked.summary, deployments=tuple(replace(one, rmse=20 * one.rmse) for one in tracked.deployments))
+    run = Run(tracked.folder, nominal=NOMINAL, recorded=at_bound, summary=far, settings=Experiment())
+    (reason, *_) = reasons(run)
+    assert reason.sentence.startswith("fx was at a bound in 100 %")
+    assert reason.command.endswith("/run/experiment.toml --command.fx_lower=-60 --command.fx_upper=60")

@@ -1,7 +1,7 @@
 """The experiment from Python: `stepgap.run` does what the command of the same name does."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from os import PathLike, fspath
@@ -22,8 +22,11 @@ from stepgap.experiment.recorders import TimeRecorder
 from stepgap.experiment.run import Run
 from stepgap.experiment.run_start import folder_to_continue, load_setup, run_folder, start_folder
 from stepgap.experiment.settings import Experiment, read_experiment, with_settings
+from stepgap.plants.plant import Plant
 from stepgap.records.steps_csv import check_names
 from stepgap.robots.robot import Robot
+
+OWN_PLANT = "own"  # Name in settings of a plant that was given as an object
 
 
 def run(
@@ -31,6 +34,8 @@ def run(
     *,
     out: str | PathLike[str] | None = None,
     targets: ArrayLike | None = None,
+    plant: str | Callable[[np.random.Generator], Plant] | None = None,
+    program: Sequence[str] = (),
     resume: bool = False,
     progress: bool = True,
     **settings: Any,
@@ -51,6 +56,8 @@ def run(
         out: New folder for the results; None for a new one in `runs/`.
         targets: State wanted at the end of each step, NaN where nothing is wanted; shape (steps, n), SI units. None
             for the reference of the settings.
+        plant: Name of a plant, or what makes one of your own from a random generator, such as its class.
+        program: Command line of the robot's program, for the plant `process`.
         resume: Whether an interrupted run in `out` goes on, with its own settings.
         progress: Whether to show how far it is.
         settings: As in the file: keys, and tables as mappings, such as `gap={"payload": 0.1}`; also `iterations`,
@@ -63,7 +70,8 @@ def run(
         InputError: A setting or a target is wrong, or the folder already holds a run.
         KeyboardInterrupt: It was interrupted; `resume=True` goes on.
     """
-    changes = [*setting_entries(settings)]
+    own = None if plant is None or isinstance(plant, str) else plant
+    changes = [*setting_entries(settings if own or plant is None else {**settings, "plant": plant})]
     folder_of_run = None if out is None else Path(fspath(out))
     if resume:
         given = changes or robot is not None or targets is not None
@@ -77,10 +85,12 @@ def run(
     else:
         reference = _reference(experiment, targets)
         experiment = replace(experiment, reference="targets")
+    if own:
+        experiment = replace(experiment, plant=OWN_PLANT)
     with run_folder(folder_of_run) as folder:
         with plant_compiled_beside(experiment):
             nominal = nominal_with_progress(experiment, reference)
-        setup = load_setup(PlantRequest(experiment, reference, folder), nominal.map)
+        setup = load_setup(PlantRequest(experiment, reference, folder, program=program, own=own), nominal.map)
         if not resume:
             start_folder(folder, partial(write_experiment, folder, experiment, reference, setup.known, nominal.file))
         iterations = setup.learning.iterations

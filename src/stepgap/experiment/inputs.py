@@ -16,6 +16,7 @@ from stepgap.experiment.settings import (
     PRIOR_OF_ROBOT,
     Experiment,
     is_constant_target,
+    weighted_space,
     with_files,
 )
 from stepgap.experiment.settings_text import experiment_toml
@@ -56,7 +57,10 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
     path = Path(experiment.reference)
     remedy = f"reference must be {names}, a CSV file of targets, or one target such as {space.state_names[0]}=VALUE"
     try:
-        return read_reference(path, space)
+        every = weighted_space(
+            experiment.robot.space, {name: weight or 1.0 for name, weight in experiment.weights.items()}
+        )
+        return _tracked(read_reference(path, every), experiment).of(space)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; {remedy}") from None
     except ValueError as error:
@@ -76,7 +80,7 @@ def _constant_reference(text: str, space: StepSpace) -> Reference:
 
 
 def _tracked(reference: Reference, experiment: Experiment) -> Reference:
-    """A reference of the robot without targets of the coordinates that the experiment does not track."""
+    """A reference without targets of the coordinates that the experiment does not track."""
     ignored = [experiment.weights.get(name) == 0 for name in reference.names]
     if not any(ignored):
         return reference

@@ -26,6 +26,7 @@ from stepgap.experiment.outcome import estimate_noise_floor, summarise
 from stepgap.experiment.resume import Recording, warm_start_of
 from stepgap.learning.alarm import Alarm
 from stepgap.learning.learner import Learner
+from stepgap.learning.posterior import POSTERIOR
 from stepgap.learning.prior import Prior
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps, as_past
@@ -248,8 +249,10 @@ def _observed(steps: ExecutedSteps, space: StepSpace, observer: Observer) -> Ste
 
 def _residual_name(learner: Learner) -> str:
     """Name of the residual of a deployment; one that learns while it goes on may start without a residual."""
-    settings = learner.settings
-    return settings.residual if settings.learns_in(learner.iteration) else learner.learned.kind
+    if not learner.settings.learns_in(learner.iteration):
+        return learner.learned.kind
+    alone = learner.beliefs and learner.residual.kind == "none"
+    return POSTERIOR.name if alone else learner.settings.residual
 
 
 def _summary(deployments: Sequence[Deployment], log: Steps, noise_floor: NoiseFloor, seed: int, past: Steps) -> Summary:

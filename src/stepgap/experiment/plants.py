@@ -22,6 +22,7 @@ from stepgap.control.reference import Reference
 from stepgap.experiment.loop import Plants
 from stepgap.experiment.noise_floor import measure_noise_floor
 from stepgap.experiment.settings import PROCESS, Experiment
+from stepgap.plants.plant import Plant
 from stepgap.plants.process.line_channel import Child, Connection
 from stepgap.plants.process.process_plant import ProcessPlant
 from stepgap.plants.ticks.stream import OnTicks
@@ -47,6 +48,7 @@ class PlantRequest:
         arm: Whether a person allows torque on a rig.
         on_ticks: Called with the ticks of a simulation, if it has any.
         program: Command line of the program of the plant `process`, or `tcp:PORT`, where it listens.
+        own: Makes the plant of a deployment from its random generator, instead of that of the settings.
     """
 
     settings: Experiment
@@ -55,6 +57,7 @@ class PlantRequest:
     arm: bool = False
     on_ticks: OnTicks | None = None
     program: Sequence[str] = ()
+    own: Callable[[np.random.Generator], Plant] | None = None
 
 
 def choose_plants(request: PlantRequest) -> Plants:
@@ -63,6 +66,8 @@ def choose_plants(request: PlantRequest) -> Plants:
     Raises:
         InputError: No plant can be made with these settings.
     """
+    if request.own:
+        return Plants(request.own, replays=False)
     settings = request.settings
     name = request.settings.plant
     if request.program and name != PROCESS:

@@ -182,7 +182,7 @@ class Experiment:
             simulated one.
         rig: File that describes that rig, relative to the experiment's file.
         warm_start: Folder of a run whose steps are known before the first deployment, of many runs, which compete, or a
-            `steps.csv`, relative to the experiment's file; empty: nothing is known.
+            `steps.csv`, relative to the experiment's file; `none` or empty: nothing is known.
         prior: Prior over robots that learning begins with: `robot`, that which comes with the robot, with the default
             residual and the default nominal map; `none`; or a file that `stepgap prior` wrote, or a folder of such
             files, which compete, relative to the experiment's file.
@@ -217,6 +217,8 @@ class Experiment:
             fits = len(text) <= longest and text.isprintable()
             require(fits, key, text, f"have at most {longest} printable characters")
         object.__setattr__(self, "reference", self.reference or next(iter(self.robot.references())))
+        if self.warm_start == NO_PRIOR:
+            object.__setattr__(self, "warm_start", "")
         object.__setattr__(self, "plant", self.plant or next(iter(self.robot.simulations()), PROCESS))
         kind = self.nominal.kind or next(iter(self.robot.nominal_maps()), FROM_TEMPLATE)
         object.__setattr__(self, "nominal", replace(self.nominal, kind=kind))
@@ -339,7 +341,7 @@ def names_file(robot: Robot, name: str) -> bool:
 
 def in_folder(folder: Path, robot: Robot, name: str, value: str) -> str:
     """The value of a setting that names a file and is given in a file of this folder, to which paths are relative."""
-    words = {"reference": robot.references(), "prior": (PRIOR_OF_ROBOT, NO_PRIOR)}
+    words = {"reference": robot.references(), "prior": (PRIOR_OF_ROBOT, NO_PRIOR), "warm_start": (NO_PRIOR,)}
     constant = name == "reference" and is_constant_target(value)
     named = bool(value) and not constant and value not in words.get(name, ())
     return str(folder / value) if named else value
@@ -442,7 +444,7 @@ def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: 
 def preset_names(robot: Robot) -> Mapping[str, Sequence[str]]:
     """Names of the presets of the tables of a robot; those of random robots are `random:NUMBER`."""
     names = {table: list(presets) for table, presets in robot.presets.items()}
-    if robot.randomised(random_stream(0)) is not None:
+    if type(robot).randomised is not Robot.randomised:
         names[GAP] = [*names.get(GAP, []), f"{RANDOM}NUMBER"]
     return names
 
@@ -452,7 +454,10 @@ def _with_preset(robot: Robot, table: str, name: Any, where: str) -> Robot:
     names = preset_names(robot)[table]
     number = name.removeprefix(RANDOM) if isinstance(name, str) else ""
     if f"{RANDOM}NUMBER" in names and name == f"{RANDOM}{number}" and number.isdecimal() and len(number) < 19:
-        return robot.randomised(random_stream(int(number))) or robot
+        drawn = robot.randomised(random_stream(int(number)))
+        if drawn is None:
+            raise InputError(f"{where} = {format_value(name)}: robot '{robot.name}' has no random differences")
+        return drawn
     presets = robot.presets.get(table, {})
     if name in list(presets):
         return replace(cast("Any", robot), **{table: presets[name]})

@@ -73,10 +73,11 @@ def settings_page(robots: tuple[str, ...]) -> str:
     """Page with the settings of an experiment with each of these robots, in Markdown."""
     experiments = [Experiment(load_robot(name)) for name in robots]
     common = {"robot", "method", *(name for name, _, _ in _described(experiments[0], ""))}
-    parts = [_PAGE_HEAD, *_tables(experiments[0], common)]
+    printed = dict[tuple[str, str], str]()
+    parts = [_PAGE_HEAD, *_tables(experiments[0], common, {})]
     for experiment in experiments:
         named = {name for name, _, _ in described_settings(experiment)} - common
-        parts += [f"## Robot {experiment.robot.name}\n", *_tables(experiment, named)]
+        parts += [f"## Robot {experiment.robot.name}\n", *_tables(experiment, named, printed)]
     return "\n".join(parts)
 
 
@@ -92,20 +93,36 @@ This page is written by `./go python docs/settings_page.py`.
 """
 
 
-def _tables(experiment: Experiment, names: set[str]) -> list[str]:
+def _tables(experiment: Experiment, names: set[str], printed: dict[tuple[str, str], str]) -> list[str]:
+    """The tables of settings with these names.
+
+    Args:
+        experiment: Settings and defaults.
+        names: Dotted names.
+        printed: Name of the robot at which each name and meaning is on the page already; those of this robot are added.
+    """
+    robot = experiment.robot.name
     tables: dict[str, list[str]] = {}
     heads: dict[str, str] = {}
+    owners: dict[str, set[str]] = {}
     for name, text, value in described_settings(experiment):
         if name not in names:
             continue
         table, _, key = name.rpartition(".")
         if value is None and key != "preset" and name != "method":
             heads[name] = text
-        else:
-            shown = f"`{_in_toml(value)}`" if value is not None else ""
-            tables.setdefault(table, []).append(f"| `{key}` | {shown} | {text.replace('|', chr(92) + '|')} |")
+            continue
+        shown = f"`{_in_toml(value)}`" if value is not None else ""
+        owner = printed.setdefault((name, text), robot)
+        owners.setdefault(table, set()).add(printed.setdefault((name, f"{shown} {text}"), robot))
+        meaning = text.replace("|", chr(92) + "|") if owner == robot else f"as of {owner}"
+        tables.setdefault(table, []).append(f"| `{key}` | {shown} | {meaning} |")
     lines = []
     for table, rows in tables.items():
+        same = owners[table] - {robot}
+        if len(owners[table]) == len(same) == 1:
+            lines.append(f"### `[{table}]`\n\nAs of {same.pop()}, with the same defaults.\n")
+            continue
         lines += [f"### `[{table}]`\n\n{heads.get(table, '')}\n"] if table else []
         lines += ["| setting | default | meaning |\n|---|---|---|", *rows, ""]
     return lines

@@ -15,6 +15,7 @@ from stepgap.records.missing import Missing
 from stepgap.records.motion_file import Replay
 from stepgap.report.learned_residual import LearnedResidual
 from stepgap.report.measured_loop import MeasuredLoop, measured_loop
+from stepgap.report.reasons import Reason, reasons
 from stepgap.report.reference_gait import ReferenceGait, reference_gait
 from stepgap.step import Array, Quantity, StepSpace
 
@@ -69,6 +70,11 @@ class Analysis:
         if not self.run.steps.of_iteration(self.run.shown_iterations[-1]).tracking().tracked:
             return Missing("no target was tracked yet")
         return reference_gait(self.run, self.run.nominal, self.learned)
+
+    @cached_property
+    def reasons(self) -> list[Reason]:
+        """Why it did not track, for the first screen."""
+        return reasons(self.run)
 
     @cached_property
     def loops(self) -> list[MeasuredLoop | None]:

@@ -11,7 +11,7 @@ from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
 from stepgap.records.text import capitalised, listed
-from stepgap.step import StepMap
+from stepgap.step import Array, StepMap
 
 OFFSET_ADVICE: Final = (
     "No command that was tried made up for this, so further redeployments would hardly help. Compare the range of the "
@@ -73,14 +73,17 @@ def response_sentences(steps: Steps, nominal: StepMap) -> list[str]:
 
 def bound_sentences(steps: Steps) -> list[str]:
     """Commands that were often at their bounds in a deployment."""
-    command = steps.space.command
-    parts = np.mean(np.abs(steps.space.point_of(steps.requested)) > AT_A_BOUND, axis=0)
     return [
         f"{quantity.name} was at a bound in {100 * part:.0f} % of the steps of deployment {steps.iterations[0]}: its "
         "bounds may be too narrow for these targets, or the drives deliver less than is commanded."
-        for quantity, part in zip(command, parts, strict=True)
+        for quantity, part in zip(steps.space.command, parts_at_bounds(steps), strict=True)
         if part > OFTEN
     ]
+
+
+def parts_at_bounds(steps: Steps) -> Array:
+    """Part of the steps in which each command was at a bound; shape (m,)."""
+    return np.mean(np.abs(steps.space.point_of(steps.requested)) > AT_A_BOUND, axis=0)
 
 
 MOST_ALARMS: Final = 6  # A deployment with more alarms gets a sentence on their number

@@ -23,7 +23,7 @@ from stepgap.report.gait_text import (
 )
 from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section, table
 from stepgap.report.learned_table import coverage_table, learned_sentences, learned_tables
-from stepgap.report.reasons import Reason, reasons
+from stepgap.report.reasons import Reason
 from stepgap.report.replay_view import REPLAY_SCRIPT, replay_view
 from stepgap.report.sentences import floor_sentences, headline, published_sentence, recorded, sentences
 from stepgap.report.tables import (
@@ -68,7 +68,6 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
         figures: Its figures.
     """
     run = analysis.run
-    gait = analysis.gait
     title = f"StepGap report: {run.folder.resolve().name}"
     pictures = {
         name: [
@@ -80,9 +79,7 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
     }
     parts_by_name = {
         "numbers": _numbers(run),
-        "diagnosis": [
-            bullets([*diagnosis_sentences(run), *([] if isinstance(gait, Missing) else reach_sentences(gait))])
-        ],
+        "diagnosis": [bullets(_diagnosis(analysis))],
         "replay": [replay_view(run, analysis.replay)],
         "learned": [
             bullets([*learned_sentences(analysis), *trust_sentences(run)]),
@@ -112,10 +109,9 @@ def run_summary(run: Run) -> str:
 
 def _summary(analysis: Analysis) -> str:
     run = analysis.run
-    unusual = [*sentences(run), *growth_sentences(analysis.loops)]
-    return (
-        f'<p class="headline">{safe(headline(run))}</p>\n{summary_table(run)}{_reasons(reasons(run))}{bullets(unusual)}'
-    )
+    unusual = bullets([*sentences(run), *growth_sentences(analysis.loops)])
+    first = f'<p class="headline">{safe(headline(run))}</p>\n{summary_table(run)}'
+    return f"{first}{_reasons(analysis.reasons)}{unusual}"
 
 
 def _reasons(why: Sequence[Reason]) -> str:
@@ -144,6 +140,14 @@ def _numbers(run: Run) -> list[str]:
         band_table(run),
         times_table(run),
     ]
+
+
+def _diagnosis(analysis: Analysis) -> list[str]:
+    """The diagnosis without the causes that the first screen has."""
+    causes = [reason.sentence for reason in analysis.reasons]
+    reach = [] if isinstance(analysis.gait, Missing) else reach_sentences(analysis.gait)
+    found = [*diagnosis_sentences(analysis.run), *reach]
+    return [text for text in found if not any(text in cause or cause in text for cause in causes)]
 
 
 def _gait(analysis: Analysis, pictures: Sequence[str]) -> list[str]:

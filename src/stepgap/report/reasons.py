@@ -11,17 +11,26 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from stepgap.base.errors import InputError
 from stepgap.control.reference import SETTLING_STEPS, same_target
 from stepgap.experiment.bands import rmse_interval
 from stepgap.experiment.outcome import offset_sentences
 from stepgap.experiment.run import Run
+from stepgap.experiment.settings import Experiment, with_settings
+from stepgap.experiment.settings_text import described_settings
 from stepgap.learning.observations import observe
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
 from stepgap.records.text import capitalised, listed
-from stepgap.report.diagnosis_sentences import OFFSET_ADVICE, bound_sentences, response_sentences
+from stepgap.report.diagnosis_sentences import (
+    OFFSET_ADVICE,
+    OFTEN,
+    bound_sentences,
+    parts_at_bounds,
+    response_sentences,
+)
 from stepgap.report.verdict import Achievement, clear_change
-from stepgap.step import Array
+from stepgap.step import Array, Quantity
 
 MOST_REASONS: Final = 3  # A reader acts on the first one
 
@@ -30,6 +39,7 @@ _JUMP: Final = 0.2
 
 _FEWEST_JUMPS: Final = 10  # Smallest number of steps at unchanged targets that show it
 _LATE: Final = 3.0  # Ratio of errors after a change of the target to those later from which on they are a cause
+_WORSE: Final = 1.5  # Ratio of the error after learning to that before from which on learning is a cause
 _MANY_CUT: Final = 0.1  # Part of the steps from which on cut commands are a cause
 
 
@@ -48,7 +58,10 @@ class Reason(NamedTuple):
 
 
 def reasons(run: Run) -> list[Reason]:
-    """The first causes of the errors of a run: none if it tracked, and its commands do not jump."""
+    """The first causes of the errors of a run: none if it tracked, and its commands do not jump.
+
+    A decisive one stands alone, because it would explain the others.
+    """
     if not run.deployments:
         return []
     achieved = Achievement(run)
@@ -56,15 +69,10 @@ def reasons(run: Run) -> list[Reason]:
     jumps = list(_jumps(run, last))
     if not achieved.last.failed_steps and not achieved.far_rows:
         return jumps
-    possible = chain(
-        _response(run),
-        _known_before(run),
-        _reach(run, achieved),
-        _cut(run, achieved),
-        _changes(run, achieved),
-        jumps,
-        _goes_on(run, achieved),
-    )
+    for decisive in (_known_before, _too_weak, _response, _worse):
+        if found := list(decisive(run, achieved)):
+            return found[:MOST_REASONS]
+    possible = chain(_reach(run, achieved), _changes(run, achieved), jumps, _goes_on(run, achieved))
     return list(islice(possible, MOST_REASONS))
 
 
@@ -79,18 +87,32 @@ def _with_settings(verb: str, run: Run, options: str = "") -> str:
     return f"stepgap {verb} {quote(str(run.folder / 'experiment.toml'))} {options}".rstrip()
 
 
-def _response(run: Run) -> Iterator[Reason]:
+def _response(run: Run, achieved: Achievement) -> Iterator[Reason]:
     """Coordinates that do not follow the commands, or stay on one side of all targets."""
     first = run.steps.of_iteration(run.steps.iterations[0])
     check = _with_settings("check", run)
     if not isinstance(run.nominal, Missing):
         for sentence in response_sentences(first, run.nominal):
             yield Reason(sentence, "The test of the robot says which part of it to mend.", check)
-    for sentence in offset_sentences(run.steps.of_iteration(run.steps.iterations[-1])):
-        yield Reason(sentence, OFFSET_ADVICE, check)
+    if offsets := offset_sentences(run.steps.of_iteration(run.steps.iterations[-1])):
+        yield Reason(" ".join(offsets), OFFSET_ADVICE, check)
 
 
-def _known_before(run: Run) -> Iterator[Reason]:
+def _too_weak(run: Run, achieved: Achievement) -> Iterator[Reason]:
+    """Drives that cannot do the targets."""
+    last = run.steps.of_iteration(run.steps.iterations[-1])
+    offsets = offset_sentences(last)
+    if not offsets or achieved.last.cut <= _MANY_CUT * achieved.last.steps:
+        return
+    cut = f"Limits of the drives cut {achieved.last.cut} of {achieved.last.steps} commands of the last deployment."
+    done = np.nanmedian(last.next_state, axis=0)[achieved.rows]
+    names = [run.space.state_names[row] for row in achieved.rows]
+    near = ",".join(f"{name}={value:.3g}" for name, value in zip(names, done, strict=True))
+    advice = "The robot is too weak for these targets: choose others near what it did, or stronger drives."
+    yield Reason(" ".join([cut, *offsets]), advice, _with_settings("run", run, f"--target {near}"))
+
+
+def _known_before(run: Run, achieved: Achievement) -> Iterator[Reason]:
     """Earlier steps that predict the first deployment worse than the nominal map does."""
     first = run.steps.of_iteration(run.steps.iterations[0]).tracking().completed()
     if run.summary.warm_start is None or isinstance(run.nominal, Missing) or not len(first):
@@ -103,8 +125,25 @@ def _known_before(run: Run) -> Iterator[Reason]:
             f"The {run.summary.warm_start.steps} steps known before the run predict its first deployment "
             f"{learned / nominal:.2g} times worse than the nominal map: they are of another robot."
         )
-        advice = "Begin without them: leave out --warm-start, or the line warm_start from the settings."
-        yield Reason(sentence, advice)
+        yield Reason(sentence, "Begin without them.", _with_settings("run", run, "--warm-start none"))
+
+
+def _worse(run: Run, achieved: Achievement) -> Iterator[Reason]:
+    """A robot that did worse with what was learned than with the nominal map."""
+    first, last = achieved.first, achieved.last
+    if achieved.predicted or not achieved.learned or first.failed_steps:
+        return
+    scale = run.space.state_scale[achieved.rows]
+    before, after = (np.linalg.norm(one.rmse[achieved.rows] / scale) for one in (first, last))
+    if last.failed_steps or after > _WORSE * before:
+        sentence = (
+            f"Deployment {first.iteration} made all its {first.steps} steps with the nominal map, and what was learned "
+            "from them made it worse: the error of this robot may jump, as where a foot slips or a limit acts."
+        )
+        advice = (
+            "See what the robot may be otherwise than its model; smaller changes of the target stay clear of jumps."
+        )
+        yield Reason(sentence, advice, f"stepgap explain {quote(str(run.folder))}")
 
 
 def _reach(run: Run, achieved: Achievement) -> Iterator[Reason]:
@@ -113,6 +152,10 @@ def _reach(run: Run, achieved: Achievement) -> Iterator[Reason]:
     last = achieved.last
     steps = run.steps.of_iteration(last.iteration)
     bounds = bound_sentences(steps)
+    if not len(last.unreachable) and bounds and (wider := _wider_bounds(run, steps)):
+        advice = "If the robot can stand larger commands, wider bounds show whether they are the cause."
+        yield Reason(" ".join(bounds), advice, _with_settings("run", run, wider))
+        return
     names = [space.state_names[row] for row in achieved.rows]
     if len(last.unreachable):
         count = len(np.unique(steps.tracking().target, axis=0))
@@ -131,11 +174,30 @@ def _reach(run: Run, achieved: Achievement) -> Iterator[Reason]:
     yield Reason(sentence, advice, _with_settings("gait", run))
 
 
-def _cut(run: Run, achieved: Achievement) -> Iterator[Reason]:
-    last = achieved.last
-    if last.cut > _MANY_CUT * last.steps:
-        sentence = f"Limits of the drives cut {last.cut} of {last.steps} commands of deployment {last.iteration}."
-        yield Reason(sentence, "Choose slower or lower targets, or stronger drives: learning cannot make up for this.")
+def _wider_bounds(run: Run, steps: Steps) -> str:
+    """Options with which commands that were often at a bound have twice their range; empty if no setting has it."""
+    settings = run.settings
+    if isinstance(settings, Missing):
+        return ""
+    options = []
+    for row, part in enumerate(parts_at_bounds(steps).tolist()):
+        command = settings.space.command[row]
+        half = (command.upper - command.lower) / 2
+        wider = {command.lower: command.lower - half, command.upper: command.upper + half} if part > OFTEN else {}
+        for name, _, value in described_settings(settings):
+            if isinstance(value, float) and value in wider:
+                changed = _command_with(settings, name, wider[value], row)
+                if changed.lower < command.lower or changed.upper > command.upper:
+                    options.append(f"--{name}={wider[value]:.4g}")
+    return " ".join(options)
+
+
+def _command_with(settings: Experiment, name: str, value: float, row: int) -> Quantity:
+    """A coordinate of the command with another value of a setting; as it is if that is refused."""
+    try:
+        return with_settings(settings, [(name, repr(value))]).space.command[row]
+    except InputError:
+        return settings.space.command[row]
 
 
 def _changes(run: Run, achieved: Achievement) -> Iterator[Reason]:

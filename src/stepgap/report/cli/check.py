@@ -15,7 +15,7 @@ from cyclopts import Parameter
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, format_by_name, free_name, write_new
 from stepgap.cli.nominal import kept_reference, kept_surrogate, nominal_with_progress
-from stepgap.cli.options import FileName, Name, Overrides, Program
+from stepgap.cli.options import FileName, Flag, Name, Overrides, Program
 from stepgap.cli.terminal import announces_compilation, warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -38,6 +38,7 @@ def check_robot(
     reference: FileName | None = None,
     plant: Name | None = None,
     out: Path | None = None,
+    no_random: Flag = False,
     overrides: Overrides = None,
     program: Program = None,
 ) -> None:
@@ -52,13 +53,15 @@ def check_robot(
         plant: Simulated plant of the robot, or process (the program given after two dashes). [default: the first
             simulation]
         out: New file for the picture of the steps. [default: check.png or the next free name]
+        no_random: Give no random commands, for a machine that must not get any: what shows by the steps to the targets
+            alone is judged.
     """
     if out:
         check_new(out, "--out")
     settings = _settings(robot, {"reference": reference, "plant": plant}, overrides or [])
     begin = process_time()
     wrong = False
-    for result in results_of_robot(settings, out, program or []):
+    for result in results_of_robot(settings, out, program or [], probing=not no_random):
         print(_row(result), flush=True)
         wrong |= result.verdict == "wrong"
     if (taken := process_time() - begin) > _LONG:
@@ -67,13 +70,16 @@ def check_robot(
         sys.exit(_WRONG)
 
 
-def results_of_robot(settings: "Experiment", out: Path | None, program: Sequence[str]) -> "Iterator[PartResult]":
+def results_of_robot(
+    settings: "Experiment", out: Path | None, program: Sequence[str], *, probing: bool = True
+) -> "Iterator[PartResult]":
     """Yields the results for all parts of a robot, as soon as they are known, in the order in which to mend them.
 
     Args:
         settings: Settings of an experiment with it.
         out: New file for the picture of its steps; None for the next free name.
         program: Command line of the robot's program, for the plant `process`.
+        probing: Whether some steps have commands that vary at random.
     """
     from stepgap.report.robot_check import PartResult, check_placing, results_of
 
@@ -90,7 +96,7 @@ def results_of_robot(settings: "Experiment", out: Path | None, program: Sequence
     if wrong:
         yield PartResult("others", "left out", "Mend the map first: all other parts need it.")
         return
-    yield from _of_motion(settings, nominal, out, program)
+    yield from _of_motion(settings, nominal, out, program, probing)
     if path := kept_surrogate(nominal):
         warn(f"the simulated steps are kept: --nominal.file {path}")
 
@@ -126,7 +132,7 @@ def _of_map(settings: "Experiment", nominal: "Nominal") -> "Iterator[PartResult]
 
 
 def _of_motion(
-    settings: "Experiment", nominal: "Nominal", out: Path | None, program: Sequence[str]
+    settings: "Experiment", nominal: "Nominal", out: Path | None, program: Sequence[str], probing: bool
 ) -> "Iterator[PartResult]":
     """The results on what the robot shall do, and on what it does in some steps, which are drawn."""
     from stepgap.control.limit_cycle import held_reference
@@ -150,20 +156,28 @@ def _of_motion(
         return
     for each in settings.robot.findings() if settings.simulated else ():
         yield PartResult(each.part, "ok" if each.right else "wrong", each.sentence)
-    yield from _of_trial(settings, nominal, trial_reference(settings, held), out, program)
+    yield from _of_trial(settings, nominal, trial_reference(settings, held), out, program, probing)
 
 
 def _of_trial(
-    settings: "Experiment", nominal: "Nominal", targets: "Reference", out: Path | None, program: Sequence[str]
+    settings: "Experiment",
+    nominal: "Nominal",
+    targets: "Reference",
+    out: Path | None,
+    program: Sequence[str],
+    probing: bool,
 ) -> "Iterator[PartResult]":
     from stepgap.cli.progress import progress_bar
     from stepgap.experiment.trial import probing_steps, trial_run
+    from stepgap.learning.steps import Steps
     from stepgap.report.robot_check import check_robot_steps, check_section, results_of
 
     with TemporaryDirectory() as folder, TemporaryDirectory() as other:
         with progress_bar("steps") as progress:
             run = trial_run(settings, nominal, targets, Path(folder), program, progress)
-            probes = probing_steps(settings, nominal, targets, Path(other), program, progress)
+            probes = Steps(run.steps.space)
+            if probing:
+                probes = probing_steps(settings, nominal, targets, Path(other), program, progress)
         yield from results_of("motion", check_robot_steps(run, probes))
         yield from results_of("section", check_section(run.ticks.get(0)))
         _draw(run, out)
