@@ -1,27 +1,25 @@
 """How well does a walking robot do the velocity that it is told: as it is, with simple corrections, with StepGap?
 
-A cell is a robot with a random gap (an individual with load, slope and friction) and a seed of its noise. It follows
-its own reference, of some 100 steps,
+A cell is a robot with a random gap (an individual with load, slope, friction, delay and weak motors); gaps in which the
+robot falls as it is are passed over. It follows its own reference, of some 100 steps,
 
 - as it is: the command is the target;
 - with a constant offset: the command is the target less the mean error of the run as it is;
 - with an affine inverse: velocity = A command + b is fitted to the run as it is, and solved for the command;
 - with an integrator, the command is the target plus the sum of all errors times a gain; the sum begins with that of a
-  run before. Its gain, of 0.1, 0.2, 0.4 and 0.7, has the least error on other gaps;
-- with StepGap, default settings, after one and two redeployments, and online in the first deployment and the next.
+  run before. *The better gain* of each cell is chosen in hindsight;
+- with StepGap, after one and two redeployments, with warm starts of the first seconds of its first deployment, and
+  online in the first deployment and the next.
 
-*Held* are errors from the third step after a change of target on, and *change* is the root mean square change of the
-command there, from step to step, in half ranges of use: of a command that rings it is large.
+Errors are those of the true velocities, RMSE up to a fall. *Held* are errors from the third step after a change of
+target on, and *change* is the root mean square change of the command there, from step to step, in half ranges of use:
+of a command that rings it is large.
 
-Each has 100 steps of experience, but for the second redeployment, which has 200, and the first deployment online, which
-has none. Errors are RMSE up to a fall, medians over the cells; the last column is the root of the mean square of all
-errors in half ranges of use, and its ratio to the robot as it is.
+    ./go python -m benchmarks.velocity --out velocity.jsonl [--robots velocity,FILE.toml] [--gaps 5] [--first-gap 1000]
+        [--warm 15,30] [--online]
 
-    ./go python -m benchmarks.velocity --out velocity.jsonl [--robots velocity,FILE.toml] [--gaps 5] [--seeds 3]
-        [--first-gap 1000] [--methods default,online]
-
-A robot is a name, or a file of settings. `--out` receives a line of JSON for each cell as soon as it is done; cells in
-it are not computed again.
+A robot is a name, or a file of settings, whose settings of control count. `--out` receives a line of JSON for each cell
+as soon as it is done; cells in it are not computed again.
 """
 
 import argparse
@@ -29,8 +27,8 @@ import json
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from itertools import product
+from functools import cache, partial
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,27 +39,30 @@ from benchmarks.disturbed_plant import METHODS, finished, own_priors
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
 from stepgap.experiment.loop import Observer, Plants, Setup, run_experiment
-from stepgap.experiment.settings import read_experiment
+from stepgap.experiment.settings import Experiment, read_experiment
+from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import LoggedStep, Steps
+from stepgap.mujoco_robots.velocity.walking_robot import WalkingRobot
 from stepgap.plants.plant import Plant
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepSpace, StepStatus
 
-GAINS = (0.1, 0.2, 0.4, 0.7)
-TUNING_GAPS = (1, 2, 3)
-"""Gains of the integrator, and gaps on which one is chosen."""
+GAINS = (0.1, 0.2, 0.4)
+"""Gains of the integrator."""
+
+RAW, BETTER = "command = target", "integrator, the better gain"
+"""Names of the run without correction, and of the better integrator of a cell."""
 
 Law = Callable[[Array, Array, Array], Array]
 """Command by the target, the state and the target before; shapes (n,)."""
 
 
 class Cell(NamedTuple):
-    """A robot by name or file, the number of its gap, and its seed."""
+    """A robot by name or file, and the number of its gap."""
 
     robot: str
     gap: int
-    seed: int
 
 
 class Trip(NamedTuple):
@@ -69,13 +70,15 @@ class Trip(NamedTuple):
 
     Attributes:
         commands: Shape (N, n).
-        velocities: Measured at the end of each step; shape (N, n).
+        velocities: True ones at the end of each step; shape (N, n).
+        measured: The same as measured.
         targets: Shape (N, n).
         fell: Whether it ended before the last target.
     """
 
     commands: Array
     velocities: Array
+    measured: Array
     targets: Array
     fell: bool
 
@@ -95,12 +98,17 @@ class Trip(NamedTuple):
         return same & np.append(False, same[:-1])
 
 
-def robot_of(cell: Cell) -> Robot:
+@cache
+def experiment_of(robot: str) -> Experiment:
+    """The settings of a robot by name or file."""
+    file = Path(robot)
+    return read_experiment(file) if file.suffix == ".toml" else Experiment(load_robot(robot))
+
+
+def robot_of(cell: Cell) -> WalkingRobot:
     """The robot of a cell."""
-    named = Path(cell.robot)
-    robot = read_experiment(named).robot if named.suffix == ".toml" else load_robot(cell.robot)
-    found = robot.randomised(random_stream(cell.gap, 7))
-    assert found is not None
+    found = experiment_of(cell.robot).robot.randomised(random_stream(cell.gap, 7))
+    assert isinstance(found, WalkingRobot)
     return found
 
 
@@ -117,17 +125,17 @@ def reference_of(robot: Robot) -> Reference:
 def walked(cell: Cell, run: int, law: Law) -> Trip:
     """A run under a law, with the noise of its number."""
     robot = robot_of(cell)
-    plant, space, targets = plant_of(robot, random_stream(cell.seed, run)), robot.space, reference_of(robot).targets
-    state, before, rows = plant.start(), targets[0], list[tuple[Array, Array, Array]]()
+    plant, space, targets = plant_of(robot, random_stream(cell.gap, run)), robot.space, reference_of(robot).targets
+    state, before, rows = plant.start(), targets[0], list[tuple[Array, ...]]()
     for target in targets:
         command = np.clip(law(target, state, before), space.command_lower, space.command_upper)
         record = plant.take_step(command)
         if record.status != StepStatus.OK:
             break
-        rows.append((command, record.next_state, target))
+        rows.append((command, record.true_next_state, record.next_state, target))
         state, before = record.next_state, target
-    commands, velocities, wanted = np.array(rows).reshape(-1, 3, len(space.state)).transpose(1, 0, 2)
-    return Trip(commands, velocities, wanted, fell=len(rows) < len(targets))
+    columns = np.array(rows).reshape(-1, 4, len(space.state)).transpose(1, 0, 2)
+    return Trip(*columns, fell=len(rows) < len(targets))
 
 
 class Integrator:
@@ -155,15 +163,10 @@ class Integrator:
 
 
 def integrated(cell: Cell, gain: float) -> Trip:
-    """The second run of an integrator."""
+    """The second run of an integrator, or the first one if it fell there."""
     law = Integrator(robot_of(cell).space, gain)
-    walked(cell, 0, law)
-    return walked(cell, 1, law.again())
-
-
-def error(walk: Trip, space: StepSpace) -> float:
-    """Root of the mean square of the errors [half ranges]; a fall counts as one more error of a half range a step."""
-    return size_of(walk.errors, space) + walk.fell
+    first = walked(cell, 0, law)
+    return first if first.fell else walked(cell, 1, law.again())
 
 
 def size_of(values: Array, space: StepSpace) -> float:
@@ -171,79 +174,108 @@ def size_of(values: Array, space: StepSpace) -> float:
     return float(np.sqrt(np.mean((values / space.state_scale) ** 2)))
 
 
-def best_gain(robot: str) -> float:
-    """The gain of the integrator with the least error on the gaps of tuning."""
-    cells, space = [Cell(robot, number, 0) for number in TUNING_GAPS], robot_of(Cell(robot, 1, 0)).space
-    return min(GAINS, key=lambda gain: sum(error(integrated(cell, gain), space) for cell in cells))
-
-
 def affine_inverse(walk: Trip) -> Law:
     """The command whose velocity is the target, by least squares over a run."""
     ones = np.ones((len(walk.commands), 1))
-    found = np.linalg.lstsq(np.hstack([ones, walk.commands]), walk.velocities, rcond=None)[0]
+    found = np.linalg.lstsq(np.hstack([ones, walk.commands]), walk.measured, rcond=None)[0]
     return lambda target, state, before: np.linalg.lstsq(found[1:].T, target - found[0], rcond=None)[0]
 
 
-def learned(cell: Cell, method: str) -> list[Trip]:
-    """The deployments of a run of StepGap."""
+def learned(cell: Cell, settings: LearningSettings, known: Steps | None = None) -> list[Steps]:
+    """The deployments of a run of StepGap, with the settings of control of its file."""
     robot, log = robot_of(cell), list[LoggedStep]()
-    settings = replace(METHODS[method], iterations=2 if method == "default" else 1, early_stop=False)
     nominal = next(iter(robot.nominal_maps().values()))()
     plants, priors = Plants(partial(plant_of, robot)), own_priors(robot)
-    setup = Setup(nominal, plants, reference_of(robot), settings, seed=cell.seed, priors=priors)
+    control = experiment_of(cell.robot).control
+    setup = Setup(nominal, plants, reference_of(robot), settings, control, cell.gap, known, priors)
     with tempfile.TemporaryDirectory() as folder:
         run_experiment(setup, Path(folder), Observer(on_step=log.append))
-    return [_walk(Steps(robot.space, log).of_iteration(k), setup.reference) for k in range(settings.iterations + 1)]
+    steps = Steps(robot.space, log)
+    return [steps.of_iteration(number) for number in steps.iterations]
 
 
-def _walk(steps: Steps, reference: Reference) -> Trip:
-    done = np.isfinite(steps.next_state).all(axis=1)
-    return Trip(steps.command[done], steps.next_state[done], steps.target[done], int(done.sum()) < len(reference))
+def trip_of(steps: Steps, reference: Reference) -> Trip:
+    """A deployment of StepGap."""
+    done = np.isfinite(steps.next_state).all(axis=1) & ~steps.unplanned
+    columns = (steps.command, steps.true_next_state, steps.next_state, steps.target)
+    return Trip(*(column[done] for column in columns), fell=int(done.sum()) < len(reference))
 
 
-def measure(cell: Cell, gain: float, methods: Sequence[str]) -> dict[str, Any]:
-    """The row of a cell."""
-    space = robot_of(cell).space
+def measure(cell: Cell, warm: Sequence[float] = (), online: bool = False) -> dict[str, Any]:
+    """The row of a cell; without `walks` if the robot falls as it is.
+
+    Args:
+        cell: The cell.
+        warm: Seconds of the first deployment that other runs begin with.
+        online: Whether to learn online, too.
+    """
+    robot = robot_of(cell)
+    space, reference = robot.space, reference_of(robot)
+    row = {"robot": cell.robot, "gap": cell.gap}
     as_it_is = walked(cell, 0, lambda target, state, before: target)
-    bias = as_it_is.errors.mean(axis=0)
+    if as_it_is.fell:
+        return row
+    bias = (as_it_is.measured - as_it_is.targets).mean(axis=0)
     walks = {
-        "command = target": as_it_is,
+        RAW: as_it_is,
         "constant offset": walked(cell, 1, lambda target, state, before: target - bias),
         "affine inverse": walked(cell, 1, affine_inverse(as_it_is)),
-        "integrator": integrated(cell, gain),
+        **{f"integrator {gain:g}": integrated(cell, gain) for gain in GAINS},
     }
-    for method in methods:
-        for number, walk in enumerate(learned(cell, method)):
-            walks[f"StepGap {method}, deployment {number}"] = walk
+    settings = replace(METHODS["default"], iterations=2, early_stop=False)
+    first, *redeployed = learned(cell, settings)
+    for seconds in warm:
+        known = first[: round(seconds / robot.walk.seconds)]
+        walks[f"StepGap, {seconds:g} s known"] = trip_of(
+            learned(cell, replace(settings, iterations=0), known)[-1], reference
+        )
+    walks |= {f"StepGap, redeployment {number}": trip_of(each, reference) for number, each in enumerate(redeployed, 1)}
+    if online:
+        both = learned(cell, replace(METHODS["online"], iterations=1, early_stop=False))
+        walks |= {f"StepGap online, deployment {number}": trip_of(each, reference) for number, each in enumerate(both)}
     found = {
         name: {
             "rmse": np.sqrt(np.mean(walk.errors**2, axis=0)).tolist(),
             "all": size_of(walk.errors, space),
             "held": size_of(walk.errors[walk.held], space),
             "change": size_of(walk.changes[walk.held], space),
+            "steps": len(walk.errors),
             "fell": walk.fell,
         }
         for name, walk in walks.items()
     }
-    return {"robot": cell.robot, "gap": cell.gap, "seed": cell.seed, "gain": gain, "walks": found}
+    return row | {"walks": found}
 
 
-def print_table(rows: Sequence[Mapping[str, Any]]) -> None:
-    """Prints a table in Markdown for each robot."""
-    for robot in dict.fromkeys(row["robot"] for row in rows):
-        here = [row["walks"] for row in rows if row["robot"] == robot]
-        space = robot_of(Cell(robot, 1, 0)).space
-        units = " | ".join(f"{each.name} [{each.unit}]" for each in space.state)
-        gain = next(row["gain"] for row in rows if row["robot"] == robot)
-        print(f"\n{robot}, {len(here)} cells; gain of the integrator {gain}")
-        print(f"| | {units} | all [half ranges] | of that as it is | held | change | falls |")
-        print(f"|---|{'---|' * (len(space.state) + 5)}")
-        for name in here[0]:
-            rmse = " | ".join(f"{each:.3f}" for each in np.median([walks[name]["rmse"] for walks in here], axis=0))
-            every, held, change = (np.median([walks[name][key] for walks in here]) for key in ("all", "held", "change"))
-            ratio = np.median([walks[name]["all"] / walks["command = target"]["all"] for walks in here])
-            falls = sum(walks[name]["fell"] for walks in here)
-            print(f"| {name} | {rmse} | {every:.3f} | {ratio:.2f} | {held:.3f} | {change:.3f} | {falls} |")
+def print_tables(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Prints a table in Markdown for each robot, and one of all."""
+    robots = list(dict.fromkeys(row["robot"] for row in rows))
+    for robot in robots:
+        print_table(robot, [with_better_gain(row["walks"]) for row in rows if row["robot"] == robot])
+    if len(robots) > 1:
+        print_table("all robots", [with_better_gain(row["walks"]) for row in rows])
+
+
+def with_better_gain(walks: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    """The walks with that of the integrator whose gain was the better one of the cell."""
+    integrators = [walk for name, walk in walks.items() if name.startswith("integrator")]
+    return {**walks, BETTER: min(integrators, key=lambda walk: (walk["fell"], walk["all"]))}
+
+
+def print_table(title: str, cells: Sequence[Mapping[str, Mapping[str, Any]]]) -> None:
+    """Prints what was measured in some cells: mean, median and worst ratios, and means of the others."""
+    print(f"\n{title}, {len(cells)} cells; in half ranges of use")
+    print("| | error | of that as it is: mean, median, worst | of the integrator's | held | change | falls |")
+    print("|---|---|---|---|---|---|---|")
+    for name in cells[0]:
+        here = [walks[name] for walks in cells]
+        ratios = np.array([walks[name]["all"] / walks[RAW]["all"] for walks in cells])
+        others = np.array([walks[name]["all"] / walks[BETTER]["all"] for walks in cells])
+        every, held, change = (np.mean([walk[key] for walk in here]) for key in ("all", "held", "change"))
+        falls = sum(walk["fell"] for walk in here)
+        shares = f"{ratios.mean():.2f}, {np.median(ratios):.2f}, {ratios.max():.2f}"
+        both = f"{others.mean():.2f}, {np.median(others):.2f}, {others.max():.2f}"
+        print(f"| {name} | {every:.3f} | {shares} | {both} | {held:.3f} | {change:.3f} | {falls} |")
 
 
 def main() -> None:
@@ -251,27 +283,27 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--robots", default="velocity")
-    parser.add_argument("--gaps", type=int, default=5)
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--gaps", type=int, default=5, help="number of gaps of each robot in which it walks as it is")
     parser.add_argument("--first-gap", type=int, default=1000)
-    parser.add_argument("--methods", default="default,online")
+    parser.add_argument("--warm", default="", help="seconds of the first deployment that other runs begin with")
+    parser.add_argument("--online", action="store_true")
     given = parser.parse_args()
+    warm = [float(each) for each in given.warm.split(",") if each]
     rows: list[dict[str, Any]] = [json.loads(line) for line in given.out.open()] if given.out.exists() else []
-    done = {(row["robot"], row["gap"], row["seed"]) for row in rows}
+    task = partial(measure, warm=warm, online=given.online)
     with given.out.open("a", encoding="utf-8") as out:
         for robot in given.robots.split(","):
-            numbers = product(range(given.seeds), range(given.first_gap, given.first_gap + given.gaps))
-            cells = [Cell(robot, gap, seed) for seed, gap in numbers]
-            waiting = [cell for cell in cells if cell not in done]
-            if not waiting:
-                continue
-            known = [row["gain"] for row in rows if row["robot"] == robot]
-            gain = known[0] if known else best_gain(robot)
-            task = partial(measure, gain=gain, methods=given.methods.split(","))
-            for _, row in finished(task, waiting):
-                rows.append(row)
-                print(json.dumps(row), file=out, flush=True)
-    print_table(sorted(rows, key=lambda row: (row["robot"], row["gap"], row["seed"])))
+            done = {row["gap"] for row in rows if row["robot"] == robot}
+            gaps = (gap for gap in count(given.first_gap) if gap not in done)
+            while (lacking := given.gaps - sum("walks" in row for row in rows if row["robot"] == robot)) > 0:
+                for _, row in finished(task, [Cell(robot, next(gaps)) for _ in range(lacking)]):
+                    rows.append(row)
+                    print(json.dumps(row), file=out, flush=True)
+    walked_rows = [row for row in rows if "walks" in row]
+    print_tables(sorted(walked_rows, key=lambda row: (row["robot"], row["gap"])))
+    for row in rows:
+        if "walks" not in row:
+            print(f"{row['robot']}, gap {row['gap']}: it falls as it is, and is not counted")
 
 
 if __name__ == "__main__":
