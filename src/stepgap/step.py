@@ -11,7 +11,7 @@ from enum import IntEnum
 from functools import cached_property
 from math import inf, isfinite, isinf, tau
 from types import MappingProxyType
-from typing import NamedTuple, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -178,6 +178,9 @@ class StepSpace:
         advice: What the robot advises after a step that failed, by its status, instead of `ADVICE`.
         is_lagged: Whether the command of the step before may still act in a step, as where a robot needs a good part of
             a step to reach a commanded velocity. Its effect is always learned; here plans of later steps count it, too.
+        planar_seconds: Duration of a step [s] where the first three states are the mean velocities of a body that moves
+            in a plane: forward, to the left and of turning to the left, in its own frame; 0 elsewhere. What the context
+            has of `pose_names` is its place and its heading, from any zero.
 
     Raises:
         ValueError: Several quantities of the context have a period, no state coordinate is tracked, or one is measured
@@ -189,6 +192,9 @@ class StepSpace:
     context: tuple[ContextQuantity, ...] = ()
     advice: Mapping[StepStatus, str] = field(default_factory=dict, compare=False, repr=False, kw_only=True)
     is_lagged: bool = field(default=False, kw_only=True)
+    planar_seconds: float = field(default=0.0, compare=False, kw_only=True)
+
+    pose_names: ClassVar[tuple[str, str, str]] = ("place_x", "place_y", "heading")
 
     def __post_init__(self) -> None:
         periodic = [quantity.name for quantity in self.context if isfinite(quantity.period)]

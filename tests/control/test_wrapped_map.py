@@ -15,7 +15,7 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.plants.model_plant import ModelPlant
-from stepgap.step import Array
+from stepgap.step import Array, Quantity, StepSpace
 from tests.control.maps import LossyHopper, NeverWorks, PitchingHopper, StumblingHopper
 
 ROBOT, NONE = LossyHopper(), np.empty((0, 4))
@@ -112,3 +112,21 @@ def test_a_command_outside_its_bounds_counts_as_one_on_them() -> None:
     far = CommandChange(0.01, space.command_upper + 5).bounds(space)
     near = CommandChange(0.01, space.command_upper).bounds(space)
     assert far == near
+
+
+def test_bounds_around_a_command_are_within_all_other_limits() -> None:
+    space = StepSpace((Quantity("v", "", -1, 1),), (Quantity("c", "", -1, 1),))
+    around = np.array([0.3]), np.array([0.8])
+    alone = CommandChange(around=around).bounds(space)
+    assert (alone.command_lower, alone.command_upper) == (0.3, 0.8)
+    both = CommandChange(0.1, np.array([0.2]), around).bounds(space)
+    np.testing.assert_allclose([both.command_lower[0], both.command_upper[0]], [0.3, 0.4])
+
+
+def test_bounds_around_a_command_that_cannot_be_give_way() -> None:
+    """The nearest command that the other limits permit."""
+    space = StepSpace((Quantity("v", "", -1, 1),), (Quantity("c", "", -1, 1),))
+    for around, nearest in ((2.0, 1.0), (-2.0, -1.0)):
+        bounds = CommandChange(around=(np.array([around]), np.array([around + 0.5]))).bounds(space)
+        np.testing.assert_allclose([bounds.command_lower[0], bounds.command_upper[0]], nearest, atol=1e-5)
+        assert bounds.command_lower < bounds.command_upper

@@ -68,6 +68,7 @@ class CautiousController:
         previous: Command of the step before, from which the next one may differ by `settings.largest_change`; None for
             no limit. Shape (m,).
         untracked: Weights of the coordinates without a target, as of `goals_for`.
+        around: Least and largest command beside the other limits, as of `CommandChange`.
     """
 
     step_map: StepMap
@@ -77,11 +78,12 @@ class CautiousController:
     table: CommandTable | None = None
     previous: Array | None = None
     untracked: Array | float = UNTRACKED_WEIGHT
+    around: tuple[Array, Array] | None = None
 
     @property
     def change(self) -> CommandChange:
         """How much the next command may differ from the one before."""
-        return CommandChange(self.settings.largest_change, self.previous)
+        return CommandChange(self.settings.largest_change, self.previous, self.around)
 
     @cached_property
     def bounds(self) -> StepSpace:

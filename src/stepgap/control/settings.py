@@ -1,6 +1,7 @@
 """The user's settings of step control: which rules restrict the command of Eq. 13, and whether a table replaces it."""
 
 from dataclasses import dataclass
+from math import inf
 
 from stepgap.base.ranges import require
 
@@ -27,9 +28,12 @@ class ControlSettings:
         largest_change: Largest change of each command from one step to the next, as a share of its range; 1 for no
             limit. The first command of a deployment has none. A later command of a horizon may lie as many changes
             away from the present one as there are steps between them.
+        widening: How much farther a command may be from the state, such as a commanded velocity of a walking robot from
+            its velocity, than in all deployments before that did not fall, as a share of the largest distance in these;
+            inf for no limit. Elsewhere than where states are velocities in a plane, it says nothing.
         make_up: Number of steps over which the sum of all errors of a deployment is made up for, by targets that differ
-            from those wanted by that much; 0 for not at all. Where states are velocities, such as of walking, the sum
-            is a distance: a robot keeps its heading and its place, and not only its mean velocity.
+            from those wanted by that much; 0 for not at all. Where states are velocities in a plane, such as of
+            walking, that is a heading and a place, which are kept, as they are measured or by the sum of velocities.
         table: Points along each axis of a look-up table of commands that is computed before every deployment and used
             in place of solving (the paper, Sec. 6); 0 for none. Its prediction is interpolated, too. It covers the
             range of use of state and target: for a state outside, the command is that of the nearest state inside.
@@ -42,6 +46,7 @@ class ControlSettings:
     table: int = 0
     horizon: int = 2
     largest_change: float = 1.0
+    widening: float = inf
     make_up: int = 0
 
     def __post_init__(self) -> None:
@@ -50,11 +55,11 @@ class ControlSettings:
         require(0 <= self.make_up <= MOST_MADE_UP, "make_up", self.make_up, f"lie between 0 and {MOST_MADE_UP}")
         rule = "lie between 0.001 and 1, the whole range"
         require(0.001 <= self.largest_change <= 1, "largest_change", self.largest_change, rule)
+        require(self.widening >= -0.9, "widening", self.widening, "be at least -0.9, or inf for no limit")
         require(self.table == 0 or 2 <= self.table <= 41, "table", self.table, "be 0, or lie between 2 and 41")
-        limited = self.table > 0 and self.largest_change < 1
-        require(
-            not limited, "table", self.table, "be 0 with a largest_change, because a table has one command for a state"
-        )
+        limited = self.table > 0 and (self.largest_change < 1 or self.widening < inf)
+        rule = "be 0 with a largest_change or a widening, because a table has one command for a state"
+        require(not limited, "table", self.table, rule)
 
 
 ALL_RULES = ControlSettings()  # The default: all rules, no table

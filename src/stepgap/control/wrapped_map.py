@@ -1,7 +1,7 @@
 """Maps around another map: with other bounds of the commands, or with a budget of steps that they may evaluate."""
 
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Final, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -63,6 +63,9 @@ class MapInSpace(WrappedMap):
         return self.inner.jacobian(state, command)
 
 
+LEAST_ROOM: Final = 1e-6  # Width of the narrowest bounds of a command [half bounds]
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class CommandChange:
@@ -71,20 +74,30 @@ class CommandChange:
     Attributes:
         largest: Largest change of each command in a step, as a share of its range; 1 for no limit.
         previous: Command of the step before; shape (m,). None before the first step, whose command has no limit.
+        around: Least and largest command beside that, which give way where both cannot be; each (m,). None: no others.
     """
 
     largest: float = 1.0
     previous: Array | None = None
+    around: tuple[Array, Array] | None = None
 
     def bounds(self, space: StepSpace, steps: int = 1) -> StepSpace:
         """The space with the bounds of the command that is the first, second, … after the previous one."""
-        if self.previous is None or steps * self.largest >= 1:  # every command is within reach
+        lower = space.command_lower
+        upper = space.command_upper
+        any_change = self.previous is None or steps * self.largest >= 1  # every command is within reach
+        if any_change and self.around is None:
             return space
-        change = 2 * steps * self.largest * space.command_scale
-        previous = np.clip(self.previous, space.command_lower, space.command_upper)
-        lower = np.maximum(space.command_lower, previous - change).tolist()
-        upper = np.minimum(space.command_upper, previous + change).tolist()
-        sides = zip(space.command, lower, upper, strict=True)
+        if self.previous is not None and not any_change:
+            change = 2 * steps * self.largest * space.command_scale
+            previous = np.clip(self.previous, lower, upper)
+            lower = np.maximum(lower, previous - change)
+            upper = np.minimum(upper, previous + change)
+        if self.around is not None:
+            least = LEAST_ROOM * space.command_scale
+            lower = np.clip(self.around[0], lower, upper - least)
+            upper = np.clip(self.around[1], lower + least, upper)
+        sides = zip(space.command, lower.tolist(), upper.tolist(), strict=True)
         return replace(space, command=tuple(replace(quantity, lower=low, upper=high) for quantity, low, high in sides))
 
     def limited(self, step_map: StepMap) -> StepMap:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from math import isfinite
 from time import perf_counter
 from typing import Protocol, Self, final
 
@@ -16,6 +17,7 @@ from stepgap.control.command_table import CommandTable, build_table
 from stepgap.control.reach import reach_from
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ALL_RULES, ControlSettings
+from stepgap.control.shortfall import Shortfall
 from stepgap.experiment.exploration import exploration_plan, goals_of
 from stepgap.learning.alarm import Alarm
 from stepgap.learning.corrected_map import CorrectedMap
@@ -59,6 +61,11 @@ class AdaptiveMap(Protocol):
         ...
 
     @property
+    def farthest(self) -> Array:
+        """Largest distance of a command from the state, in deployments before that did not fail; shape (m,)."""
+        ...
+
+    @property
     def alarms(self) -> tuple[Alarm, ...]:
         """What was found to be no longer true, in this deployment so far."""
         ...
@@ -85,18 +92,19 @@ class DeploymentController:
         learner: State of knowledge.
         settings: Settings of step control.
         table: Table of the commands of the first map, if the settings want one.
+        farthest: Largest distance of a command from the state that is allowed; None for any. Shape (m,).
         command: Command of the step before, from which the search for the next one starts; None before the first.
         calibration: Calibration of the standard deviations of its plans; None before the first step.
-        behind: Sum of what its steps fell short of their targets, if it is made up for; None before the first step.
-            Shape (n,).
+        shortfall: What its steps fell short of their targets, if it is made up for; None before the first step.
     """
 
     learner: AdaptiveMap
     settings: ControlSettings = ALL_RULES
     table: CommandTable | None = None
+    farthest: Array | None = None
     command: Array | None = None
     calibration: IntervalCalibration | None = None
-    behind: Array | None = None
+    shortfall: Shortfall | None = None
 
     @classmethod
     def start(cls, learner: AdaptiveMap, settings: ControlSettings = ALL_RULES) -> Self:
@@ -107,7 +115,9 @@ class DeploymentController:
             settings: Settings of step control.
         """
         table = build_table(learner.step_map(), settings.table) if settings.table else None
-        return cls(learner, settings, table)
+        widened = isfinite(settings.widening) and learner.nominal.space.planar_seconds
+        farthest = (1 + settings.widening) * learner.farthest if widened else None
+        return cls(learner, settings, table, farthest)
 
     @property
     def step_controller(self) -> CautiousController:
@@ -129,12 +139,16 @@ class DeploymentController:
             ResidualError: The learned residual has no finite prediction of the step.
         """
         ahead = np.asarray(ahead)[: self.settings.horizon - 1]
-        if self.behind is not None:
+        if self.shortfall is not None:
             most = MADE_UP * self.learner.nominal.space.state_scale
-            more = np.clip(self.behind / self.settings.make_up, -most, most)
+            more = np.clip(self.shortfall.behind / self.settings.make_up, -most, most)
             target = target + more
             ahead = ahead + more
-        return self.calibrated(state, tracking_plan(self.step_controller, state, target, self.command, ahead))
+        controller = self.step_controller
+        if self.farthest is not None:
+            now = state[: len(self.farthest)]
+            controller = replace(controller, around=(now - self.farthest, now + self.farthest))
+        return self.calibrated(state, tracking_plan(controller, state, target, self.command, ahead))
 
     def calibrated(self, state: Array, plan: CautiousPlan) -> CautiousPlan:
         """Returns a plan of the next step with the calibrated standard deviation of its prediction."""
@@ -164,14 +178,14 @@ class DeploymentController:
             learner=self.learner.after(logged),
             command=logged.record.command,
             calibration=self._calibration_after(logged),
-            behind=self._behind_after(logged),
+            shortfall=self._shortfall_after(logged),
         )
 
-    def _behind_after(self, logged: LoggedStep) -> Array | None:
+    def _shortfall_after(self, logged: LoggedStep) -> Shortfall | None:
         if not self.settings.make_up:
             return None
-        short = np.nan_to_num(logged.target - logged.record.next_state)
-        return short if self.behind is None else self.behind + short
+        before = self.shortfall or Shortfall.start(self.learner.nominal.space)
+        return before.after(logged.target, logged.record)
 
     def _calibration_after(self, logged: LoggedStep) -> IntervalCalibration | None:
         record = logged.record

@@ -130,6 +130,19 @@ class Learner:
         return join_points(self.known.state[failed], self.known.requested[failed])
 
     @property
+    def farthest(self) -> Array:
+        """Largest distance of a command from the state with its number, in deployments before without a failure.
+
+        If all of them failed, up to the failures; infinite before the first one; shape (m,).
+        """
+        known = self.known.before(self.iteration).completed()
+        failed = self.known.iteration[~np.isin(self.known.status, NO_FAILURE)]
+        unfailing = known.selected(~np.isin(known.iteration, failed))
+        steps = unfailing if len(unfailing) else known
+        m = len(self.nominal.space.command)
+        return np.abs(steps.requested - steps.state[:, :m]).max(axis=0) if len(steps) else np.full(m, np.inf)
+
+    @property
     def phase(self) -> float:
         """Phase of the periodic context quantity at which the next step starts [rad], NaN if it is unknown."""
         last = self.known.last

@@ -9,6 +9,7 @@ from stepgap.experiment.outcome import TRACKED
 from stepgap.experiment.run import Run
 from stepgap.records.summary import Deployment
 from stepgap.records.text import between, capitalised, decimal, in_words, listed, unit_suffix
+from stepgap.report.drift import drift_sentences
 from stepgap.report.verdict import CLOSE, NEAR_FLOOR, Achievement
 from stepgap.robots.published_result import PublishedResult
 from stepgap.step import Array, StepStatus, ending_of
@@ -46,6 +47,7 @@ def sentences(run: Run) -> list[str]:
         *(f"{capitalised(_ended(run, each))}; its errors include only the steps before." for each in failed),
         *_grounds(run),
         *_limits(run),
+        *drift_sentences(run),
         *(
             f"Deployment {iteration} is running or was interrupted: "
             f"its {_count(steps, 'step')} so far are not included in the errors."

@@ -82,6 +82,10 @@ class MjcfRobot(Robot):
         """Whether the robot has fallen."""
         return False
 
+    def context(self, model: Any, data: Any) -> tuple[float, ...]:  # noqa: ARG002
+        """What is measured at the end of a step beside the state, in the order of the robot's context."""
+        return ()
+
     @property
     def start_state(self) -> Array:
         """State in which a deployment starts: the middle of the range of use; shape (n,)."""
@@ -175,8 +179,9 @@ class MjcfStepper:
 
     @property
     def context(self) -> tuple[float, ...]:
-        """What the feet have found in the last step, in the order of `above_ground`; empty where it is not measured."""
-        return self._footholds.context if self._footholds else ()
+        """What is measured of the last step; after the robot's own what its feet have found, if that is measured."""
+        found = self._footholds.context if self._footholds else ()
+        return *self._robot.context(self._model, self._data), *found
 
     def step(
         self,

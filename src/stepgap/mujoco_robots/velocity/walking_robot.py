@@ -9,7 +9,7 @@ Its MuJoCo model, its start posture and its `WalkingControl` make a walking robo
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import exp, isfinite, radians
+from math import atan2, exp, isfinite, radians
 from typing import Any, Final, Self, final
 
 import mujoco
@@ -24,7 +24,7 @@ from stepgap.mujoco_robots.velocity.gait import ConstantWalk, gait_of
 from stepgap.robots.gap import NOT_NEGATIVE, Drawn, Rule, difference, within
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.robot import RobotFinding
-from stepgap.step import Array, Quantity, StepMap, StepSpace
+from stepgap.step import Array, ContextQuantity, Quantity, StepMap, StepSpace
 
 _WHOLE = Rule(lambda value: value >= 0 and value == int(value), "be a whole number from 0 on")
 
@@ -207,12 +207,15 @@ class Walk:
 
     @property
     def space(self) -> StepSpace:
-        """State vx, vy, wz: means over a step in the body's frame; command command_vx, command_vy, command_wz."""
+        """State vx, vy, wz: means over a step in the body's frame; command command_vx, …; context its pose."""
         ranges = [(name, unit, getattr(self, name)) for name, unit in _NAMES]
+        pose = zip(StepSpace.pose_names, ("m", "m", "rad"), strict=True)
         return StepSpace(
             tuple(Quantity(name, unit, each.lower, each.upper) for name, unit, each in ranges),
             tuple(Quantity(f"command_{name}", u, each.command_lower, each.command_upper) for name, u, each in ranges),
+            tuple(ContextQuantity(name, unit) for name, unit in pose),
             is_lagged=True,
+            planar_seconds=self.seconds,
         )
 
 
@@ -304,6 +307,11 @@ class WalkingRobot(MjcfRobot):
     def state(self, model: Any, data: Any) -> Array:  # noqa: ARG002
         """Mean velocity since the begin of the step; shape (3,)."""
         return data.userdata[:3] / data.userdata[3]
+
+    def context(self, model: Any, data: Any) -> tuple[float, float, float]:  # noqa: ARG002
+        """Place in the world and heading of the first body, without errors."""
+        w, x, y, z = data.qpos[3:7]
+        return float(data.qpos[0]), float(data.qpos[1]), atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
     def place(self, model: Any, data: Any, state: Array) -> None:
         """In the start posture, moving with the velocity of the state, as if it had done so in the step before."""

@@ -1,0 +1,110 @@
+"""What the steps of a deployment fell short of their targets, for later targets to make up for it.
+
+It is the sum of what all steps were short of. Where states are velocities of a body that moves in a plane, such sums
+are not its place: it turns, and what was to its left is then elsewhere. There the pose to which the targets lead and
+that of the body are followed apart, each along an arc in each step, and what is behind is their difference, seen from
+the body. A pose that is measured takes the place of the sum of measured velocities. On a way forward, only the distance
+to its side is made up for.
+"""
+
+from dataclasses import dataclass, replace
+from math import pi
+from typing import Final, Self, final
+
+import numpy as np
+
+from stepgap.step import Array, StepRecord, StepSpace
+
+NOWHERE: Final = np.zeros(3)
+"""The pose at the begin: place in the plane [m] and heading [rad]."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Shortfall:
+    """What the steps of a deployment so far fell short of their targets.
+
+    Attributes:
+        space: Names and units; with `planar_seconds`, the first three states are velocities of a body in a plane.
+        total: Sum of the targets less the states; shape (n,).
+        wanted: Pose to which the targets lead from `NOWHERE`; shape (3,).
+        pose: Pose of the body, from `NOWHERE`; shape (3,).
+        zero: Measured pose, NaN where it is not measured, at `NOWHERE`; None before the first step. Shape (3,).
+    """
+
+    space: StepSpace
+    total: Array
+    wanted: Array
+    pose: Array
+    zero: Array | None = None
+
+    @classmethod
+    def start(cls, space: StepSpace) -> Self:
+        """Nothing is short before the first step."""
+        return cls(space, np.zeros(len(space.state)), NOWHERE, NOWHERE)
+
+    @property
+    def behind(self) -> Array:
+        """What is to be made up for, as a sum of states over steps; shape (n,)."""
+        seconds = self.space.planar_seconds
+        if not seconds:
+            return self.total
+        turn = (self.wanted[2] - self.pose[2] + pi) % (2 * pi) - pi
+        return np.concatenate([np.array([*self._way, turn]) / seconds, self.total[3:]])
+
+    @property
+    def _way(self) -> tuple[float, float]:
+        """Where it should be, forward and to the left of where it is [m]."""
+        return turned(-self.pose[2], *(self.wanted - self.pose)[:2])
+
+    def after(self, target: Array, record: StepRecord) -> Self:
+        """The shortfall after a step.
+
+        Args:
+            target: Its target, NaN in coordinates without one; shape (n,).
+            record: The step.
+        """
+        target = np.where(np.isfinite(target), target, record.next_state)
+        total = self.total + target - record.next_state
+        seconds = self.space.planar_seconds
+        if not seconds:
+            return replace(self, total=total)
+        wanted = moved(self.wanted, target[:3] * seconds)
+        pose = moved(self.pose, record.next_state[:3] * seconds)
+        measured = np.array([record.context.get(name, np.nan) for name in self.space.pose_names])
+        zero = self.zero
+        if zero is None:
+            zero = _zero_of(pose, measured)
+        after = replace(self, total=total, wanted=wanted, pose=_corrected(pose, measured, zero), zero=zero)
+        if not target[0]:
+            return after
+        # What it was too slow is forgotten: who makes up for it at the limits of a gait makes the robot fall.
+        lost = turned(after.pose[2], after._way[0], 0.0)
+        return replace(after, wanted=wanted - np.array([*lost, 0.0]))
+
+
+def moved(pose: Array, way: Array) -> Array:
+    """A pose (3,) after a way along an arc: forward and to the left [m], and how far it turned [rad]; shape (3,)."""
+    ahead, left, turn = way
+    chord = np.sinc(turn / (2 * pi))
+    return pose + np.array([*turned(pose[2] + turn / 2, chord * ahead, chord * left), turn])
+
+
+def turned(angle: float, x: float, y: float) -> tuple[float, float]:
+    """A vector turned to the left by an angle."""
+    cos = np.cos(angle)
+    sin = np.sin(angle)
+    return float(cos * x - sin * y), float(sin * x + cos * y)
+
+
+def _zero_of(pose: Array, measured: Array) -> Array:
+    """The measured pose at `NOWHERE`, from that at another pose; NaN where it is not measured."""
+    turn = measured[2] - pose[2]
+    return np.array([*(measured[:2] - turned(turn, *pose[:2])), turn])
+
+
+def _corrected(pose: Array, measured: Array, zero: Array) -> Array:
+    """A pose from the sum of velocities, with what is measured of it in its place."""
+    heading = measured[2] - zero[2]
+    place = turned(-zero[2], *(measured[:2] - zero[:2]))
+    return np.where(np.isfinite([*place, heading]), [*place, heading], pose)
