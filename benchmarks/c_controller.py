@@ -36,6 +36,10 @@ from stepgap.step import Array, StepRecord, StepStatus
 
 MAIN = Path(__file__).parents[1] / "examples" / "c_controller" / "main.c"
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-O2")
+SIZE = """#include "controller.h"
+int controller_size(void);
+int controller_size(void) { return (int)sizeof(controller_filter); }
+"""
 
 
 @dataclass(frozen=True)
@@ -76,12 +80,13 @@ def compiled(controller: PortableController, folder: Path) -> Code:
     source = c_source(controller, "controller")
     (folder / "controller.c").write_text(source.code)
     (folder / "controller.h").write_text(source.header)
+    (folder / "size.c").write_text(SIZE)
 
     def run(*command: str) -> str:
         return subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
 
     run("gcc", *STRICT, "-fcallgraph-info=su", "-c", "controller.c", "-o", "controller.o")
-    run("gcc", *STRICT, "-fPIC", "-shared", "controller.c", "-o", "controller.so", "-lm")
+    run("gcc", *STRICT, "-fPIC", "-shared", "controller.c", "size.c", "-o", "controller.so", "-lm")
     run("gcc", "-std=c99", "-O2", "-I.", str(MAIN), "controller.c", "-o", "program", "-lm")
     size = int(run("size", "controller.o").split("\n")[1].split()[3])
     stack = deepest_stack(next(folder.glob("*.ci")).read_text())
@@ -105,7 +110,7 @@ def deepest_stack(graph: str) -> int:
 
 def started(code: Code) -> Any:
     """A filter at the start of a deployment."""
-    filter_ = ctypes.create_string_buffer(2**20)
+    filter_ = ctypes.create_string_buffer(code.call("size"))
     code.call("filter_init", filter_)
     return filter_
 
