@@ -27,6 +27,8 @@ RUN_ELSEWHERE = {
     "data.md": "test_docs_data.py",
     "model_file.md": "export/controller/test_model_file.py",
     "tutorial.md": "test_docs_tutorial.py",
+    "notebook_robots.md": "test_docs_tutorial.py",
+    "notebook_policy.md": "test_docs_tutorial.py",
     "steps.md": "test_docs_steps.py",
 }
 """Pages whose blocks need more around them."""

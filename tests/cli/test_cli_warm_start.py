@@ -77,7 +77,7 @@ def test_known_steps_of_the_other_run_are_passed_on(cold: Path, stepgap: Command
 @pytest.mark.parametrize(
     ("other", "parts"),
     [
-        ("none", ["none: No such file or directory; a warm start needs the folder of a run"]),
+        ("nowhere", ["nowhere: No such file or directory; a warm start needs the folder of a run"]),
         ("empty", ["empty/steps.csv: No such file or directory; a warm start needs"]),
         ("foreign", ["foreign/steps.csv, line 1: the columns must be iteration,step,speed", "of the same state"]),
         ("binary", ["binary/steps.csv: not a text file in UTF-8"]),

@@ -131,9 +131,7 @@ def test_drives_that_are_too_weak_hide_other_causes(tracked: Run) -> None:
         summary=replace(tracked.summary, deployments=(*before, weak)),
     )
     (reason,) = reasons(run)
-    assert reason.sentence.startswith(
-        "Limits of the drives cut 30 of 30 commands of the last deployment. In all"
-    )
+    assert reason.sentence.startswith("Limits of the drives cut 30 of 30 commands of the last deployment. In all")
     assert reason.command.endswith("--target speed=0.05,height=0.5")
 
 

@@ -189,8 +189,11 @@ def _seconds_per_step(nominal: StepMap, clock: Callable[[], float]) -> float:
 
 @contextmanager
 def _on_all_cores(robot: Robot, kind: str, nominal: StepMap) -> Iterator[MapFunction]:
-    """The function with which samples are computed: by processes that each make the map, if one step takes long."""
-    if _seconds_per_step(nominal, perf_counter) < WORTH_PROCESSES:
+    """The function with which samples are computed: by processes that each make the map, if one step takes long.
+
+    Another process does not find a robot of a notebook or of a script.
+    """
+    if type(robot).__module__ == "__main__" or _seconds_per_step(nominal, perf_counter) < WORTH_PROCESSES:
         yield map
         return
     with ProcessPoolExecutor(initializer=_keep_map, initargs=(robot, kind), mp_context=process_context()) as pool:

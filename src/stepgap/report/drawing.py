@@ -39,7 +39,7 @@ MOST_VECTORS: Final = 2000
 
 LONGEST_LABEL: Final = 26  # Largest number of drawn characters of a name
 DOTS_PER_INCH: Final = 200  # Resolution of the PNG files
-NOTEBOOK_DOTS: Final = 80  # Resolution in the cells of notebooks, whose files stay small
+NOTEBOOK_DOTS: Final = 60  # Resolution in the cells of notebooks, whose files stay small
 
 LOOK: Final[dict[Any, Any]] = {
     "font.size": 8,

@@ -3,7 +3,7 @@
 import os
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,10 @@ def own_style(settings: Mapping[str, Any] | None = None) -> Iterator[None]:
     Neither a `matplotlibrc` nor the environment variable `MPLBACKEND` counts. A notebook sets the latter for all
     processes that it starts, and where it names a backend that is not installed, Matplotlib cannot even be imported;
     so modules that import it are to be imported inside, too. All figures are drawn by Agg, without pyplot. A
-    `matplotlibrc` that cannot be read, because it is not UTF-8 or not this user's, is passed over.
+    `matplotlibrc` that cannot be read, because it is not UTF-8 or not this user's, is passed over. Figures
+    that pyplot draws afterwards, as in the next cell of a notebook, have the backend of the variable.
     """
+    first = "matplotlib" not in sys.modules
     try:
         with _environment(MPLBACKEND=None):
             import matplotlib
@@ -28,6 +30,10 @@ def own_style(settings: Mapping[str, Any] | None = None) -> Iterator[None]:
             del sys.modules[name]  # what the failed import left would be taken for parts of the next one
         with _environment(MPLBACKEND=None, MATPLOTLIBRC=_default_file()):
             import matplotlib
+    backend = os.environ.get("MPLBACKEND")
+    if first and backend:
+        with suppress(ValueError):  # there is no such backend
+            matplotlib.rcParams["backend"] = backend
     with matplotlib.rc_context(), paused_collection():  # collections would take an eighth of the time
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(dict[Any, Any](settings or {}))

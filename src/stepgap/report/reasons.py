@@ -87,6 +87,12 @@ def _with_settings(verb: str, run: Run, options: str = "") -> str:
     return f"stepgap {verb} {quote(str(run.folder / 'experiment.toml'))} {options}".rstrip()
 
 
+def _with_target(run: Run, achieved: Achievement, state: Array) -> str:
+    """The command that runs again with one target for all steps, the tracked coordinates of a state (n,)."""
+    target = ",".join(f"{run.space.state_names[row]}={state[row]:.3g}" for row in achieved.rows)
+    return _with_settings("run", run, f"--target {target}")
+
+
 def _response(run: Run, achieved: Achievement) -> Iterator[Reason]:
     """Coordinates that do not follow the commands, or stay on one side of all targets."""
     first = run.steps.of_iteration(run.steps.iterations[0])
@@ -105,11 +111,8 @@ def _too_weak(run: Run, achieved: Achievement) -> Iterator[Reason]:
     if not offsets or achieved.last.cut <= _MANY_CUT * achieved.last.steps:
         return
     cut = f"Limits of the drives cut {achieved.last.cut} of {achieved.last.steps} commands of the last deployment."
-    done = np.nanmedian(last.next_state, axis=0)[achieved.rows]
-    names = [run.space.state_names[row] for row in achieved.rows]
-    near = ",".join(f"{name}={value:.3g}" for name, value in zip(names, done, strict=True))
     advice = "The robot is too weak for these targets: choose others near what it did, or stronger drives."
-    yield Reason(" ".join([cut, *offsets]), advice, _with_settings("run", run, f"--target {near}"))
+    yield Reason(" ".join([cut, *offsets]), advice, _with_target(run, achieved, np.nanmedian(last.next_state, axis=0)))
 
 
 def _known_before(run: Run, achieved: Achievement) -> Iterator[Reason]:
@@ -140,10 +143,9 @@ def _worse(run: Run, achieved: Achievement) -> Iterator[Reason]:
             f"Deployment {first.iteration} made all its {first.steps} steps with the nominal map, and what was learned "
             "from them made it worse: the error of this robot may jump, as where a foot slips or a limit acts."
         )
-        advice = (
-            "See what the robot may be otherwise than its model; smaller changes of the target stay clear of jumps."
-        )
-        yield Reason(sentence, advice, f"stepgap explain {quote(str(run.folder))}")
+        targets = run.steps.of_iteration(last.iteration).tracking().target
+        advice = "Changes of the target that are smaller stay clear of jumps: first try one target amid these."
+        yield Reason(sentence, advice, _with_target(run, achieved, np.nanmean(targets, axis=0)))
 
 
 def _reach(run: Run, achieved: Achievement) -> Iterator[Reason]:

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -75,6 +76,7 @@ class RobotFinding(NamedTuple):
     sentence: str
 
 
+@dataclass(frozen=True)
 class Robot(ABC):
     """A robot with its settings: a frozen dataclass, each field of which is a table of `experiment.toml`.
 
