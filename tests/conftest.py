@@ -20,6 +20,7 @@ from stepgap.hybrid.motion import axpy
 from tests.cli.command_line import Command, CommandResult
 from tests.compiled_hops import compile_hops
 from tests.hardware.realtime.warm_start import start_realtime_from_warm_server
+from tests.quick_disk import leave_out_waiting_for_the_disk
 from tests.quick_runs import (
     compute_in_a_thread,
     leave_out_drawing,
@@ -61,6 +62,7 @@ def pytest_configure() -> None:
     threadpool_limits(limits=1, user_api="blas")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of processes that tests start
     os.environ.setdefault("MUJOCO_GL", "disable")  # MuJoCo would start a process to look for OpenGL
+    leave_out_waiting_for_the_disk()
     start_processes_from_a_warm_server()
 
 

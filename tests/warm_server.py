@@ -5,9 +5,11 @@ import gc
 import stepgap.sweep.sweep_case  # noqa: F401
 from tests.compiled_hops import compile_hops
 from tests.hardware.ethercat.ring_process import RecordedTwin
+from tests.quick_disk import leave_out_waiting_for_the_disk
 from tests.warm_process import start_processes_from_a_warm_server
 
 start_processes_from_a_warm_server()  # in copies, too
+leave_out_waiting_for_the_disk()
 compile_hops()
 twin = RecordedTwin()
 twin.start()

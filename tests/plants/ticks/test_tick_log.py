@@ -28,14 +28,6 @@ UNITS = {"time": "s", "phi_1": "rad", "phi1": "rad", "torque_1": "N·m"}
 """Two of the names are one in Protobuf's JSON, where they need not differ."""
 
 
-@pytest.fixture(scope="module", autouse=True)
-def disk_that_never_waits():
-    """Without waiting for the disk, as there are thousands of recoveries."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(os, "fsync", lambda descriptor: None)
-        yield
-
-
 MEMORY = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 """Folder for thousands of short-lived files."""
 
