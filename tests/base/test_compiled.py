@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from stepgap.base.compiled import KEPT_VERSIONS
+from stepgap.base.compiled import KEPT_VERSIONS, generic
 from stepgap.hybrid.motion import axpy
 
 SOURCE = Path(__file__).parents[2] / "src"
@@ -261,3 +261,11 @@ def test_without_a_home_it_works(run: Run, package) -> None:
 def test_a_function_without_a_file_is_compiled_without_cache(run: Run, tmp_path) -> None:
     code = "from stepgap.base.compiled import compiled\n@compiled\ndef twice(x):\n    return 2 * x\nprint(twice(2.0))"
     assert run(code, tmp_path) == "4.0"
+
+
+def test_two_threads_that_ask_for_the_first_entry_at_the_same_time_do_not_make_python_ask_for_ever() -> None:
+    function: Any = generic(lambda number: number + number)
+    for _ in range(2):  # both have found no entry
+        function._compile_for_args(1.5)
+    function._compile_for_args = None
+    assert function(1.5) == 3.0

@@ -28,6 +28,7 @@ from typing import Any, Self, final
 import numba
 from numba.core import config
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import overload
 
 OPTIONS = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "arcp", "nsz"}}
@@ -142,12 +143,21 @@ def _inner(
     copy.__qualname__ = f"{function.__qualname__}_for_python"  # by which Numba names its file in the cache
     dispatcher.for_python = cache(lambda: compile_by(**options)(copy))
     insert = dispatcher._insert
+    entered: set[tuple[int, ...]] = set()
 
     def compile_for_python(*given: Any) -> Any:
-        """Called where no version for Python is known for the types of arguments; returns the entry of one."""
-        version = dispatcher.for_python()
-        entry = version._compile_for_args(*given)
-        insert([version.typeof_pyval(value)._code for value in given], entry, False)
+        """Called where no version for Python is known for the types of arguments; returns the entry of one.
+
+        Two threads may come here at the same time. A second version for Python would take its entry with it when it is
+        freed; and of two equal entries Numba finds none, but asks here in every call, which takes twenty times as long.
+        """
+        with global_compiler_lock:
+            version = dispatcher.for_python()
+            entry = version._compile_for_args(*given)
+            types = tuple(version.typeof_pyval(value)._code for value in given)
+            if types not in entered:
+                entered.add(types)
+                insert(list(types), entry, False)
         return entry
 
     dispatcher._insert = lambda *_: None  # the versions for compiled code are not for Python
