@@ -24,6 +24,7 @@ from tests.quick_disk import leave_out_waiting_for_the_disk
 from tests.quick_runs import (
     compute_in_a_thread,
     leave_out_drawing,
+    leave_out_figures,
     leave_out_files_of_figures,
     leave_out_repeats,
     leave_out_report,
@@ -127,15 +128,22 @@ def drawn_page() -> None:
     """Reports draw the figures of their page, which takes ten times as long as to make them."""
 
 
+@pytest.fixture
+def made_figures() -> None:
+    """Reports make their figures from their data, which takes as long as all else of a page, but do not draw them."""
+
+
 @pytest.fixture(autouse=True)
 def _figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tests that ask for neither have figures that are made from their data but not drawn."""
+    """Reports of tests that ask for none of these have empty figures."""
     if "every_format" in request.fixturenames:
         return
     if "drawn_page" in request.fixturenames:
         leave_out_files_of_figures(monkeypatch)
-    else:
+    elif "made_figures" in request.fixturenames:
         leave_out_drawing(monkeypatch)
+    else:
+        leave_out_figures(monkeypatch)
 
 
 @pytest.fixture

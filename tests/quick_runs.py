@@ -63,6 +63,12 @@ def leave_out_drawing(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(drawing, "_saved", lambda figure, form: EMPTY_SVG if form == "svg" else b"")
 
 
+def leave_out_figures(patch: pytest.MonkeyPatch) -> None:
+    """Figures are not even made: those of the page are empty, and so are their files."""
+    empty = drawing.Drawing(EMPTY_SVG.decode(), "[]", lambda form: b"")
+    patch.setattr(drawing, "_drawn", lambda make: empty)
+
+
 def leave_out_files_of_figures(patch: pytest.MonkeyPatch) -> None:
     """Figures are drawn for the page alone; their PNG and PDF files are empty."""
     saved = drawing._saved

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from stepgap.cli.app import main
-from tests.quick_runs import leave_out_drawing, leave_out_repeats
+from tests.quick_runs import leave_out_figures, leave_out_repeats
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n0.15,0.57\n"
 STEPS = 4
@@ -24,6 +24,6 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("viewed") / "run"
     with pytest.MonkeyPatch.context() as patch:
         leave_out_repeats(patch)
-        leave_out_drawing(patch)
+        leave_out_figures(patch)
         run_into(folder, "--quiet")
     return folder

@@ -28,7 +28,7 @@ from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.step import Outcome, StepRecord
 from tests.cli.command_line import Command, CommandResult, refused
 from tests.full_disk import FILE_TOO_LARGE, largest_file
-from tests.quick_runs import leave_out_drawing, repeat_less
+from tests.quick_runs import leave_out_figures, repeat_less
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 SHORT = 'seed = 5\nreference = "targets.csv"\n[learning]\niterations = 1\n'
@@ -49,7 +49,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "short.toml").write_text(SHORT)
     with pytest.MonkeyPatch.context() as patch:
         measure_briefly(patch)
-        leave_out_drawing(patch)
+        leave_out_figures(patch)
         main(["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--quiet"])
     return folder
 

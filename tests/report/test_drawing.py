@@ -14,6 +14,7 @@ from tests.report.pages import Page, check_alone
 from tests.report.runs import report_of, write_run
 
 
+@pytest.mark.usefixtures("made_figures")
 def test_the_reason_is_one_short_line() -> None:
     def fail() -> None:
         raise OSError("no font\n" * 100)
@@ -25,6 +26,7 @@ def test_the_reason_is_one_short_line() -> None:
     assert len(missing.reason) < 250 + LONGEST_ERROR
 
 
+@pytest.mark.usefixtures("made_figures")
 def test_a_report_needs_no_matplotlib(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     imported = builtins.__import__
 

@@ -121,7 +121,7 @@ def _one_step(simulation: Simulation) -> StepRecord:
         return plant.take_step(plant.space.command_centre)
 
 
-@pytest.mark.usefixtures("no_repeats")
+@pytest.mark.usefixtures("no_repeats", "made_figures")
 def test_run_report_resume_export_fit_and_view(
     robot: Robot, runs: Callable[[Robot], Path], stepgap: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -143,6 +143,7 @@ def test_run_report_resume_export_fit_and_view(
         result = stepgap(*verb)
         assert result.code == 0, result.err
     page = (folder / "report.html").read_text()
+    assert "could be drawn" not in page
     for quantity in robot.space.state:
         assert (f"<caption>Error of {quantity.name} [{quantity.unit}]" in page) == (quantity.weight > 0)
     source = Source(folder)
