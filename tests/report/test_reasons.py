@@ -64,7 +64,7 @@ def test_commands_that_jump_are_named_even_where_the_robot_tracks(tracked: Run) 
     jumping = steps.with_columns(requested=NOMINAL.space.command_centre + signs * NOMINAL.space.command_scale)
     np.testing.assert_allclose(changes_at_constant_targets(jumping), 0.4)
     (reason,) = reasons(changed(tracked, jumping, 1.0))
-    assert "the command jumps by 40 % of its range" in reason.sentence
+    assert "the command changes by 40 % of its range or more in every fourth step" in reason.sentence
     assert reason.command.endswith("/run/experiment.toml --control.largest_change 0.1")
 
 

@@ -7,7 +7,7 @@ from stepgap.control.limit_cycle import FixedPoint, ReachableSet
 from stepgap.control.reach import SMALL_PART, command_effect
 from stepgap.records.text import decimal, in_scale, in_words, unit_suffix
 from stepgap.report.drawing import axis_label
-from stepgap.report.gait_text import effect_sentences
+from stepgap.report.gait_text import HALF_RANGES, effect_sentences
 from stepgap.step import StepMap, StepSpace, StepStatus
 
 
@@ -45,7 +45,7 @@ def describe_gait(step_map: StepMap, point: FixedPoint, reachable: ReachableSet)
     jacobian = step_map.jacobian(point.state, point.command)
     if np.isfinite(jacobian).all():
         effect = command_effect(space, jacobian, SMALL_PART * space.state_scale)
-        sentences = effect_sentences(space, effect, "the map", "hundredths of half the ranges of use")
+        sentences = effect_sentences(space, effect, "the map", HALF_RANGES)
         first, *others = (sentence.removeprefix("By the map, ") for sentence in sentences)
         lines += [f"{'commands':21}{first.removeprefix('the commands ')}", *(f"{'':21}{other}" for other in others)]
     return "\n".join(lines)

@@ -1,11 +1,12 @@
 """The gait of a run in tables and sentences: limit cycles at its targets, their stability, and what commands can do."""
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
 from stepgap.control.limit_cycle import FixedPoint
-from stepgap.control.reach import CommandEffect
+from stepgap.control.reach import SMALL_PART, CommandEffect
 from stepgap.records.text import between, capitalised, decimal, in_scale, in_words, listed, trimmed, with_unit
 from stepgap.report.html import table
 from stepgap.report.measured_loop import MeasuredLoop
@@ -129,10 +130,13 @@ def _interval(ends: Array) -> str:
     return f"{ends[0]:.2f} … {ends[1]:.2f}" if np.isfinite(ends).all() else "–"
 
 
+HALF_RANGES: Final = "half ranges of use"
+
+
 def reach_sentences(gait: ReferenceGait) -> list[str]:
     """Sentences on the commands by the last map, which is the corrected one if there is one."""
     last = gait.maps[-1]
-    unit = "noise floors" if gait.has_floor else "hundredths of half the ranges of use"
+    unit = "noise floors" if gait.has_floor else HALF_RANGES
     found = [] if last.effect is None else effect_sentences(gait.space, last.effect, f"the {last.name} map", unit)
     return [*found, *_changes(gait, last)]
 
@@ -144,12 +148,13 @@ def effect_sentences(space: StepSpace, effect: CommandEffect, by_map: str, unit:
         space: State and command.
         effect: The effect.
         by_map: The map, in the middle of a sentence.
-        unit: The unit of the effect, in the plural.
+        unit: The unit of the effect, in the plural; `HALF_RANGES` for that of `SMALL_PART` of them.
     """
     n = len(space.state)
     rank = effect.rank
     tracked = [quantity.name for quantity in space.state if quantity.weight]
-    sizes = listed([decimal(size, 2) for size in effect.sizes])
+    sizes = [decimal(size * (SMALL_PART if unit == HALF_RANGES else 1.0), 2) for size in effect.sizes]
+    weakest = f" in the strongest one and {sizes[-1]} in the weakest" if len(sizes) > 1 else ""
     directions = f"{rank or 'no'} independent direction{'' if rank == 1 else 's'}"
     few = (
         f". So one step does not reach every combination of {listed(tracked)}, even if it reaches each one"
@@ -157,8 +162,8 @@ def effect_sentences(space: StepSpace, effect: CommandEffect, by_map: str, unit:
         else ""
     )
     found = [
-        f"By {by_map}, the commands move the next state in {directions} (singular values from one end of their bounds "
-        f"to the other: {sizes} {unit}){few}."
+        f"By {by_map}, the commands move the next state in {directions} (from one end of their bounds to the other, by "
+        f"{sizes[0]} {unit}{weakest}){few}."
     ]
     late = {steps: [] for steps in sorted(set(effect.delays.tolist()) - {1})}
     for name, steps in zip(space.state_names, effect.delays.tolist(), strict=True):

@@ -34,8 +34,8 @@ from stepgap.step import Array, Quantity
 
 MOST_REASONS: Final = 3  # A reader acts on the first one
 
-_JUMP: Final = 0.2
-"""Part of its range by which a command changes in the median, at an unchanged target, from which on it jumps."""
+_JUMP: Final = 0.2  # Part of its range by which a command changes, at an unchanged target, from which on it jumps
+_JUMPING: Final = 0.25  # Part of the steps in which it does so
 
 _FEWEST_JUMPS: Final = 10  # Smallest number of steps at unchanged targets that show it
 _LATE: Final = 3.0  # Ratio of errors after a change of the target to those later from which on they are a cause
@@ -67,7 +67,7 @@ def reasons(run: Run) -> list[Reason]:
     achieved = Achievement(run)
     last = run.steps.of_iteration(achieved.last.iteration).tracking()
     jumps = list(_jumps(run, last))
-    if not achieved.last.failed_steps and not achieved.far_rows:
+    if not achieved.last.failed_steps and not achieved.far_rows and not _is_worse(run, achieved):
         return jumps
     for decisive in (_known_before, _too_weak, _response, _worse):
         if found := list(decisive(run, achieved)):
@@ -131,21 +131,30 @@ def _known_before(run: Run, achieved: Achievement) -> Iterator[Reason]:
         yield Reason(sentence, "Begin without them.", _with_settings("run", run, "--warm-start none"))
 
 
-def _worse(run: Run, achieved: Achievement) -> Iterator[Reason]:
-    """A robot that did worse with what was learned than with the nominal map."""
+def _is_worse(run: Run, achieved: Achievement) -> bool:
+    """Whether the robot fell, or did clearly worse, with what was learned, but not with the nominal map."""
     first, last = achieved.first, achieved.last
     if achieved.predicted or not achieved.learned or first.failed_steps:
-        return
+        return False
     scale = run.space.state_scale[achieved.rows]
     before, after = (np.linalg.norm(one.rmse[achieved.rows] / scale) for one in (first, last))
-    if last.failed_steps or after > _WORSE * before:
-        sentence = (
-            f"Deployment {first.iteration} made all its {first.steps} steps with the nominal map, and what was learned "
-            "from them made it worse: the error of this robot may jump, as where a foot slips or a limit acts."
-        )
-        targets = run.steps.of_iteration(last.iteration).tracking().target
-        advice = "Changes of the target that are smaller stay clear of jumps: first try one target amid these."
-        yield Reason(sentence, advice, _with_target(run, achieved, np.nanmean(targets, axis=0)))
+    return bool(last.failed_steps or after > _WORSE * before)
+
+
+def _worse(run: Run, achieved: Achievement) -> Iterator[Reason]:
+    """A robot that did worse with what was learned than with the nominal map: by commands that jump, or otherwise."""
+    if not _is_worse(run, achieved):
+        return
+    first, last = achieved.first, run.steps.of_iteration(achieved.last.iteration).tracking()
+    if jumps := list(_jumps(run, last)):
+        yield from jumps
+        return
+    sentence = (
+        f"Deployment {first.iteration} made all its {first.steps} steps with the nominal map, and what was learned "
+        "from them made it worse: the error of this robot may jump, as where a foot slips or a limit acts."
+    )
+    advice = "Changes of the target that are smaller stay clear of jumps: first try one target amid these."
+    yield Reason(sentence, advice, _with_target(run, achieved, np.nanmean(last.target, axis=0)))
 
 
 def _reach(run: Run, achieved: Achievement) -> Iterator[Reason]:
@@ -218,14 +227,17 @@ def _jumps(run: Run, last: Steps) -> Iterator[Reason]:
     changes = changes_at_constant_targets(last)
     if len(changes) < _FEWEST_JUMPS:
         return
-    median = np.median(changes, axis=0)
-    names = [name for name, change in zip(run.space.command_names, median, strict=True) if change > _JUMP]
+    often = np.quantile(changes, 1 - _JUMPING, axis=0)
+    names = [name for name, change in zip(run.space.command_names, often, strict=True) if change > _JUMP]
     if names:
         sentence = (
-            f"{listed(names)}: at an unchanged target, the command jumps by {100 * median.max():.0f} % of its range "
-            "from a step to the next, in the median."
+            f"{listed(names)}: at an unchanged target, the command changes by {100 * often.max():.0f} % of its range "
+            "or more in every fourth step."
         )
-        advice = "Other commands do about equally well: a limit of its change keeps to one of them."
+        advice = (
+            "Other commands do about equally well, or a command also acts in the step after it: a limit of its change "
+            "calms it."
+        )
         yield Reason(capitalised(sentence), advice, _with_settings("run", run, "--control.largest_change 0.1"))
 
 

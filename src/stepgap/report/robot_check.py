@@ -23,7 +23,7 @@ from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps, joined
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.text import capitalised, in_words, listed, unit_suffix
-from stepgap.report.gait_text import effect_sentences
+from stepgap.report.gait_text import HALF_RANGES, effect_sentences
 from stepgap.report.robot_response import (
     LEAST_REMEMBERED,
     REMEMBERED,
@@ -116,7 +116,7 @@ def check_commands(nominal: StepMap, held: Reference) -> Iterator[PartResult]:
         )
         return
     effect = command_effect(space, jacobian, SMALL_PART * space.state_scale)
-    sentences = effect_sentences(space, effect, "the map", "hundredths of half the ranges of use")
+    sentences = effect_sentences(space, effect, "the map", HALF_RANGES)
     stable = "stable" if point.stable else "not stable"
     where = f"{in_words(space.state, point.state)} is held by {in_words(space.command, point.command)}"
     still = bool((effect.delays[space.tracked] == 0).any())

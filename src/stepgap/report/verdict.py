@@ -173,8 +173,8 @@ class Achievement:
         after = self.after[row]
         if (self.first is self.last and not self.predicted) or not before > 0 or not after > 0:
             return np.nan
-        if max(before, after) <= NEAR_FLOOR * self.floor[row]:
-            return 0.0
+        if self.run.summary.noise_floor_measured and max(before, after) <= NEAR_FLOOR * self.floor[row]:
+            return 0.0  # a floor that is found from the same steps grows with their errors
         return clear_change(before, after, np.array([self.before_ends[:, row], self.after_ends[:, row]]))
 
     @cached_property
