@@ -22,6 +22,7 @@ from stepgap.step import Array, StepStatus
 ROOT = Path(__file__).parent.parent
 PROGRAM = [sys.executable, str(ROOT / "examples" / "process" / "ros2_robot.py")]
 LAG, GAIN, SECONDS = 0.1, 0.8, 0.5
+BEYOND = "the program reports: 'command_vx = 0.45, but this robot may get at most 0.4'"
 
 
 @pytest.fixture
@@ -32,13 +33,28 @@ def commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "commands"
 
 
+def test_arguments_of_ros_remap_its_topics_and_set_its_parameters(
+    commands: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STAND_IN_COMMAND", "/go2/base/cmd_vel")
+    monkeypatch.setenv("STAND_IN_ODOM", "/go2/odom")
+    ros = "--ros-args -r __ns:=/go2 -r cmd_vel:=base/cmd_vel -p stamped:=true -p limit_vx:=0.4"
+    robot = plant(*ros.split())
+    robot.start()
+    assert robot.take_step(np.array([0.3, 0.0, 0.0])).status == StepStatus.OK
+    beyond = robot.take_step(np.array([0.45, 0.0, 0.0]))
+    assert (beyond.status, robot.fault) == (StepStatus.STOPPED, BEYOND)
+    robot.stop()
+    assert noted(commands)[:, 1].max() == 0.3
+
+
 def noted(commands: Path) -> Array:
     """Times and commands that the robot got; shape (C, 4)."""
     return np.loadtxt(commands, ndmin=2)
 
 
 def plant(*arguments: str) -> ProcessPlant:
-    return ProcessPlant(partial(Child, [*PROGRAM, *arguments]), Walk().space)
+    return ProcessPlant(partial(Child, [*PROGRAM, *arguments]), Walk().space, seconds=SECONDS)
 
 
 @pytest.mark.parametrize("arguments", [(), ("--pose", "/mocap")], ids=["odometry", "pose"])
@@ -88,7 +104,7 @@ def walking(commands: Path) -> Iterator["subprocess.Popen[str]"]:
         assert program.stdin
         assert program.stdout
         forward = {"command_vx": 0.4, "command_vy": 0.0, "command_wz": 0.0}
-        for message in ({"stepgap": 1}, {"start": True}, {"step": 1, "command": forward}):
+        for message in ({"stepgap": 1, "seconds": SECONDS}, {"start": True}, {"step": 1, "command": forward}):
             program.stdin.write(json.dumps(message) + "\n")
             program.stdin.flush()
             line = program.stdout.readline()

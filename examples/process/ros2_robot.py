@@ -1,11 +1,15 @@
 """Connects `stepgap run --plant process` to a walking robot on ROS 2 that is commanded velocities.
 
     stepgap run --robot velocity --plant process --out runs/ros2 -- python3 examples/process/ros2_robot.py
+    stepgap run … -- python3 examples/process/ros2_robot.py --ros-args -r cmd_vel:=/go2/cmd_vel -p stamped:=true
 
-A step begins with a new command on /cmd_vel (geometry_msgs/Twist), which is repeated until the step ends after SECONDS.
-Its state is the mean velocity of the step by /odom (nav_msgs/Odometry, velocities in the frame of the robot). With
---pose TOPIC, a geometry_msgs/PoseStamped such as of motion capture, it is the displacement in the step, as seen by the
-robot. The robot gets the command zero when no odometry has come for SILENCE, when StepGap has no command for PATIENCE,
+A step begins with a new command on cmd_vel (geometry_msgs/Twist, or TwistStamped with the parameter stamped), which is
+repeated until the step ends after the duration that StepGap says, `walk.seconds`. Its state is the mean velocity of the
+step by odom (nav_msgs/Odometry, velocities in the frame of the robot). With --pose TOPIC, a geometry_msgs/PoseStamped
+such as of motion capture, it is the displacement in the step, as seen by the robot. Topics can be remapped; parameters
+are stamped, and limit_vx, limit_vy, limit_wz, the largest commands that the robot may get.
+
+The robot gets the command zero when no odometry has come for SILENCE, when StepGap has no command for PATIENCE,
 when the robot has tipped over, and when this program ends.
 """
 
@@ -19,15 +23,16 @@ import threading
 from itertools import pairwise
 
 import rclpy
-from geometry_msgs.msg import PoseStamped, Twist
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
-SECONDS, SILENCE, PATIENCE, REPEAT, REST = 0.5, 0.2, 1.0, 0.05, 0.5  # s
+SILENCE, PATIENCE, REPEAT, REST = 0.2, 1.0, 0.05, 0.5  # s
 TIPPED = 0.5  # cosine of the angle between the robot's vertical axis and the vertical
-LIMITS = {"command_vx": 1.2, "command_vy": 0.5, "command_wz": 1.0}  # largest commands that this robot may get
+LIMITS = {"vx": 1.2, "vy": 0.5, "wz": 1.0}  # largest commands that this robot may get, if no parameter says another
 UNITS = {
     "state": {"vx": "m/s", "vy": "m/s", "wz": "rad/s"},
     "command": {"command_vx": "m/s", "command_vy": "m/s", "command_wz": "rad/s"},
@@ -48,12 +53,17 @@ class Robot:
         self.node, self.command, self.published, self.heard = node, list[float](), -math.inf, -math.inf
         self.samples: list[tuple[float, ...]] = []  # of the present step: time of the robot [s], and velocities or pose
         self.upright, self.halted, self.by_pose = True, False, bool(pose_topic)
-        self.commands = node.create_publisher(Twist, "/cmd_vel", 1)
+        self.seconds = math.nan  # duration of a step [s], which StepGap says
+        self.limits = {
+            f"command_{axis}": node.declare_parameter(f"limit_{axis}", most).value for axis, most in LIMITS.items()
+        }
+        self.is_stamped = node.declare_parameter("stamped", False).value
+        self.commands = node.create_publisher(TwistStamped if self.is_stamped else Twist, "cmd_vel", 1)
         # Reliable and best-effort publishers both reach a subscription of sensor data.
         if pose_topic:
             node.create_subscription(PoseStamped, pose_topic, self.on_pose, qos_profile_sensor_data)
         else:
-            node.create_subscription(Odometry, "/odom", self.on_odometry, qos_profile_sensor_data)
+            node.create_subscription(Odometry, "odom", self.on_odometry, qos_profile_sensor_data)
 
     def on_odometry(self, message: Odometry) -> None:
         """A sample of velocity."""
@@ -82,9 +92,12 @@ class Robot:
     def spin(self) -> None:
         """Repeats the command if it is due, and receives what has come."""
         if self.command and now() - self.published >= REPEAT:  # before the start another program may move the robot
-            twist = Twist()
+            message = TwistStamped() if self.is_stamped else Twist()
+            if self.is_stamped:
+                message.header.stamp = self.node.get_clock().now().to_msg()
+            twist = message.twist if self.is_stamped else message
             twist.linear.x, twist.linear.y, twist.angular.z = self.command
-            self.commands.publish(twist)
+            self.commands.publish(message)
             self.published = now()
         rclpy.spin_once(self.node, timeout_sec=0.01)
 
@@ -98,7 +111,7 @@ class Robot:
         self.samples = self.samples[-1:]
         if not self.halted:
             self.send(command)
-        while not self.halted and self.samples[-1][0] - self.samples[0][0] < SECONDS:
+        while not self.halted and self.samples[-1][0] - self.samples[0][0] < self.seconds:
             self.spin()
             self.watch()
         return "ok" if not self.halted else "stopped" if self.upright else "fell"
@@ -132,9 +145,9 @@ def displacement(samples: list[tuple[float, ...]]) -> list[float]:
     return total
 
 
-def checked(command: dict[str, float]) -> list[float]:
+def checked(command: dict[str, float], limits: dict[str, float]) -> list[float]:
     """The command as a list; raises ValueError if it is not one that this robot may get."""
-    for name, most in LIMITS.items():
+    for name, most in limits.items():
         if not abs(command[name]) <= most:  # also for NaN
             raise ValueError(f"{name} = {command[name]}, but this robot may get at most {most}")
     return [command[name] for name in UNITS["command"]]
@@ -143,13 +156,14 @@ def checked(command: dict[str, float]) -> list[float]:
 def answer(robot: Robot, message: dict) -> dict:
     """The answer to a line of StepGap."""
     if "stepgap" in message:
+        robot.seconds = message["seconds"]
         return {"ready": UNITS}
     if "start" in message:
         robot.wait_for_odometry()
         if (status := robot.step(ZERO)) != "ok":
             raise RuntimeError(f"the robot {status} before its first step")
         return {"state": robot.state()}
-    status = robot.step(checked(message["command"]))
+    status = robot.step(checked(message["command"], robot.limits))
     return {"step": message["step"], "status": status, **({"next": robot.state()} if status == "ok" else {})}
 
 
@@ -185,10 +199,10 @@ def serve(robot: Robot) -> None:
 def main() -> None:
     """Connects, serves, and brings the robot to rest."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--pose", default="", metavar="TOPIC", help="PoseStamped to use instead of /odom")
-    pose_topic = parser.parse_args().pose
+    parser.add_argument("--pose", default="", metavar="TOPIC", help="PoseStamped to use instead of odom")
+    pose_topic = parser.parse_args(remove_ros_args(sys.argv)[1:]).pose
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # runs what is below `finally`
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # its own handlers end all topics at once
+    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)  # its own handlers end all topics at once
     robot = Robot(rclpy.create_node("stepgap"), pose_topic)
     try:
         serve(robot)

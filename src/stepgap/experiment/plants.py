@@ -129,7 +129,7 @@ def process_plants(request: PlantRequest) -> Plants:
         raise InputError(f"-- {program[0]}: cannot be started: no such program; give its path, or a name in PATH")
     connect = partial(Connection, int(port[1])) if port else partial(Child, tuple(program))
     space = settings.space
-    return Plants(lambda _: ProcessPlant(connect, space, settings.process), replays=False)
+    return Plants(lambda _: ProcessPlant(connect, space, settings.process, settings.robot.step_seconds), replays=False)
 
 
 @contextmanager

@@ -134,6 +134,11 @@ class Robot(ABC):
         return ()
 
     @property
+    def step_seconds(self) -> float | None:
+        """Duration of a step [s], which the program of another plant must know; None where it has no fixed one."""
+        return None
+
+    @property
     def as_modelled(self) -> Self:
         """This robot with all settings that its nominal maps do not use at their defaults."""
         return self

@@ -1,61 +1,32 @@
-"""A stand-in of rclpy with a walking robot on its topics: what `examples/process/ros2_robot.py` uses, and no more.
+"""A stand-in of rclpy with a walking robot on its topics: what the nodes of StepGap use, and no more.
 
 Time passes only while a node spins, 10 ms in each call, so no test depends on the speed of the machine. Messages cross
-the topics in CDR, by the message definitions that are published with ROS 2 Humble, as `rosbags` has them.
+the topics in CDR, by the message definitions that are published with ROS 2 Humble, as `rosbags` has them. Arguments of
+ROS are read as rcl reads them: names are expanded by node and namespace, and then remapped.
 
-Environment: STAND_IN_LOG is a file for all commands, as lines of time, vx, vy and wz; STAND_IN_FAULT=KIND,SECONDS says
-from when on the robot is silent, fell, or reports nan.
+Environment: STAND_IN_LOG is a file for all commands, as lines of time, vx, vy and wz; STAND_IN_SAID one for lines of
+the log and text that is published; STAND_IN_FAULT=KIND,SECONDS[,SECONDS] says from when to when the robot is silent,
+fell, or reports nan, frozen or jumping numbers; STAND_IN_ASKED has the velocities that somebody asks for on
+cmd_vel_raw, as [[SECONDS, vx, vy, wz], …], up to the last of these times, when the node is told to end;
+STAND_IN_COMMAND, STAND_IN_RAW and STAND_IN_ODOM are the full names of topics, STAND_IN_STAMPED is 1 for TwistStamped.
 """
 
-import math
-import os
-from collections.abc import Callable
-from typing import Any
+import sys
 
 from ros2_messages import as_bytes, from_bytes
 
-from rclpy import world
+from rclpy import arguments, world
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 
-def init(*, signal_handler_options: SignalHandlerOptions) -> None:
-    """Nothing is to be prepared."""
-    assert signal_handler_options == SignalHandlerOptions.NO
-
-
-class Node:
-    """A node of which this process has one."""
-
-    def __init__(self, name: str):
-        self.name = name
-        self.subscriptions: dict[str, tuple[type, Callable[[Any], None]]] = {}
-
-    def create_publisher(self, kind: type, topic: str, qos_profile: int) -> "Publisher":
-        """A publisher of the command."""
-        assert (topic, qos_profile) == ("/cmd_vel", 1)
-        return Publisher(kind)
-
-    def create_subscription(self, kind: type, topic: str, callback: Callable[[Any], None], qos_profile: object) -> None:
-        """Calls back for each message."""
-        assert qos_profile == "sensor data"
-        self.subscriptions[topic] = kind, callback
-
-
-class Publisher:
-    """Gives each message to the robot."""
-
-    def __init__(self, kind: type):
-        self.kind = kind
-
-    def publish(self, message: Any) -> None:
-        """Sends a command."""
-        assert isinstance(message, self.kind)
-        twist = from_bytes(as_bytes(message), self.kind)
-        command = [twist.linear.x, twist.linear.y, twist.angular.z]
-        assert all(map(math.isfinite, command))
-        world.ROBOT.command = command
-        with open(os.environ["STAND_IN_LOG"], "a", encoding="utf-8") as log:  # noqa: PTH123
-            print(world.ROBOT.time, *command, file=log)
+def init(
+    *, args: list[str] | None = None, signal_handler_options: SignalHandlerOptions = SignalHandlerOptions.ALL
+) -> None:
+    """Reads the arguments of ROS."""
+    del signal_handler_options
+    Node.given = arguments.read(sys.argv if args is None else args)
 
 
 def create_node(name: str) -> Node:
@@ -64,9 +35,25 @@ def create_node(name: str) -> Node:
 
 
 def spin_once(node: Node, *, timeout_sec: float) -> None:
-    """Lets 10 ms pass and delivers the message that has come, if one has."""
+    """Lets 10 ms pass and delivers the messages that have come."""
     assert timeout_sec == world.TICK
     for topic, message in world.ROBOT.moved():
         if topic in node.subscriptions:
             kind, callback = node.subscriptions[topic]
+            assert message.__msgtype__ == kind.__msgtype__, "a subscription of another type gets nothing"
             callback(from_bytes(as_bytes(message), kind))
+    for timer in node.timers:
+        if world.ROBOT.time >= timer[0] - 1e-9:
+            timer[0] += timer[1]
+            timer[2]()
+
+
+def spin(node: Node) -> None:
+    """Spins until nobody asks for a velocity any more."""
+    while not world.ROBOT.is_over:
+        spin_once(node, timeout_sec=world.TICK)
+    raise ExternalShutdownException
+
+
+def try_shutdown() -> None:
+    """Nothing is to be ended."""

@@ -1,5 +1,6 @@
 """A robot that follows its commanded velocity with lag and a gain, has odometry at 50 Hz, and may fail."""
 
+import json
 import math
 import os
 from collections.abc import Iterator
@@ -15,31 +16,53 @@ class Robot:
 
     def __init__(self) -> None:
         self.time, self.command, self.velocity, self.pose = 0.0, [0.0] * 3, [0.0] * 3, [1.0, 2.0, 3.0]
-        kind, _, begin = os.environ.get("STAND_IN_FAULT", "").partition(",")
-        self.fault, self.fails = kind, float(begin or math.inf)
+        kind, begin, end = (*os.environ.get("STAND_IN_FAULT", "").split(","), "", "")[:3]
+        self.fault, self.fails, self.recovers = kind, float(begin or math.inf), float(end or math.inf)
+        self.asked = json.loads(os.environ.get("STAND_IN_ASKED", "[]"))
+        self.seen = [0.0] * 3  # the velocities of the latest odometry
+        self.drift = json.loads(os.environ.get("STAND_IN_DRIFT", "[0, 0, 0]"))
 
     def moved(self) -> Iterator[tuple[str, Any]]:
         """Moves for a tick; yields topics and messages every second time."""
         self.time += TICK
         change = TICK / LAG
-        self.velocity = [v + change * (GAIN * c - v) for v, c in zip(self.velocity, self.command, strict=True)]
+        pairs = zip(self.velocity, self.command, self.drift, strict=True)
+        self.velocity = [v + change * (GAIN * c + drift - v) for v, c, drift in pairs]
         forward, left, turn = self.velocity
         x, y, yaw = self.pose
         middle = yaw + turn * TICK / 2
         x += TICK * (forward * math.cos(middle) - left * math.sin(middle))
         y += TICK * (forward * math.sin(middle) + left * math.cos(middle))
         self.pose = [x, y, yaw + turn * TICK]
-        failed = self.fault if self.time > self.fails else ""
+        failed = self.fault if self.fails < self.time < self.recovers else ""
         if round(self.time / TICK) % 2 == 0 and failed != "silent":
-            yield "/odom", self.odometry(failed)
+            yield os.environ.get("STAND_IN_ODOM", "/odom"), self.odometry(failed)
             yield "/mocap", self.stamped()
+        if self.asked and round(self.time / TICK) % 10 == 0:
+            yield os.environ.get("STAND_IN_RAW", "/cmd_vel_raw"), self.wanted()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the last time at which somebody asks for a velocity is over."""
+        return self.time >= self.asked[-1][0]
+
+    def wanted(self) -> Any:
+        """The message of the velocity that somebody asks for now."""
+        kind = "TwistStamped" if os.environ.get("STAND_IN_STAMPED", "1") == "1" else "Twist"
+        message = message_type(f"geometry_msgs/msg/{kind}")()
+        twist = message.twist if kind == "TwistStamped" else message
+        twist.linear.x, twist.linear.y, twist.angular.z = [row for row in self.asked if row[0] <= self.time][-1][1:]
+        return message
 
     def odometry(self, failed: str) -> Any:
         """The message of its odometry."""
         message = message_type("nav_msgs/msg/Odometry")()
         self.write(message.header.stamp, message.pose.pose)
         twist = message.twist.twist
-        twist.linear.x, twist.linear.y, twist.angular.z = self.velocity
+        self.seen = self.seen if failed == "frozen" else list(self.velocity)
+        twist.linear.x, twist.linear.y, twist.angular.z = self.seen
+        if failed == "jumps":
+            twist.linear.y += 3.0 * (round(self.time / TICK) % 4 == 0)
         if failed == "nan":
             twist.linear.x = math.nan
         if failed == "fell":

@@ -261,6 +261,11 @@ class WalkingRobot(MjcfRobot):
         return self.walk.space
 
     @property
+    def step_seconds(self) -> float:
+        """That of the walk."""
+        return self.walk.seconds
+
+    @property
     def start_state(self) -> Array:
         """Standing still."""
         return np.zeros(len(_NAMES))

@@ -6,7 +6,8 @@ StepGap sends                                             the program answers
 `{"step": NUMBER, "command": {NAME: NUMBER…}}`            `{"step": NUMBER, "next": {…}, "status": "ok", …}`
 `{"stop": true}`                                          nothing; it brings the robot to rest and ends
 
-A QUANTITY is `{"name": …, "unit": …, "lower": …, "upper": …}`. An answer to a step may contain `"applied"`, the command
+The first line also has `"seconds"`, the duration of a step, where the robot's steps have one. A QUANTITY is
+`{"name": …, "unit": …, "lower": …, "upper": …}`. An answer to a step may contain `"applied"`, the command
 after all limits, and the numbers of the robot's context, each under its name. Its status is one of the names of
 `StepStatus` in lower case; a step that is not `"ok"` needs no next state and ends the deployment. The program also has
 to bring the robot to rest when its input ends.
@@ -56,13 +57,14 @@ class Answer(NamedTuple):
     requested: Array
 
 
-def hello(space: StepSpace) -> str:
-    """First line to the program: version, and the quantities of state and command."""
+def hello(space: StepSpace, seconds: float | None = None) -> str:
+    """First line to the program: version, quantities of state and command, and the duration of a step if any [s]."""
 
     def described(quantities: Sequence[Quantity]) -> list[dict[str, Any]]:
         return [{"name": one.name, "unit": one.unit, "lower": one.lower, "upper": one.upper} for one in quantities]
 
-    return _line({"stepgap": PROTOCOL, "state": described(space.state), "command": described(space.command)})
+    lasting = {} if seconds is None else {"seconds": seconds}
+    return _line({"stepgap": PROTOCOL, "state": described(space.state), "command": described(space.command), **lasting})
 
 
 def step(number: int, command: Array, space: StepSpace) -> str:

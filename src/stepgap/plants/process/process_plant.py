@@ -61,6 +61,7 @@ class ProcessPlant(Plant):
         connect: Starts the program or connects to it, such as `lambda: Child(["./robot"])`.
         space: Names, units and ranges of state and command.
         timeouts: Longest times to wait.
+        seconds: Duration of a step, which the program is told [s]; None where steps have no fixed one.
     """
 
     def __init__(
@@ -68,7 +69,9 @@ class ProcessPlant(Plant):
         connect: Callable[[], LineChannel],
         space: StepSpace,
         timeouts: Timeouts = Timeouts(),
+        seconds: float | None = None,
     ):
+        self._seconds = seconds
         self._connect = connect
         self._space = space
         self._timeouts = timeouts
@@ -95,7 +98,7 @@ class ProcessPlant(Plant):
             ProcessFault: The program cannot be started, has other names or units, or does not answer.
         """
         self._channel = channel = self._connect()
-        channel.send(hello(self._space))
+        channel.send(hello(self._space, self._seconds))
         check_ready(channel.receive(self._timeouts.ready), self._space)
         channel.send(START)
         self._measured, self._context = read_start(channel.receive(self._timeouts.start), self._space)

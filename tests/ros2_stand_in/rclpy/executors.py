@@ -1,0 +1,5 @@
+"""Errors of executors."""
+
+
+class ExternalShutdownException(Exception):
+    """The node is told to end."""
