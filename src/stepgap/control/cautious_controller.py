@@ -13,16 +13,16 @@ systems, 2002).
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.control.box_points import box_points, composite_design
-from stepgap.control.command_before import COMMAND_WEIGHT, MapWithCommand, space_with_command
+from stepgap.control.command_before import COMMAND_WEIGHT, MapWithCommand, StandingMap, space_with_command
 from stepgap.control.command_table import CommandTable
 from stepgap.control.gauss_newton import minimise
-from stepgap.control.goal import UNTRACKED_WEIGHT, Goal, goals_for
+from stepgap.control.goal import UNTRACKED_WEIGHT, Goal, Standing, goals_for
 from stepgap.control.horizon import plan_ahead
 from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.control.step_controller import StepController, as_vector, checked_target
@@ -69,6 +69,7 @@ class CautiousController:
             no limit. Shape (m,).
         untracked: Weights of the coordinates without a target, as of `goals_for`.
         around: Least and largest command beside the other limits, as of `CommandChange`.
+        standing: As of `goals_for`.
     """
 
     step_map: StepMap
@@ -79,6 +80,7 @@ class CautiousController:
     previous: Array | None = None
     untracked: Array | float = UNTRACKED_WEIGHT
     around: tuple[Array, Array] | None = None
+    standing: Standing | None = None
 
     @property
     def change(self) -> CommandChange:
@@ -113,7 +115,7 @@ class CautiousController:
         searching = self._with_half_the_budget()
         checking = self._with_half_the_budget()
         predicting = searching.step_map
-        goals = goals_for(self._with_half_the_budget().step_map, targets, self.untracked)
+        goals = goals_for(self._with_half_the_budget().step_map, targets, self.untracked, self.standing)
         goal = goals.onward[0]
         solver = StepController(self.change.limited(predicting))
         exact = self.table(state, target, guess) if self.table else solver.towards(state, goal, guess)
@@ -162,6 +164,7 @@ class CautiousController:
             nominal=MapWithCommand(self.nominal, space, without_effect, start),
             failures=np.hstack([self.failures[:, :n], present, self.failures[:, n:]]),
             untracked=np.repeat([UNTRACKED_WEIGHT, COMMAND_WEIGHT], [n, m]),
+            standing=partial(StandingMap, quantities=self.step_map.space),
         )
         first, *later = np.hstack([targets, np.full((len(targets), m), np.nan)])
         plan = whole(np.append(start, before.command), first, guess, later)

@@ -54,7 +54,7 @@ class MapWithCommand(StepMap):
         next_state, status = self.inner.evaluate(state, command)
         of_command = (earlier - self.before.command) @ self.before.effect.T
         next_state = next_state + of_command + (state - self.start) @ self.before.memory.T
-        return Outcome(self._joined(next_state, command), status)
+        return Outcome(_joined(next_state, command), status)
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n + m, n + 2m)."""
@@ -68,11 +68,11 @@ class MapWithCommand(StepMap):
     @property
     def noise_std(self) -> Array:
         """Standard deviation of a measured next state about its expected value; shape (n + m,)."""
-        return self._joined(self.inner.noise_std, np.zeros(len(self.space.command)))
+        return _joined(self.inner.noise_std, np.zeros(len(self.space.command)))
 
     def std(self, state: ArrayLike, command: ArrayLike) -> Array:
         """Standard deviation of the next state; shape (…, n + m)."""
-        return self._joined(self.inner.std(self._parts(state)[0], command), np.zeros(len(self.space.command)))
+        return _joined(self.inner.std(self._parts(state)[0], command), np.zeros(len(self.space.command)))
 
     def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂std/∂(state, command); shape (…, n + m, n + 2m)."""
@@ -92,9 +92,40 @@ class MapWithCommand(StepMap):
         whole[..., :n, n + m :] = derivatives[..., n:]
         return whole
 
-    def _joined(self, state: Array, command: ArrayLike) -> Array:
-        """States (…, n) and commands (…, m) side by side."""
-        command = np.asarray(command, float)
-        leading = np.broadcast_shapes(state.shape[:-1], command.shape[:-1])
-        parts = [np.broadcast_to(part, (*leading, part.shape[-1])) for part in (state, command)]
-        return np.concatenate(parts, axis=-1)
+
+@final
+@dataclass(frozen=True, eq=False)
+class StandingMap(StepMap):
+    """The step of a robot whose command was the same in the step before: state and command alone.
+
+    Attributes:
+        whole: A map whose state also has the command of the step before.
+        quantities: State and command without it.
+    """
+
+    whole: StepMap
+    quantities: StepSpace
+
+    @property
+    def space(self) -> StepSpace:
+        """Names, units and ranges."""
+        return self.quantities
+
+    def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
+        """Next states and status codes."""
+        next_state, status = self.whole.evaluate(_joined(state, command), command)
+        return Outcome(next_state[..., : len(self.quantities.state)], status)
+
+    def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
+        """∂(next state)/∂(state, command); shape (…, n, n + m)."""
+        n = len(self.quantities.state)
+        m = len(self.quantities.command)
+        whole = self.whole.jacobian(_joined(state, command), command)[..., :n, :]
+        return np.concatenate([whole[..., :n], whole[..., n : n + m] + whole[..., n + m :]], axis=-1)
+
+
+def _joined(state: ArrayLike, command: ArrayLike) -> Array:
+    """States (…, n) and commands (…, m) side by side."""
+    parts = np.asarray(state, float), np.asarray(command, float)
+    leading = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
+    return np.concatenate([np.broadcast_to(part, (*leading, part.shape[-1])) for part in parts], axis=-1)

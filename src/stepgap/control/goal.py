@@ -8,6 +8,7 @@ that a command repeats these are a quadratic form of the next state, the cost-to
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -26,6 +27,8 @@ UNTRACKED_WEIGHT: Final = 0.03
 
 EFFORT_WEIGHT: Final = 0.01
 """Weight of the squared deviation [half bounds] of a later command from the one that holds that state."""
+
+Standing = Callable[[StepMap], StepMap]
 
 LATER_STEPS: Final = 50
 """Number of later steps whose errors count. A finite number needs no stabilising command, and no command moves some
@@ -132,28 +135,40 @@ class StepGoals:
         return *self.alone[:-1], self.onward[-1]
 
 
-def goals_for(step_map: StepMap, targets: Array, untracked: Array | float = UNTRACKED_WEIGHT) -> StepGoals:
+def goals_for(
+    step_map: StepMap, targets: Array, untracked: Array | float = UNTRACKED_WEIGHT, standing: Standing | None = None
+) -> StepGoals:
     """What is wanted of steps to targets: the targets where all states are tracked, otherwise the least cost.
 
     Args:
         step_map: Predicts steps; where it does not about a target, that is wanted without later costs.
         targets: NaN in coordinates without a target; shape (k, n).
         untracked: Weight of the squared deviation [half ranges] of coordinates without a target; shape (n,).
+        standing: Makes of the map that of a command which was the same in the step before, where that is a state.
     """
     space = step_map.space
     goals = dict[bytes, tuple[Goal, Goal]]()  # of each distinct target
     for target in targets:
         if target.tobytes() not in goals:
             plain = Targets(space, target)
-            goals[target.tobytes()] = (plain, plain) if space.tracked.all() else _regulated(step_map, plain, untracked)
+            tracked = space.tracked.all()
+            regulated = (plain, plain) if tracked else _regulated(step_map, plain, untracked, standing)
+            goals[target.tobytes()] = regulated
     alone, onward = zip(*(goals[target.tobytes()] for target in targets), strict=True)
     return StepGoals(alone, onward)
 
 
-def _regulated(step_map: StepMap, plain: Targets, untracked: Array | float) -> tuple[Goal, Goal]:
+def _regulated(
+    step_map: StepMap, plain: Targets, untracked: Array | float, standing: Standing | None
+) -> tuple[Goal, Goal]:
     """The cost of a step alone and its cost-to-go, about a state that has the values of a target and repeats itself."""
     space = step_map.space
-    state, command = whole_state(step_map, plain.target)
+    if standing is None:
+        state, command = whole_state(step_map, plain.target)
+    else:
+        alone = standing(step_map)
+        state, command = whole_state(alone, plain.target[: len(alone.space.state)])
+        state = np.append(state, command)
     matrix = step_map.jacobian(state, command)
     n = len(space.state)
     if not np.isfinite(matrix).all():

@@ -256,6 +256,14 @@ class Beliefs:
         """Nothing is known of the step before."""
         return replace(self, before=np.zeros_like(self.before), suspicion=None)
 
+    def with_command_before(self, command: Array) -> "Beliefs":
+        """The beliefs where the command before the next step is known, whether or not that step was learned.
+
+        Args:
+            command: Shape (m,) [half ranges].
+        """
+        return replace(self, before=np.concatenate([self.before[: len(self.change)], command]))
+
     def unlinked(self) -> "Beliefs":
         """The beliefs after a step whose error is not known."""
         return replace(self._forgetting(), alarm=None)

@@ -56,7 +56,7 @@ def with_weights(controller: PortableController, *weights: float) -> PortableCon
 def own_errors_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """Python counts the errors of the planned steps alone, as C does, also where states are not tracked."""
 
-    def targets_of(step_map: StepMap, targets: Array, untracked: object) -> StepGoals:
+    def targets_of(step_map: StepMap, targets: Array, untracked: object, standing: object) -> StepGoals:
         plain = tuple(Targets(step_map.space, target) for target in targets)
         return StepGoals(plain, plain)
 

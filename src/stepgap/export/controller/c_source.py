@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from stepgap.base.errors import InputError
 from stepgap.base.versions import versions_here
-from stepgap.control import bounded_search, cautious_controller, gauss_newton, horizon
+from stepgap.control import bounded_search, cautious_controller, command_before, gauss_newton, goal, horizon
 from stepgap.control.box_points import box_points, composite_design, irrational_steps
 from stepgap.export.controller.model_document import model_document
 from stepgap.export.controller.passport import passport_lines
@@ -29,7 +29,7 @@ from stepgap.learning import beliefs, believed
 from stepgap.learning.belief import Belief, Kind
 from stepgap.step import Quantity, StepStatus
 
-MODULES: Final = (gauss_newton, bounded_search, cautious_controller, horizon, beliefs, believed)
+MODULES: Final = (gauss_newton, bounded_search, cautious_controller, command_before, goal, horizon, beliefs, believed)
 """Modules whose constants are those of the C code, under the same names."""
 
 _WORDS = (
@@ -226,6 +226,7 @@ def _sizes(
         "FEATURES": count,
         "WEIGHTS": count + 2 + n + m,
         "BELIEFS": 1 if known_beliefs is None else max(len(known_beliefs.beliefs), beliefs.MOST) + beliefs.YOUNG + 3,
+        "LAGGED": int(controller.space.is_lagged),
         "BELIEVES": int(known_beliefs is not None),
         "START_COUNT": len(known_beliefs.beliefs) if known_beliefs else 0,
         "CURRENT": KINDS.index("current"),

@@ -142,12 +142,30 @@ def portable_controller(
         InputError: There is no such deployment, or its controller has no portable form.
     """
     learner = run.learner(deployment)
-    settings = run.needed(run.settings)
+    control = run.needed(run.settings).control
+    return portable_form(learner, control, rng, passport_of(run, deployment, name), str(run.folder))
+
+
+def portable_form(
+    learner: Learner, control: ControlSettings, rng: np.random.Generator, passport: Mapping[str, Any], source: str
+) -> PortableController:
+    """Brings the controller of a learner into portable form.
+
+    Args:
+        learner: Before the first step of a deployment.
+        control: How commands are planned.
+        rng: Draws the points at which maps are sampled and compared.
+        passport: Of the robot.
+        source: What it was learned from, for messages.
+
+    Raises:
+        InputError: It has no portable form.
+    """
     space = learner.nominal.space
     residual = learner.residual
     beliefs = learner.beliefs
     if space.adds_up.any():
-        raise InputError(f"{run.folder}: its targets are distances that add up, which no exported controller follows")
+        raise InputError(f"{source}: its targets are distances that add up, which no exported controller follows")
     _check_inputs(learner)
     noise = learner.step_map().noise_std / space.state_scale
     nominal, replaced = _portable_nominal(learner.nominal, noise, rng)
@@ -162,11 +180,11 @@ def portable_controller(
         replace(residual, regressions=tuple(regression for regression, _ in replacements)),
         beliefs,
         learner.failures,
-        replace(settings.control, table=0),
+        replace(control, table=0),
         observe(learner.known.planned(), learner.nominal) if own_steps else None,
         approximations=(*replaced, *(loss for _, loss in replacements if loss)),
-        notes=_notes(space, settings.control, learner),
-        passport=passport_of(run, deployment, name),
+        notes=_notes(space, control, learner),
+        passport=passport,
     )
 
 
@@ -195,8 +213,8 @@ def _notes(space: StepSpace, control: ControlSettings, learner: Learner) -> tupl
         )
     if space.is_lagged:
         notes.append(
-            "C and FMU plan for the command of the step before as it is; a run and Python also plan what a command "
-            "does to the step after it"
+            "it plans for what a command does to the step after it, so pass the command of the step before; C and FMU "
+            "then plan for one target, which needs all coordinates"
         )
     if control.horizon > 1:
         notes.append(

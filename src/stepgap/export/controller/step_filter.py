@@ -111,7 +111,10 @@ class StepFilter:
         status = UNCORRECTED if usable else StepStatus.INVALID
         if status == UNCORRECTED and np.isfinite(state).all():
             residual = cast("Residual", self._residual)
-            step_map = planning_map(self._nominal, residual, self._beliefs, phase, np.zeros(0))
+            beliefs = self._beliefs
+            if beliefs is not None and before is not None and self.space.is_lagged:
+                beliefs = beliefs.with_command_before(self.space.point_of(before))
+            step_map = planning_map(self._nominal, residual, beliefs, phase, np.zeros(0))
             controller = CautiousController(step_map, self._nominal, self._failures, self._settings, previous=before)
             try:
                 plan = controller(state, target, before, later)
