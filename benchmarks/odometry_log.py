@@ -33,15 +33,17 @@ class Walking:
 
     Args:
         rng: Draws the noise of the odometry.
+        robot: With its differences.
     """
 
-    def __init__(self, rng: np.random.Generator):
-        robot = TrottingRobot()
+    def __init__(self, rng: np.random.Generator, robot: TrottingRobot | None = None):
+        robot = robot or TrottingRobot()
         self._robot, self._model, self._rng = robot, robot.gap.of(robot.mjcf_model()), rng
         self._data, self._control = mujoco.MjData(self._model), robot.walking_control()
         robot.stand(self._model, self._data)
         self._control.start(self._model, self._data)
         self._sent: list[tuple[float, Array]] = [(-1.0, np.zeros(3))]
+        self._velocity = np.zeros(3)
 
     @property
     def time(self) -> float:
@@ -52,6 +54,10 @@ class Walking:
     def fell(self) -> bool:
         """Whether it lies on the ground."""
         return self._robot.failed(self._model, self._data)
+
+    def velocity(self) -> Array:
+        """Mean of its true velocity over the latest 20 ms; shape (3,)."""
+        return self._velocity
 
     def send(self, command: Array) -> None:
         """Gives it a command."""
@@ -67,6 +73,7 @@ class Walking:
                 self._data.ctrl[:] = self._control.control(self._model, self._data, self._sent[0][1])
             mujoco.mj_step(self._model, self._data)
             velocity += body_velocity(self._data) / (2 * ticks)
+        self._velocity = velocity
         w, x, y, z = self._data.qpos[3:7]
         yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         values = np.array([*velocity, *self._data.qpos[:2], yaw]) + NOISE * self._rng.standard_normal(6)

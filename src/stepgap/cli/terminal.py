@@ -3,7 +3,7 @@
 import errno
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 from io import TextIOWrapper
 from pathlib import Path
@@ -119,3 +119,10 @@ def announces_compilation(verb: Callable[..., None]) -> Callable[..., None]:
 def _is_quiet(options: dict[str, Any]) -> bool:
     """Whether `--quiet` is given among the options or in a group of them."""
     return any(getattr(option, "quiet", False) for option in options.values()) or bool(options.get("quiet"))
+
+
+def print_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Prints a table with columns side by side."""
+    widths = [max(len(row[column]) for row in [heads, *rows]) for column in range(len(heads))]
+    for row in [heads, *rows]:
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())

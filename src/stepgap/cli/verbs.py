@@ -17,7 +17,7 @@ GROUPS = {
     "Start": ("run", "new", "settings", "doctor"),
     "Run and look": ("report", "view", "compare", "explain", "sweep", "export", "recover"),
     "Robots": ("check", "gait", "map", "prior"),
-    "Logs": ("steps", "fit"),
+    "Logs": ("cure", "steps", "fit"),
     "Hardware": ("rig",),
 }
 """Headings of the help with their verbs, in this order."""

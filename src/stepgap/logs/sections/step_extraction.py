@@ -122,7 +122,7 @@ def extract_steps(
     Raises:
         RecordError: A file cannot be read, a column is missing, or no sections are found.
     """
-    return _extract(read_signal_log(text, settings.time, settings.factors, settings.format), plan, settings, find)
+    return extract_from(read_signal_log(text, settings.time, settings.factors, settings.format), plan, settings, find)
 
 
 def extract_deployments(text: str, plan: Path | None, settings: SectionSettings) -> list[ExtractedSteps]:
@@ -143,7 +143,7 @@ def extract_deployments(text: str, plan: Path | None, settings: SectionSettings)
     faults: list[RecordError] = []
     for read in logs:
         try:
-            found.append(_extract(read(), plan, settings))
+            found.append(extract_from(read(), plan, settings))
         except RecordError as error:
             faults.append(error)
     if not found:
@@ -153,9 +153,10 @@ def extract_deployments(text: str, plan: Path | None, settings: SectionSettings)
     return found
 
 
-def _extract(
+def extract_from(
     log: SignalLog, plan: Path | None, settings: SectionSettings, find: SectionFunction | None = None
 ) -> ExtractedSteps:
+    """Extracts the steps of a log that was read; arguments and errors as of `extract_steps`."""
     log = with_pose(with_boom(log, settings), settings)
     plans = read_plans(plan, log, settings) if plan else None
     _check_factors(settings, log, plans)
@@ -317,7 +318,7 @@ def with_boom(log: SignalLog, settings: SectionSettings) -> SignalLog:
     pitch = log.signal(settings.pitch)
     yaw = log.signal(settings.yaw)
     columns = (settings.boom * np.sin(np.asarray(pitch.values, float)), settings.boom * np.asarray(yaw.values, float))
-    return _with_columns(log, "boom", dict(zip(BOOM_COLUMNS, columns, strict=True)), (pitch.time, yaw.time))
+    return with_columns(log, "boom", dict(zip(BOOM_COLUMNS, columns, strict=True)), (pitch.time, yaw.time))
 
 
 def with_pose(log: SignalLog, settings: SectionSettings) -> SignalLog:
@@ -341,10 +342,10 @@ def with_pose(log: SignalLog, settings: SectionSettings) -> SignalLog:
     if known.sum() < 2:
         raise RecordError(f"{log.source}, column {columns[2]!r}: no quaternion x, y, z, w with a norm of 1")
     moved = body_motion(*(np.asarray(each, float)[known] for each in (x.values, y.values, yaw)))
-    return _with_columns(log, "pose", dict(zip(POSE_COLUMNS, moved, strict=True)), [time[known]] * len(moved))
+    return with_columns(log, "pose", dict(zip(POSE_COLUMNS, moved, strict=True)), [time[known]] * len(moved))
 
 
-def _with_columns(log: SignalLog, name: str, columns: Mapping[str, Array], times: Sequence[Array]) -> SignalLog:
+def with_columns(log: SignalLog, name: str, columns: Mapping[str, Array], times: Sequence[Array]) -> SignalLog:
     """The log with computed columns before its own ones, which have no factors, and the times of each."""
     tables = [
         TimedTable(LogTable(f"{log.source}, {name}", {column: values}), time)

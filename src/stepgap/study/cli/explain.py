@@ -1,6 +1,5 @@
 """The verb `stepgap explain`."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -10,7 +9,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.files import create
 from stepgap.base.output_files import PICTURE_FORMATS, check_new, format_by_name, writing
 from stepgap.cli.options import Flag, Integer, NamedValues, Names
-from stepgap.cli.terminal import announces_compilation
+from stepgap.cli.terminal import announces_compilation, print_table
 from stepgap.robots.gap import Gap, differences
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -75,7 +74,8 @@ def explain(
     for sentence in explanation_sentences(explanation, steps.space):
         print(sentence)
     texts = meanings(type(gap))
-    _print_table(*explanation_table(explanation, texts))
+    print()
+    print_table(*explanation_table(explanation, texts))
     if out:
         if form == "html":
             content = explanation_page(opened.folder.resolve().name, explanation, steps.space, texts)
@@ -146,10 +146,3 @@ def _figure(explanation: "Explanation", form: str) -> bytes:
     with own_style():
         explanation_figure(explanation).savefig(content, dpi=150, format=form)
     return content.getvalue()
-
-
-def _print_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    widths = [max(len(row[column]) for row in [heads, *rows]) for column in range(len(heads))]
-    print()
-    for row in [heads, *rows]:
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
