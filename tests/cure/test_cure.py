@@ -10,7 +10,7 @@ import pytest
 from stepgap.base.errors import InputError
 from stepgap.cure.cli.cure import cure
 from stepgap.cure.drive import check_distance, read_drive
-from stepgap.cure.habits import Habit, habits_of, next_commands, stands_at_zero
+from stepgap.cure.habits import Habit, commands_to_drive, habits_of, stands_at_zero
 from stepgap.cure.lesson import Lesson, lesson_of
 from stepgap.cure.response import Response, response_of
 from stepgap.step import Array
@@ -62,7 +62,7 @@ def test_most_of_the_error_can_be_corrected_and_that_is_sure(lesson: Lesson) -> 
 
 
 def test_ten_commands_are_proposed_within_those_that_were_driven(lesson: Lesson) -> None:
-    commands = next_commands(lesson)
+    commands = commands_to_drive(lesson)
     assert commands.shape == (10, 3)
     assert len(np.unique(commands, axis=0)) == 10
     assert (commands >= lesson.space.command_lower).all()
@@ -166,7 +166,7 @@ def test_a_velocity_that_was_never_commanded_is_not_corrected_but_proposed(tmp_p
     found = read_drive(changed(tmp_path, lambda odometry, commands: (odometry, commands * [1, 1, 0, 1])))
     learned = lesson_of([found], response_of(found))
     assert learned.driven.tolist() == [True, False, True]
-    assert next_commands(learned)[:2].tolist() == [[0, 0.15, 0], [0, -0.15, 0]]
+    assert commands_to_drive(learned)[:2].tolist() == [[0, 0.15, 0], [0, -0.15, 0]]
     assert all(habit.corrected[1] == habit.asked[1] for habit in habits_of(learned))
 
 

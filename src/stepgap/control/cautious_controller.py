@@ -22,7 +22,7 @@ from stepgap.control.box_points import box_points, composite_design
 from stepgap.control.command_before import COMMAND_WEIGHT, MapWithCommand, StandingMap, space_with_command
 from stepgap.control.command_table import CommandTable
 from stepgap.control.gauss_newton import minimise
-from stepgap.control.goal import UNTRACKED_WEIGHT, Goal, Standing, goals_for
+from stepgap.control.goal import UNTRACKED_WEIGHT, Goal, ToStanding, goals_for
 from stepgap.control.horizon import plan_ahead
 from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.control.step_controller import StepController, as_vector, checked_target
@@ -80,7 +80,7 @@ class CautiousController:
     previous: Array | None = None
     untracked: Array | float = UNTRACKED_WEIGHT
     around: tuple[Array, Array] | None = None
-    standing: Standing | None = None
+    standing: ToStanding | None = None
 
     @property
     def change(self) -> CommandChange:

@@ -54,7 +54,7 @@ class MapWithCommand(StepMap):
         next_state, status = self.inner.evaluate(state, command)
         of_command = (earlier - self.before.command) @ self.before.effect.T
         next_state = next_state + of_command + (state - self.start) @ self.before.memory.T
-        return Outcome(_joined(next_state, command), status)
+        return Outcome(_side_by_side(next_state, command), status)
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n + m, n + 2m)."""
@@ -68,11 +68,11 @@ class MapWithCommand(StepMap):
     @property
     def noise_std(self) -> Array:
         """Standard deviation of a measured next state about its expected value; shape (n + m,)."""
-        return _joined(self.inner.noise_std, np.zeros(len(self.space.command)))
+        return _side_by_side(self.inner.noise_std, np.zeros(len(self.space.command)))
 
     def std(self, state: ArrayLike, command: ArrayLike) -> Array:
         """Standard deviation of the next state; shape (…, n + m)."""
-        return _joined(self.inner.std(self._parts(state)[0], command), np.zeros(len(self.space.command)))
+        return _side_by_side(self.inner.std(self._parts(state)[0], command), np.zeros(len(self.space.command)))
 
     def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂std/∂(state, command); shape (…, n + m, n + 2m)."""
@@ -113,18 +113,18 @@ class StandingMap(StepMap):
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
         """Next states and status codes."""
-        next_state, status = self.whole.evaluate(_joined(state, command), command)
+        next_state, status = self.whole.evaluate(_side_by_side(state, command), command)
         return Outcome(next_state[..., : len(self.quantities.state)], status)
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n, n + m)."""
         n = len(self.quantities.state)
         m = len(self.quantities.command)
-        whole = self.whole.jacobian(_joined(state, command), command)[..., :n, :]
+        whole = self.whole.jacobian(_side_by_side(state, command), command)[..., :n, :]
         return np.concatenate([whole[..., :n], whole[..., n : n + m] + whole[..., n + m :]], axis=-1)
 
 
-def _joined(state: ArrayLike, command: ArrayLike) -> Array:
+def _side_by_side(state: ArrayLike, command: ArrayLike) -> Array:
     """States (…, n) and commands (…, m) side by side."""
     parts = np.asarray(state, float), np.asarray(command, float)
     leading = np.broadcast_shapes(*(part.shape[:-1] for part in parts))

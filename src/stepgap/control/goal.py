@@ -28,7 +28,7 @@ UNTRACKED_WEIGHT: Final = 0.03
 EFFORT_WEIGHT: Final = 0.01
 """Weight of the squared deviation [half bounds] of a later command from the one that holds that state."""
 
-Standing = Callable[[StepMap], StepMap]
+ToStanding = Callable[[StepMap], StepMap]
 
 LATER_STEPS: Final = 50
 """Number of later steps whose errors count. A finite number needs no stabilising command, and no command moves some
@@ -136,7 +136,7 @@ class StepGoals:
 
 
 def goals_for(
-    step_map: StepMap, targets: Array, untracked: Array | float = UNTRACKED_WEIGHT, standing: Standing | None = None
+    step_map: StepMap, targets: Array, untracked: Array | float = UNTRACKED_WEIGHT, standing: ToStanding | None = None
 ) -> StepGoals:
     """What is wanted of steps to targets: the targets where all states are tracked, otherwise the least cost.
 
@@ -159,7 +159,7 @@ def goals_for(
 
 
 def _regulated(
-    step_map: StepMap, plain: Targets, untracked: Array | float, standing: Standing | None
+    step_map: StepMap, plain: Targets, untracked: Array | float, standing: ToStanding | None
 ) -> tuple[Goal, Goal]:
     """The cost of a step alone and its cost-to-go, about a state that has the values of a target and repeats itself."""
     space = step_map.space

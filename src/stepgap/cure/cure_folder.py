@@ -12,10 +12,10 @@ import numpy as np
 from stepgap.base.normal import std_interval_95
 from stepgap.base.settings_file import toml_line
 from stepgap.base.versions import versions_here
-from stepgap.cure.cure_page import HELD, UNITS, cure_page
-from stepgap.cure.drive import NAMES
-from stepgap.cure.habits import Habit, next_commands, stands_at_zero
-from stepgap.cure.lesson import LARGEST_CHANGE, Lesson
+from stepgap.cure.cure_page import HOLD_SECONDS, UNITS, cure_page
+from stepgap.cure.drive import AXIS_NAMES
+from stepgap.cure.habits import Habit, commands_to_drive, stands_at_zero
+from stepgap.cure.lesson import MOST_CHANGE, Lesson
 from stepgap.export.controller.c_source import c_source
 from stepgap.export.controller.model_document import model_text
 from stepgap.export.controller.passport import checked_robot_name, passport_lines
@@ -51,7 +51,7 @@ def cure_passport(lesson: Lesson, name: str, settings: str) -> dict[str, Any]:
         "steps": len(lesson.steps),
         "errors": [
             {
-                "state": NAMES[axis],
+                "state": AXIS_NAMES[axis],
                 "unit": UNITS[axis],
                 "before": float(before[axis]),
                 "after": float(after[axis]),
@@ -143,7 +143,7 @@ def _defaults(lesson: Lesson) -> str:
         "learns": (True, "whether it goes on learning"),
         "in_world": (lesson.drive.is_turned, "whether the velocities of the odometry are in the frame of the world"),
     }
-    for name, limit in zip(NAMES, numbers["limits"], strict=True):
+    for name, limit in zip(AXIS_NAMES, numbers["limits"], strict=True):
         meaning[f"limit_{name}"] = (limit, "largest command, of either sign; can be made smaller")
     lines = [f'    "{key}": {json_as_python(value)},  # {text}' for key, (value, text) in meaning.items()]
     axes = f"AXES = {numbers['axes']!r}  # which velocities are corrected"
@@ -159,19 +159,27 @@ def json_as_python(value: bool | float | str) -> str:
 def _experiment(lesson: Lesson) -> str:
     """Settings with which a run goes on from the log."""
     walk = lesson.walk
-    lines = ['robot = "velocity"', 'plant = "process"', "", "[control]", toml_line("largest_change", LARGEST_CHANGE)]
+    lines = [
+        'robot = "velocity"',
+        'plant = "process"',
+        "",
+        "[control]",
+        toml_line("largest_change", MOST_CHANGE),
+    ]
     lines += ["", "[walk]", *(toml_line(key, getattr(walk, key)) for key in ("seconds", "time_constant"))]
-    for name in NAMES:
+    for name in AXIS_NAMES:
         lines += ["", f"[walk.{name}]", *(toml_line(key, value) for key, value in vars(getattr(walk, name)).items())]
     return "\n".join([*lines, ""])
 
 
 def _next_commands(lesson: Lesson) -> str:
-    rows = [f"{HELD:g},{','.join(f'{value:.2f}' for value in row)}" for row in next_commands(lesson).tolist()]
+    rows = [
+        f"{HOLD_SECONDS:g},{','.join(f'{value:.2f}' for value in row)}" for row in commands_to_drive(lesson).tolist()
+    ]
     return "\n".join(["seconds,command_vx,command_vy,command_wz", *rows, ""])
 
 
-def name_of(path: str) -> str:
+def name_of_log(path: str) -> str:
     """A name for the robot of a log: that of its first file."""
     stem = Path(path.split("+")[0].strip()).name
     return "".join(letter if letter.isprintable() else "_" for letter in stem)[:60]

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from stepgap.cure.drive import NAMES
-from stepgap.cure.habits import Habit, next_commands, within_reach
+from stepgap.cure.drive import AXIS_NAMES
+from stepgap.cure.habits import Habit, commands_to_drive, within_reach
 from stepgap.cure.lesson import Lesson
 from stepgap.records.text import listed
 from stepgap.report.drawing import BLUE, GREY, LIGHT, draw_figure, new_figure
@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # slow imports are made where they are used
 UNITS: Final = ("m/s", "m/s", "rad/s")
 _SURE: Final = 0.15  # Half a 95 % interval up to which the correctable part is called sure
 _LITTLE: Final = 0.1  # Part of the error below which a correction is not worth it
-HELD: Final = 3.0  # Time for which each of the proposed commands is held [s]
+HOLD_SECONDS: Final = 3.0  # Time for which each of the proposed commands is held [s]
 
 
 def verdict(lesson: Lesson) -> str:
@@ -38,7 +38,7 @@ def verdict(lesson: Lesson) -> str:
             f"{100 * high:.0f} %, on parts of the log that were not learned from). {sure}"
         )
     where = f"{reached} of {asked} velocities that were asked for are within reach of the commands in the log."
-    undriven = [name for name, is_driven in zip(NAMES, lesson.driven, strict=True) if not is_driven]
+    undriven = [name for name, is_driven in zip(AXIS_NAMES, lesson.driven, strict=True) if not is_driven]
     missing = f" {listed(undriven)} was never commanded, so it is not corrected." if undriven else ""
     return f"{sentence} {where}{missing}"
 
@@ -59,7 +59,7 @@ def error_rows(lesson: Lesson) -> list[list[str]]:
     rows = list[list[str]]()
     everything = lesson.held.rms(held=False)
     held = lesson.held.rms(held=True)
-    for axis, name in enumerate(NAMES):
+    for axis, name in enumerate(AXIS_NAMES):
         if lesson.driven[axis]:
             values = [everything[0][axis], everything[1][axis], held[0][axis], held[1][axis]]
             rows.append([f"{name} [{UNITS[axis]}]", *(f"{value:.3f}" for value in values)])
@@ -83,9 +83,9 @@ def cure_page(lesson: Lesson, habits: list[Habit], checks: list[str], passport: 
         passport: Lines of the passport.
     """
     figure = draw_figure(lambda: _figure(lesson), "what was asked and done")
-    commands = next_commands(lesson)
+    commands = commands_to_drive(lesson)
     rows = [[str(number + 1), *(f"{value:.2f}" for value in row)] for number, row in enumerate(commands)]
-    heads = ["", *(f"{name} [{unit}]" for name, unit in zip(NAMES, UNITS, strict=True))]
+    heads = ["", *(f"{name} [{unit}]" for name, unit in zip(AXIS_NAMES, UNITS, strict=True))]
     minutes = lesson.drive.seconds / 60
     return page(
         f"Cure from {lesson.drive.log.source}",
@@ -112,8 +112,8 @@ def cure_page(lesson: Lesson, habits: list[Habit], checks: list[str], passport: 
                 "next",
                 "What to drive next",
                 paragraph(
-                    f"These ten commands say most that this log does not. Hold each for {HELD:g} s where there is room "
-                    "and the robot is safe, record again, and give both logs one after the other to stepgap cure."
+                    "These ten commands say most that this log does not. Where there is room and the robot is safe, "
+                    f"hold each for {HOLD_SECONDS:g} s, record again, and give both logs to stepgap cure."
                 ),
                 table("", heads, rows),
             ),
@@ -124,12 +124,12 @@ def cure_page(lesson: Lesson, habits: list[Habit], checks: list[str], passport: 
                 bullets([*lesson.drive.notes, *checks]),
                 bullets(passport),
             ),
-            section("use", "On the robot", bullets(USE)),
+            section("use", "On the robot", bullets(ON_THE_ROBOT)),
         ],
     )
 
 
-USE: Final = (
+ON_THE_ROBOT: Final = (
     "ROS 2: ros2 launch ./correction.launch.py, with velocities that are asked for on cmd_vel_raw; without launch: "
     "python3 cmd_vel_correction.py --ros-args -r odom:=/your/odom",
     "Python: velocity_filter.py and controller.py need NumPy alone: VelocityFilter(StepFilter(MODEL), …).command(time, "
@@ -143,7 +143,7 @@ USE: Final = (
 def _figure(lesson: Lesson) -> "Figure":
     figure = new_figure(2.4)
     rows = ~lesson.held.first
-    panels = figure.subplots(1, len(NAMES))
+    panels = figure.subplots(1, len(AXIS_NAMES))
     predicted = lesson.steps.next_state - lesson.held.predicted
     for axis, panel in enumerate(panels):
         asked = lesson.steps.command[rows, axis]
@@ -152,7 +152,7 @@ def _figure(lesson: Lesson) -> "Figure":
         panel.plot(ends, ends, color=GREY, linewidth=0.8)
         panel.plot(asked, done, ".", color=LIGHT, markersize=3, label="done")
         panel.plot(asked, predicted[rows, axis], ".", color=BLUE, markersize=1.5, label="learned")
-        panel.set_xlabel(f"{NAMES[axis]} asked [{UNITS[axis]}]")
+        panel.set_xlabel(f"{AXIS_NAMES[axis]} asked [{UNITS[axis]}]")
     panels[0].set_ylabel("Done")
     panels[0].legend()
     return figure

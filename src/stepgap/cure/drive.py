@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.base.errors import InputError
-from stepgap.cure.topics import COMMANDS, POSES, VELOCITIES, Topic, chosen_topic, topics_in
+from stepgap.cure.topics import COMMAND_TYPES, POSE_TYPES, VELOCITY_TYPES, Topic, chosen_topic, topics_in
 from stepgap.logs.sections.held_commands import HeldCommands, held_commands
 from stepgap.logs.sections.section_settings import POSE_COLUMNS, SectionSettings
 from stepgap.logs.sections.signals import Signal, SignalLog, read_signal_log
@@ -20,8 +20,8 @@ from stepgap.logs.sections.step_extraction import with_columns, with_pose
 from stepgap.logs.tables.text import AS_FOUND
 from stepgap.step import Array
 
-NAMES: Final = ("vx", "vy", "wz")  # Forward, to the left [m/s], turning to the left [rad/s]
-_COLUMNS: Final = tuple(f"as_the_robot_sees_it_{name}" for name in NAMES)
+AXIS_NAMES: Final = ("vx", "vy", "wz")  # Forward, to the left [m/s], turning to the left [rad/s]
+_COLUMNS: Final = tuple(f"as_the_robot_sees_it_{name}" for name in AXIS_NAMES)
 
 FROZEN: Final = 0.25
 """Numbers that are repeated for this long while they are not zero are no measurements [s]."""
@@ -37,7 +37,7 @@ IMPLAUSIBLE: Final = 0.05
 
 @final
 @dataclass(frozen=True, eq=False)
-class Drive:
+class HandDrive:
     """Commands and motion of a log.
 
     Attributes:
@@ -72,7 +72,9 @@ class Drive:
 
     def section_settings(self, every: float) -> SectionSettings:
         """How steps of a duration are extracted."""
-        command = tuple(f"command_{name}={column}" for name, column in zip(NAMES, self.command.columns, strict=True))
+        command = tuple(
+            f"command_{name}={column}" for name, column in zip(AXIS_NAMES, self.command.columns, strict=True)
+        )
         return SectionSettings(state=self.state, command=command, every=every)
 
     def on_grid(self) -> tuple[Array, Array, Array]:
@@ -108,7 +110,7 @@ def _means(values: Array, width: int) -> Array:
     return np.stack([np.convolve(column, window, "same") for column in values.T], axis=-1)
 
 
-def read_drive(text: str, command: str = "", odometry: str = "") -> Drive:
+def read_drive(text: str, command: str = "", odometry: str = "") -> HandDrive:
     """Reads a log, and finds commands and velocities in it.
 
     Args:
@@ -120,15 +122,15 @@ def read_drive(text: str, command: str = "", odometry: str = "") -> Drive:
         InputError: There are no commands or velocities, or several; the message names the topics.
     """
     log = read_signal_log(text, "", {}, AS_FOUND)
-    given = chosen_topic(log, topics_in(log, COMMANDS), "--command", command, "velocity command")
+    given = chosen_topic(log, topics_in(log, COMMAND_TYPES), "--command", command, "velocity command")
     if given is None:
         raise InputError(
             f"{log.source}: no velocity commands: no geometry_msgs/Twist or TwistStamped, and no columns "
             f"command_vx, command_vy, command_wz; name three columns by --command FORWARD,LEFT,TURN; there is "
             f"{', '.join(log.columns):.300}"
         )
-    poses = topics_in(log, POSES)
-    velocities = topics_in(log, VELOCITIES)
+    poses = topics_in(log, POSE_TYPES)
+    velocities = topics_in(log, VELOCITY_TYPES)
     if odometry and odometry in [pose.name for pose in poses] and odometry not in [one.name for one in velocities]:
         velocities = []
     measured = chosen_topic(log, velocities, "--odometry", odometry if velocities else "", "odometry")
@@ -149,12 +151,12 @@ def read_drive(text: str, command: str = "", odometry: str = "") -> Drive:
         notes.append(f"For {lost:.1f} s the odometry repeats the same numbers; that part is left out.")
     if kept.sum() < 2:
         raise InputError(f"{log.source}: its odometry never changes, so it says nothing of the motion")
-    drive = _with_velocity(Drive(log, given, commands, (), time[kept], velocity[kept]), notes)
+    drive = _with_velocity(HandDrive(log, given, commands, (), time[kept], velocity[kept]), notes)
     pose = next((pose for pose in poses if pose.name == measured.name), None)
     return _in_robot_frame(drive, pose)
 
 
-def _by_places(log: SignalLog, given: Topic, commands: HeldCommands, pose: Topic) -> Drive:
+def _by_places(log: SignalLog, given: Topic, commands: HeldCommands, pose: Topic) -> HandDrive:
     """The drive of a robot of which places alone are known; its velocity is the way in a step over its time."""
     columns = pose.columns if len(pose.columns) == 3 else (*pose.columns[:2], *pose.columns[2:])
     settings = SectionSettings(state=("forward",), every=1.0, pose=columns)
@@ -162,9 +164,9 @@ def _by_places(log: SignalLog, given: Topic, commands: HeldCommands, pose: Topic
     motion = [posed.signal(column) for column in POSE_COLUMNS]
     time = motion[0].time
     rates = [np.gradient(np.asarray(signal.values, float), np.maximum(time, 0)) for signal in motion]
-    state = tuple(f"{name}=mean(rate({column}))" for name, column in zip(NAMES, POSE_COLUMNS, strict=True))
+    state = tuple(f"{name}=mean(rate({column}))" for name, column in zip(AXIS_NAMES, POSE_COLUMNS, strict=True))
     note = f"Velocities are the displacements of {pose.name or 'the place'}, as the robot sees them."
-    return Drive(posed, given, commands, state, time, np.stack(rates, axis=-1), (note,))
+    return HandDrive(posed, given, commands, state, time, np.stack(rates, axis=-1), (note,))
 
 
 def _together(signals: Sequence[Signal]) -> tuple[Array, Array]:
@@ -188,15 +190,15 @@ def _frozen(time: Array, velocity: Array) -> NDArray[np.bool_]:
     return same & (lasting[number] >= FROZEN)
 
 
-def _with_velocity(drive: Drive, notes: Sequence[str]) -> Drive:
+def _with_velocity(drive: HandDrive, notes: Sequence[str]) -> HandDrive:
     """The drive with its velocity as columns of its log."""
     columns = dict(zip(_COLUMNS, drive.velocity.T, strict=True))
     log = with_columns(drive.log, "velocity", columns, [drive.time] * len(_COLUMNS))
-    state = tuple(f"{name}=mean({column})" for name, column in zip(NAMES, _COLUMNS, strict=True))
+    state = tuple(f"{name}=mean({column})" for name, column in zip(AXIS_NAMES, _COLUMNS, strict=True))
     return replace(drive, log=log, state=state, notes=(*drive.notes, *notes))
 
 
-def _in_robot_frame(drive: Drive, pose: Topic | None) -> Drive:
+def _in_robot_frame(drive: HandDrive, pose: Topic | None) -> HandDrive:
     """The drive with velocities as the robot sees them, where those of the odometry are in the frame of the world."""
     yaw = _yaw_of(drive, pose)
     if np.ptp(yaw) < _TURNED:
@@ -213,7 +215,7 @@ def _in_robot_frame(drive: Drive, pose: Topic | None) -> Drive:
     return _with_velocity(replace(turned, log=replace(drive.log, files=drive.log.files[1:])), [note])
 
 
-def _yaw_of(drive: Drive, pose: Topic | None) -> Array:
+def _yaw_of(drive: HandDrive, pose: Topic | None) -> Array:
     """Yaw at the samples of the velocity [rad]: that of the odometry, or the sum of its turning; shape (R,)."""
     if pose is None:
         return np.append(0.0, np.cumsum(drive.velocity[1:, 2] * np.diff(drive.time)))
@@ -230,7 +232,7 @@ def _turned(velocity: Array, angle: Array) -> Array:
     return np.stack([cosine * x - sine * y, sine * x + cosine * y, turning], axis=-1)
 
 
-def _unexplained_sideways(drive: Drive) -> float:
+def _unexplained_sideways(drive: HandDrive) -> float:
     """Part of the variance of the forward and sideways velocity that the commands of half a second ago leave."""
     time, velocity, _ = drive.on_grid()
     at = drive.commands.at(time - 0.3)
@@ -244,7 +246,7 @@ def _unexplained_sideways(drive: Drive) -> float:
     return float(np.sum(left**2) / max(np.sum(wanted**2), 1e-12))
 
 
-def check_distance(drive: Drive, metres: float) -> str:
+def check_distance(drive: HandDrive, metres: float) -> str:
     """A sentence on whether the velocities fit a measured distance.
 
     Args:

@@ -8,7 +8,7 @@ import numpy as np
 from stepgap.control.box_points import box_points
 from stepgap.control.command_before import MapWithCommand, StandingMap, space_with_command
 from stepgap.control.reach import whole_state
-from stepgap.cure.drive import NAMES
+from stepgap.cure.drive import AXIS_NAMES
 from stepgap.cure.lesson import Lesson
 from stepgap.learning.residual import join_points
 from stepgap.records.text import listed
@@ -128,7 +128,7 @@ def measured(lesson: Lesson, command: Array) -> tuple[Array, Array] | None:
 
 def stands_at_zero(lesson: Lesson) -> bool:
     """Whether the robot was seen to stand at the command zero, which is then passed on as it is."""
-    found = measured(lesson, np.zeros(len(NAMES)))
+    found = measured(lesson, np.zeros(len(AXIS_NAMES)))
     return found is not None and bool((np.abs(found[0]) <= _SMALL).all())
 
 
@@ -138,7 +138,7 @@ def steady(lesson: Lesson, command: Array) -> tuple[Array, Array]:
     velocity = np.array(command, float)
     for _ in range(_STEPS):
         whole = _with_command(lesson, velocity)
-        velocity = whole.evaluate(np.append(velocity, command), command).next_state[: len(NAMES)]
+        velocity = whole.evaluate(np.append(velocity, command), command).next_state[: len(AXIS_NAMES)]
     return velocity, step_map.std(velocity, command)
 
 
@@ -168,7 +168,7 @@ def within_reach(lesson: Lesson) -> tuple[int, int]:
     return int(reached), len(asked)
 
 
-def next_commands(lesson: Lesson) -> Array:
+def commands_to_drive(lesson: Lesson) -> Array:
     """Commands of which the log says least, the most informative first; shape (`NEXT`, 3).
 
     Each is chosen as if the one before had been driven: the variance of a map hardly depends on what was measured.
@@ -176,7 +176,7 @@ def next_commands(lesson: Lesson) -> Array:
     space = lesson.space
     undriven = np.flatnonzero(~lesson.driven).tolist()
     first = [sign * _UNDRIVEN[axis] * np.eye(3)[axis] for axis in undriven for sign in (1, -1)][:NEXT]
-    points = box_points(_TRIED, len(NAMES))
+    points = box_points(_TRIED, len(AXIS_NAMES))
     candidates = 0.9 * space.command_at(points) * lesson.driven
     candidates = np.unique(np.round(candidates, 2), axis=0)
     residual = lesson.step_map.residual

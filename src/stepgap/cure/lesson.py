@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from stepgap.base.errors import InputError
 from stepgap.control.settings import ControlSettings
-from stepgap.cure.drive import CELL, NAMES, Drive
+from stepgap.cure.drive import AXIS_NAMES, CELL, HandDrive
 from stepgap.cure.response import Response, after_lag
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.learner import Learner
@@ -26,12 +26,12 @@ from stepgap.mujoco_robots.velocity.walking_robot import VelocityRange, Walk
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array, StepMap, StepSpace
 
-FEWEST: Final = 40  # Least number of steps from which something is learned
+STEPS_NEEDED: Final = 40  # Least number of steps from which something is learned
 IMAGINED: Final = 80  # Number of steps that are imagined by delay, lag and gains
 PARTS: Final = 4  # Number of parts of the log that are held out in turn
-ADVICE: Final = "drive by hand, and hold each command for two seconds or more"
+DRIVING_ADVICE: Final = "drive by hand, and hold each command for two seconds or more"
 _NARROW: Final = 0.02  # Range of a velocity that was not commanded [m/s, rad/s]
-LARGEST_CHANGE: Final = 0.5  # Largest change of a command from one step to the next, as a share of its range
+MOST_CHANGE: Final = 0.5  # Largest change of a command from one step to the next, as a share of its range
 _T_95: Final = 3.18  # 97.5 % quantile of Student's t with `PARTS` − 1 degrees of freedom
 
 
@@ -87,7 +87,7 @@ class Lesson:
         held: Errors on parts that were not learned from.
     """
 
-    drives: tuple[Drive, ...]
+    drives: tuple[HandDrive, ...]
     response: Response
     steps: Steps
     walk: Walk
@@ -95,7 +95,7 @@ class Lesson:
     held: Held
 
     @property
-    def drive(self) -> Drive:
+    def drive(self) -> HandDrive:
         """The first drive."""
         return self.drives[0]
 
@@ -112,7 +112,7 @@ class Lesson:
     @property
     def control(self) -> ControlSettings:
         """How commands are planned."""
-        return ControlSettings(horizon=1, largest_change=LARGEST_CHANGE)
+        return ControlSettings(horizon=1, largest_change=MOST_CHANGE)
 
     @cached_property
     def step_map(self) -> CorrectedMap:
@@ -120,7 +120,7 @@ class Lesson:
         return self.learner.step_map()
 
 
-def lesson_of(drives: Sequence[Drive], response: Response) -> Lesson:
+def lesson_of(drives: Sequence[HandDrive], response: Response) -> Lesson:
     """Learns from the drives of one robot.
 
     Raises:
@@ -162,14 +162,14 @@ def imagined_steps(response: Response, space: StepSpace, seconds: float) -> Step
     """
     rng = np.random.default_rng(0)
     lengths = rng.integers(1, 3, IMAGINED)
-    levels = space.command_at(rng.uniform(-1, 1, (IMAGINED, len(NAMES)))) * response.driven
+    levels = space.command_at(rng.uniform(-1, 1, (IMAGINED, len(AXIS_NAMES)))) * response.driven
     commands = np.repeat(levels, lengths, axis=0)[:IMAGINED]
     cells = max(1, round(seconds / CELL))
     given = np.repeat(commands, cells, axis=0)
     late = max(0, round(response.delay / CELL))
     arrived = np.vstack([np.repeat(given[:1], late, axis=0), given])[: len(given)]
     followed = after_lag(arrived, response.lag)
-    means = followed.reshape(IMAGINED, cells, len(NAMES)).mean(axis=1)
+    means = followed.reshape(IMAGINED, cells, len(AXIS_NAMES)).mean(axis=1)
     velocity = means @ response.gains.T + response.drift
     velocity = velocity + response.noise * rng.standard_normal(velocity.shape)
     return Steps.of_columns(
@@ -182,27 +182,26 @@ def imagined_steps(response: Response, space: StepSpace, seconds: float) -> Step
     )
 
 
-def _check_number(drives: Sequence[Drive], response: Response, count: int) -> None:
-    if count < FEWEST:
-        raise InputError(
-            f"{drives[0].log.source}: {count} steps of {response.step:.3g} s can be used, {FEWEST} are needed; {ADVICE}"
-        )
+def _check_number(drives: Sequence[HandDrive], response: Response, count: int) -> None:
+    if count < STEPS_NEEDED:
+        steps = f"{count} steps of {response.step:.3g} s can be used, {STEPS_NEEDED} are needed"
+        raise InputError(f"{drives[0].log.source}: {steps}; {DRIVING_ADVICE}")
 
 
-def _extracted(drive: Drive, response: Response) -> ExtractedSteps:
+def _extracted(drive: HandDrive, response: Response) -> ExtractedSteps:
     try:
         extracted = extract_from(drive.log, None, drive.section_settings(response.step))
     except RecordError as error:
-        raise InputError(f"{error}; {ADVICE}") from None
+        raise InputError(f"{error}; {DRIVING_ADVICE}") from None
     if extracted.refusal:
-        raise InputError(f"{extracted.refusal}; {ADVICE}")
+        raise InputError(f"{extracted.refusal}; {DRIVING_ADVICE}")
     return extracted
 
 
 def _walk(response: Response, commands: Array, states: Array) -> Walk:
     """Ranges: what the robot did is the range of use, what it was told is what it may be told."""
     ranges = dict[str, Any]()
-    for axis, name in enumerate(NAMES):
+    for axis, name in enumerate(AXIS_NAMES):
         if response.driven[axis]:
             ends = commands[:, axis].min(), commands[:, axis].max()
             done = np.quantile(states[:, axis], [0.02, 0.98])
@@ -235,7 +234,7 @@ def _learner(nominal: StepMap, imagined: Steps, steps: Steps) -> Learner:
 def _held(nominal: StepMap, imagined: Steps, steps: Steps, first: NDArray[np.bool_]) -> Held:
     """Each part predicted by what is learned from the others, step by step as in a deployment."""
     part = np.arange(len(steps)) * PARTS // len(steps)
-    predicted = np.full((len(steps), len(NAMES)), np.nan)
+    predicted = np.full((len(steps), len(AXIS_NAMES)), np.nan)
     for number in range(PARTS):
         learner = _learner(nominal, imagined, steps[part != number])
         for row in np.flatnonzero(part == number).tolist():

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from stepgap.base.errors import InputError
-from stepgap.cure.drive import CELL, NAMES, Drive
+from stepgap.cure.drive import AXIS_NAMES, CELL, HandDrive
 from stepgap.mujoco_robots.velocity.gait import Gait, gait_period
 from stepgap.step import Array
 
@@ -17,7 +17,7 @@ _LAGS: Final = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7)  # Time constants tha
 _LONGEST: Final = 600.0  # Part of a log from which delay and lag are found [s]
 EARLY: Final = 0.05  # The motion may seem to come before the commands by this time [s]
 
-FOLLOWS: Final = 0.2
+LEAST_FOLLOWED: Final = 0.2
 """Least part of the variance of the velocities that commands must explain: otherwise they are not the robot's."""
 
 _OWN: Final = 0.3  # A command moves another velocity if its gain for its own is a smaller part of that for the other
@@ -75,7 +75,7 @@ class Response:
         )
 
 
-def response_of(drive: Drive) -> Response:
+def response_of(drive: HandDrive) -> Response:
     """Finds delay, lag, gains and period.
 
     Raises:
@@ -159,11 +159,11 @@ def _fitted(velocity: Array, given: Array, delay: int, driven: tuple[bool, ...])
     return gains, weights[-1], np.maximum(0.0, 1 - left.var(axis=0) / spread)
 
 
-def _check(drive: Drive, delay: float, gains: Array, explained: Array, driven: tuple[bool, ...]) -> None:
+def _check(drive: HandDrive, delay: float, gains: Array, explained: Array, driven: tuple[bool, ...]) -> None:
     source = drive.log.source
     axes = np.flatnonzero(driven)
-    if not np.max(explained[axes]) >= FOLLOWS:
-        shares = ", ".join(f"{NAMES[axis]} {100 * explained[axis]:.0f} %" for axis in axes)
+    if not np.max(explained[axes]) >= LEAST_FOLLOWED:
+        shares = ", ".join(f"{AXIS_NAMES[axis]} {100 * explained[axis]:.0f} %" for axis in axes)
         raise InputError(
             f"{source}: the motion does not follow the commands, which explain {shares} of its variance; are they "
             "those that the robot got, is the odometry its own, and do both have the same clock?"
@@ -177,18 +177,19 @@ def _check(drive: Drive, delay: float, gains: Array, explained: Array, driven: t
         most = int(np.argmax(np.abs(gains[:, axis])))
         if abs(gains[axis, axis]) < _OWN * abs(gains[most, axis]) and abs(gains[most, axis]) > _OWN:
             raise InputError(
-                f"{source}: the command of {NAMES[axis]} moves {NAMES[most]} (gain {gains[most, axis]:.2f}), and not "
-                f"{NAMES[axis]} (gain {gains[axis, axis]:.2f}); are its columns in the order forward, left, turning?"
+                f"{source}: the command of {AXIS_NAMES[axis]} moves {AXIS_NAMES[most]} (gain {gains[most, axis]:.2f}), "
+                f"and not {AXIS_NAMES[axis]} (gain {gains[axis, axis]:.2f}); are its columns in the order forward, "
+                "left, turning?"
             )
-        if gains[axis, axis] < -0.1 and explained[axis] >= FOLLOWS:
+        if gains[axis, axis] < -0.1 and explained[axis] >= LEAST_FOLLOWED:
             way = ("backward for forward", "to the right for to the left", "to the right for turning to the left")
             raise InputError(
-                f"{source}: {NAMES[axis]} goes the other way than its command (gain {gains[axis, axis]:.2f}: "
+                f"{source}: {AXIS_NAMES[axis]} goes the other way than its command (gain {gains[axis, axis]:.2f}: "
                 f"{way[axis]}); forward, left and turning to the left must be positive in both (REP 103)"
             )
 
 
-def _gait(drive: Drive) -> tuple[float, float]:
+def _gait(drive: HandDrive) -> tuple[float, float]:
     """Period of the gait by the pieces of the log in which a command holds, and the height of its peak."""
     time, velocity, _ = drive.on_grid()
     size = round(_PIECE / CELL)

@@ -11,7 +11,7 @@ from stepgap.logs.sections.signals import SignalLog
 
 _AXES: Final = ("linear.x", "linear.y", "angular.z")
 
-COMMANDS: Final = {
+COMMAND_TYPES: Final = {
     "geometry_msgs/Twist": _AXES,
     "geometry_msgs/TwistStamped": tuple(f"twist.{axis}" for axis in _AXES),
     "commands in a table": ("command_vx", "command_vy", "command_wz"),
@@ -19,7 +19,7 @@ COMMANDS: Final = {
 }
 """Columns of commanded velocities: forward, to the left, turning to the left."""
 
-VELOCITIES: Final = {
+VELOCITY_TYPES: Final = {
     "nav_msgs/Odometry": tuple(f"twist.twist.{axis}" for axis in _AXES),
     "velocities in a table": ("vx", "vy", "wz"),
 }
@@ -27,7 +27,7 @@ VELOCITIES: Final = {
 
 _PLACE: Final = ("position.x", "position.y", *(f"orientation.{axis}" for axis in "xyzw"))
 
-POSES: Final = {
+POSE_TYPES: Final = {
     "nav_msgs/Odometry": tuple(f"pose.pose.{part}" for part in _PLACE),
     "geometry_msgs/PoseStamped": tuple(f"pose.{part}" for part in _PLACE),
     "places in a table": ("x", "y", "yaw"),

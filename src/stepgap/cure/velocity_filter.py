@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-FEWEST = 4  # Samples of a step, of which the mean velocity is taken
-GAP = 0.45  # Part of a step that may be without a sample
+LEAST_SAMPLES = 4  # Samples of a step, of which the mean velocity is taken
+LONGEST_SILENCE = 0.45  # Part of a step that may be without a sample
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ class VelocityFilter:
         begin = end - self._settings.seconds
         inside = [(time, value) for time, value in self._samples if time >= begin]
         times = np.array([begin, *(time for time, _ in inside), end])
-        if len(inside) < FEWEST or np.diff(times).max() > GAP * self._settings.seconds:
+        if len(inside) < LEAST_SAMPLES or np.diff(times).max() > LONGEST_SILENCE * self._settings.seconds:
             return None
         values = np.array([value for _, value in inside])
         samples = np.vstack([values[:1], values, values[-1:]])

@@ -34,7 +34,7 @@ def cure(
             the robot came back. Odometry that does not fit is refused.
         name: Name of the robot in the passport, such as its serial number. [default: that of the log]
     """
-    from stepgap.cure.cure_folder import cure_files, name_of
+    from stepgap.cure.cure_folder import cure_files, name_of_log
     from stepgap.cure.cure_page import ERROR_HEADS, error_rows, verdict
     from stepgap.cure.drive import check_distance, read_drive
     from stepgap.cure.habits import habits_of
@@ -59,7 +59,7 @@ def cure(
     print_table(ERROR_HEADS, error_rows(lesson))
     print()
     print(verdict(lesson), flush=True)
-    contents = cure_files(lesson, habits, checks, name or name_of(log[0]))
+    contents = cure_files(lesson, habits, checks, name or name_of_log(log[0]))
     with writing(out, "--out"), new_folder(out) as partial:
         for file, content in contents.items():
             create(partial / file, content)

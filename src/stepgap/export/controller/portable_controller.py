@@ -15,7 +15,7 @@ controller has to compute.
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import nan
+from math import isfinite, nan
 from typing import Any, final
 
 import numpy as np
@@ -223,6 +223,8 @@ def _notes(space: StepSpace, control: ControlSettings, learner: Learner) -> tupl
         )
     if control.make_up:
         notes.append("control.make_up: no errors are made up for; add their sum, over so many steps, to the target")
+    if isfinite(control.widening):
+        notes.append("control.widening: commands have their bounds and largest_change alone")
     if control.table:
         notes.append("control.table: the commands are solved for, not taken from a table")
     if learner.settings.online and learner.beliefs is None and learner.settings.residual != "none":
