@@ -267,7 +267,7 @@ def print_table(title: str, cells: Sequence[Mapping[str, Mapping[str, Any]]]) ->
     print(f"\n{title}, {len(cells)} cells; in half ranges of use")
     print("| | error | of that as it is: mean, median, worst | of the integrator's | held | change | falls |")
     print("|---|---|---|---|---|---|---|")
-    for name in cells[0]:
+    for name in [name for name in cells[0] if all(name in walks for walks in cells)]:
         here = [walks[name] for walks in cells]
         ratios = np.array([walks[name]["all"] / walks[RAW]["all"] for walks in cells])
         others = np.array([walks[name]["all"] / walks[BETTER]["all"] for walks in cells])

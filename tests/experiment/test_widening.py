@@ -12,7 +12,7 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.plants.model_plant import ModelPlant
-from stepgap.step import Array, Quantity, StepSpace, StepStatus
+from stepgap.step import Array, Quantity, StepRecord, StepSpace, StepStatus
 from tests.control.maps import ClosedFormMap
 
 STATE = tuple(Quantity(name, "", -1.0, 1.0) for name in ("vx", "vy", "wz"))
@@ -71,3 +71,32 @@ def test_before_the_first_deployment_nothing_is_known() -> None:
 def test_a_widening_that_leaves_no_command_is_refused() -> None:
     with pytest.raises(ValueError, match="widening"):
         ControlSettings(widening=-1.0)
+
+
+class Deaf(ModelPlant):
+    """A robot that runs away for some steps, whatever it is told."""
+
+    def __init__(self) -> None:
+        super().__init__(Slow(0.4), np.zeros(3))
+        self._number = 0
+
+    def take_step(self, command: Array) -> StepRecord:
+        record = super().take_step(command)
+        self._number += 1
+        if 4 < self._number <= 8:
+            self._state = np.array([0.9, 0.3, 0.0])
+            record = replace(record, next_state=self._state)
+        return record
+
+
+@pytest.mark.parametrize(("surprise", "told"), [(0.1, True), (np.inf, False)])
+def test_a_robot_that_does_not_follow_is_told_its_target(surprise: float, told: bool) -> None:
+    first = deployed(Learner.start(Slow(), Steps(SPACE), LearningSettings(), 0), ControlSettings())
+    learner = Learner.start(Slow(), first, LearningSettings(), 1)
+    reference = Reference(SPACE.state_names, TARGETS)
+    control = ControlSettings(surprise=surprise)
+    steps = Steps(SPACE, deploy(learner, Deaf(), reference, 1, 0, control))
+    is_target = np.all(np.abs(steps.command - TARGETS) < 1e-12, axis=1).tolist()
+    assert is_target[5] == told
+    assert not any(is_target[:5])
+    assert not is_target[11]

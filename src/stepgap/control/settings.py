@@ -31,6 +31,10 @@ class ControlSettings:
         widening: How much farther a command may be from the state, such as a commanded velocity of a walking robot from
             its velocity, than in all deployments before that did not fall, as a share of the largest distance in these;
             inf for no limit. Elsewhere than where states are velocities in a plane, it says nothing.
+        surprise: Root mean square error of the predictions of the last two steps [half ranges] above which the next
+            command is the target itself, as of a commanded velocity: a robot that does not follow is not pushed on;
+            inf for never. It says nothing before the first redeployment, nor elsewhere than where states are velocities
+            in a plane.
         make_up: Number of steps over which the sum of all errors of a deployment is made up for, by targets that differ
             from those wanted by that much; 0 for not at all. Where states are velocities in a plane, such as of
             walking, that is a heading and a place, which are kept, as they are measured or by the sum of velocities.
@@ -47,6 +51,7 @@ class ControlSettings:
     horizon: int = 2
     largest_change: float = 1.0
     widening: float = inf
+    surprise: float = inf
     make_up: int = 0
 
     def __post_init__(self) -> None:
@@ -57,6 +62,7 @@ class ControlSettings:
         require(0.001 <= self.largest_change <= 1, "largest_change", self.largest_change, rule)
         require(self.widening >= -0.9, "widening", self.widening, "be at least -0.9, or inf for no limit")
         require(self.table == 0 or 2 <= self.table <= 41, "table", self.table, "be 0, or lie between 2 and 41")
+        require(self.surprise > 0, "surprise", self.surprise, "be a positive number of half ranges, or inf for never")
         limited = self.table > 0 and (self.largest_change < 1 or self.widening < inf)
         rule = "be 0 with a largest_change or a widening, because a table has one command for a state"
         require(not limited, "table", self.table, rule)

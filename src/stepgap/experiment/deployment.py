@@ -3,7 +3,8 @@
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from math import isfinite
+from math import inf, isfinite
+from statistics import fmean
 from time import perf_counter
 from typing import Protocol, Self, final
 
@@ -39,6 +40,7 @@ NO_PLAN = (
 """What is said of a step whose plan has no prediction, without a full stop."""
 
 MADE_UP = 0.4  # Largest difference of a target by which errors before are made up for [half ranges]
+SURPRISES = 2  # Number of steps whose predictions are looked at for `control.surprise`
 MISSED = 0.1  # Part of half a range of use by which a plan misses a distance that may be out of reach
 
 
@@ -93,8 +95,10 @@ class DeploymentController:
         settings: Settings of step control.
         table: Table of the commands of the first map, if the settings want one.
         farthest: Largest distance of a command from the state that is allowed; None for any. Shape (m,).
+        surprise: As of the settings; infinite before the first redeployment, whose map is wrong.
         command: Command of the step before, from which the search for the next one starts; None before the first.
         calibration: Calibration of the standard deviations of its plans; None before the first step.
+        misses: Mean squares of the errors of the predictions of its last two steps [half ranges²].
         shortfall: What its steps fell short of their targets, if it is made up for; None before the first step.
     """
 
@@ -102,8 +106,10 @@ class DeploymentController:
     settings: ControlSettings = ALL_RULES
     table: CommandTable | None = None
     farthest: Array | None = None
+    surprise: float = inf
     command: Array | None = None
     calibration: IntervalCalibration | None = None
+    misses: tuple[float, ...] = ()
     shortfall: Shortfall | None = None
 
     @classmethod
@@ -115,9 +121,11 @@ class DeploymentController:
             settings: Settings of step control.
         """
         table = build_table(learner.step_map(), settings.table) if settings.table else None
-        widened = isfinite(settings.widening) and learner.nominal.space.planar_seconds
-        farthest = (1 + settings.widening) * learner.farthest if widened else None
-        return cls(learner, settings, table, farthest)
+        distance = learner.farthest
+        if not (learner.nominal.space.planar_seconds and np.isfinite(distance).all()):
+            return cls(learner, settings, table)
+        farthest = (1 + settings.widening) * distance if isfinite(settings.widening) else None
+        return cls(learner, settings, table, farthest, settings.surprise)
 
     @property
     def step_controller(self) -> CautiousController:
@@ -144,11 +152,20 @@ class DeploymentController:
             more = np.clip(self.shortfall.behind / self.settings.make_up, -most, most)
             target = target + more
             ahead = ahead + more
+        if self._is_surprised:
+            space = self.learner.nominal.space
+            told = np.where(np.isfinite(target), target, state)[: len(space.command)]
+            return self.predicted_plan(state, np.clip(told, space.command_lower, space.command_upper))
         controller = self.step_controller
         if self.farthest is not None:
             now = state[: len(self.farthest)]
             controller = replace(controller, around=(now - self.farthest, now + self.farthest))
         return self.calibrated(state, tracking_plan(controller, state, target, self.command, ahead))
+
+    @property
+    def _is_surprised(self) -> bool:
+        """Whether the robot does not follow, so that it is told its target."""
+        return len(self.misses) == SURPRISES and fmean(self.misses) > self.surprise**2
 
     def calibrated(self, state: Array, plan: CautiousPlan) -> CautiousPlan:
         """Returns a plan of the next step with the calibrated standard deviation of its prediction."""
@@ -178,8 +195,14 @@ class DeploymentController:
             learner=self.learner.after(logged),
             command=logged.record.command,
             calibration=self._calibration_after(logged),
+            misses=(*self.misses, self._miss(logged))[-SURPRISES:],
             shortfall=self._shortfall_after(logged),
         )
+
+    def _miss(self, logged: LoggedStep) -> float:
+        """Mean square of the error of a prediction [half ranges²]; zero if it is not known."""
+        away = (logged.record.next_state - logged.predicted) / self.learner.nominal.space.state_scale
+        return float(np.mean(np.nan_to_num(away) ** 2))
 
     def _shortfall_after(self, logged: LoggedStep) -> Shortfall | None:
         if not self.settings.make_up:
