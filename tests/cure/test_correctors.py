@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 
 from stepgap.control.cautious_controller import CautiousController
-from stepgap.cure.drive import read_drive
-from stepgap.cure.lesson import Lesson, lesson_of
-from stepgap.cure.response import response_of
+from stepgap.cure.lesson import Lesson
 from stepgap.export.controller.model_document import model_document
 from stepgap.export.controller.portable_controller import PortableController, portable_form
 from stepgap.export.controller.step_filter import UNCORRECTED, StepFilter
 from stepgap.learning.steps import LoggedStep
 from stepgap.step import StepRecord, StepStatus
-from tests.cure.drives import DRIFT, drive, written
+from tests.cure.drives import DRIFT
 from tests.export.controller.test_c_source import COMPILER, Compiled
 from tests.export.controller.test_c_source import compile_in as compile_in  # fixture
 
@@ -23,23 +21,17 @@ SAME = 1e-8
 
 
 @pytest.fixture(scope="module")
-def lesson(tmp_path_factory: pytest.TempPathFactory) -> Lesson:
-    found = read_drive(written(tmp_path_factory.mktemp("log"), *drive(60.0)))
-    return lesson_of([found], response_of(found))
-
-
-@pytest.fixture(scope="module")
-def controller(lesson: Lesson) -> PortableController:
-    return portable_form(lesson.learner, lesson.control, np.random.default_rng(0), {}, "a log")
+def controller(minute: Lesson) -> PortableController:
+    return portable_form(minute.learner, minute.control, np.random.default_rng(0), {}, "a log")
 
 
 @pytest.mark.skipif(COMPILER is None, reason="there is no C compiler")
 def test_in_a_closed_loop_python_and_c_are_the_run(
-    lesson: Lesson, controller: PortableController, compile_in: Callable[..., Compiled]
+    minute: Lesson, controller: PortableController, compile_in: Callable[..., Compiled]
 ) -> None:
     """Some targets are beyond reach, and some states are missing, of which a run has none: there two are compared."""
-    space, rng = lesson.space, np.random.default_rng(1)
-    python, code, learner = StepFilter(model_document(controller)), compile_in(controller), lesson.learner
+    space, rng = minute.space, np.random.default_rng(1)
+    python, code, learner = StepFilter(model_document(controller)), compile_in(controller), minute.learner
     state, before = np.zeros(3), np.zeros(3)
     is_run, target = True, np.zeros(3)
     away = list[float]()
@@ -54,7 +46,7 @@ def test_in_a_closed_loop_python_and_c_are_the_run(
         is_run = is_run and measured is not None
         if is_run and number:
             step_map = learner.step_map()
-            run = CautiousController(step_map, learner.nominal, learner.failures, lesson.control, previous=before)
+            run = CautiousController(step_map, learner.nominal, learner.failures, minute.control, previous=before)
             expected = run(state, target, before)
             away.append(float(np.abs((expected.command - plan.command) / space.command_scale).max()))
             np.testing.assert_allclose(predicted, expected.predicted, atol=1e-7)

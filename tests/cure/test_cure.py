@@ -15,11 +15,23 @@ from stepgap.cure.lesson import Lesson, lesson_of
 from stepgap.cure.response import Response, response_of
 from stepgap.step import Array
 from tests.cure.drives import DRIFT, GAINS, LAG, SWAY, drive, turned, written
+from tests.logs.cli.test_cli_walks import write_bag
+from tests.logs.sections.walking_logs import walking
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> str:
     return written(tmp_path_factory.mktemp("log"), *drive())
+
+
+@pytest.mark.parametrize("stamped", [False, True])
+def test_commands_and_odometry_of_a_bag_are_found_by_their_types(stamped: bool, tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag", walking(40.0, 1), stamped=stamped)
+    found = read_drive(str(tmp_path / "bag"))
+    assert (found.command.name, found.command.kind) == ("/cmd_vel", f"geometry_msgs/Twist{'Stamped' * stamped}")
+    response = response_of(found)
+    np.testing.assert_allclose(np.diag(response.gains), 0.8, atol=0.05)
+    assert not found.notes
 
 
 @pytest.fixture(scope="module")

@@ -12,12 +12,10 @@ import numpy as np
 import pytest
 
 from stepgap.cure.cure_folder import cure_files
-from stepgap.cure.drive import read_drive
 from stepgap.cure.habits import habits_of
-from stepgap.cure.lesson import lesson_of
-from stepgap.cure.response import response_of
+from stepgap.cure.lesson import Lesson
 from stepgap.step import Array
-from tests.cure.drives import DRIFT, drive, written
+from tests.cure.drives import DRIFT
 
 ROOT = Path(__file__).parents[2]
 END, BEGIN, FAULT = 9.0, 1.0, 6.0
@@ -26,12 +24,10 @@ ASKED = (0.4, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What was learned of the robot of the stand-in, but for its log."""
+def folder(minute: Lesson, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What is written for such a robot, as that of the stand-in."""
     home = tmp_path_factory.mktemp("cure")
-    found = read_drive(written(home, *drive(60.0)))
-    lesson = lesson_of([found], response_of(found))
-    for name, content in cure_files(lesson, habits_of(lesson), [], "").items():
+    for name, content in cure_files(minute, habits_of(minute), [], "").items():
         (home / name).write_text(content)
     return home
 
