@@ -464,6 +464,7 @@ def test_a_full_disk_loses_nothing(finished: Path, stepgap: Command, file: str, 
     assert (folder / "steps.csv").read_bytes() == whole
 
 
+@pytest.mark.usefixtures("made_figures")
 def test_figures_are_written_on_demand_and_then_with_every_report(finished: Path, stepgap: Command) -> None:
     shutil.copytree(finished / "run", "run")
     assert stepgap("report", "run").code == 0
@@ -476,6 +477,7 @@ def test_figures_are_written_on_demand_and_then_with_every_report(finished: Path
     refused(stepgap("report", "run", "run"), "a report is that of one run", "stepgap compare")
 
 
+@pytest.mark.usefixtures("made_figures")
 def test_the_error_of_a_full_disk_names_the_file_of_the_report(
     finished: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

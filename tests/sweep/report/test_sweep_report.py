@@ -277,6 +277,7 @@ def test_a_state_whose_name_is_no_identifier_is_refused(tmp_path: Path, name: st
         report_sweep(folder)
 
 
+@pytest.mark.usefixtures("made_figures")
 def test_no_matplotlib_is_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     imported = builtins.__import__
 
