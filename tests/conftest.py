@@ -20,6 +20,7 @@ from stepgap.hybrid.motion import axpy
 from tests.cli.command_line import Command, CommandResult
 from tests.compiled_hops import compile_hops
 from tests.hardware.realtime.warm_start import start_realtime_from_warm_server
+from tests.quick_bus import leave_out_spinning
 from tests.quick_disk import leave_out_waiting_for_the_disk
 from tests.quick_runs import (
     compute_in_a_thread,
@@ -52,10 +53,10 @@ MOST_WORKERS = 8
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """One more than there are cores, because some tests wait; none on a single core, or where files are named."""
+    """As many as there are cores; none on a single core, or where files are named."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     names_files = any(Path(argument.partition("::")[0]).is_file() for argument in config.args)
-    return 0 if cores == 1 or names_files else min(cores + 1, MOST_WORKERS)
+    return 0 if cores == 1 or names_files else min(cores, MOST_WORKERS)
 
 
 def pytest_configure() -> None:
@@ -64,6 +65,7 @@ def pytest_configure() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of processes that tests start
     os.environ.setdefault("MUJOCO_GL", "disable")  # MuJoCo would start a process to look for OpenGL
     leave_out_waiting_for_the_disk()
+    leave_out_spinning()
     start_processes_from_a_warm_server()
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from stepgap.hardware.realtime import pace
 from stepgap.hardware.realtime.process import RealtimeSetup, run_realtime
 
 
@@ -20,7 +21,11 @@ class WarmContext:
 
 
 def _run_beside_server(setup: RealtimeSetup, board_name: str, ring_name: str) -> None:
-    """Runs a real-time process whose parent is the fork server."""
+    """Runs a real-time process whose parent is the fork server, and whose memory is not locked.
+
+    Locked, a copy would copy all that it shares with the server.
+    """
+    pace._lock_memory = str
     run_realtime(setup, board_name, ring_name, os.getppid())
 
 
