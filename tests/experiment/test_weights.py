@@ -14,6 +14,7 @@ from stepgap.gym import robot_env
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.weighted_map import with_space
+from stepgap.robots.robot import stairs
 from stepgap.sweep.sweep_file import read_sweep
 from tests.cli.command_line import Command, refused
 from tests.control.maps import PitchingHopper
@@ -68,6 +69,7 @@ def test_a_reference_of_the_robot_loses_the_targets_of_what_is_not_tracked() -> 
 def test_a_run_its_resume_its_report_and_its_controller_follow(
     package: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(stairs, "__defaults__", (4,))  # steps on each stair
     result = stepgap("run", *CHANGED, *SHORT, "--out", "out")
     assert result.code == 0, result.err
     run = Run("out")

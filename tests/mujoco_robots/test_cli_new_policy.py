@@ -24,7 +24,7 @@ def started_without_go(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def targets() -> Path:
-    rows = [f"{vx},{wz}" for vx, wz in ((0.2, 0.0), (0.5, 0.2), (0.3, -0.2), (0.1, 0.1)) for _ in range(6)]
+    rows = [f"{vx},{wz}" for vx, wz in ((0.2, 0.0), (0.5, 0.2), (0.3, -0.2), (0.1, 0.1)) for _ in range(3)]
     Path("targets.csv").write_text("\n".join(["vx,wz", *rows, ""]))
     return Path("targets.csv").resolve()
 

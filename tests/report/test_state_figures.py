@@ -53,8 +53,14 @@ def test_errors_are_drawn_against_every_coordinate(hopper_run: Path) -> None:
         np.testing.assert_array_equal(predicted.get_ydata(), (steps.next_state - steps.predicted)[:, row])
 
 
-@pytest.mark.parametrize(("states", "commands"), [(1, 1), (2, 2), (3, 2), (4, 3), (6, 2), (6, 8), (9, 1)])
-@pytest.mark.parametrize("size", [2e-5, 1.0, 3e4])
+SHAPES = [(1, 1), (2, 2), (3, 2), (4, 3), (6, 2), (9, 1)]
+SIZES = [2e-5, 1.0, 3e4]
+
+
+@pytest.mark.parametrize(
+    ("states", "commands", "size"),
+    [*((6, 8, size) for size in SIZES), *((*shape, SIZES[number % 3]) for number, shape in enumerate(SHAPES))],
+)
 def test_commands_are_shown_and_no_text_is_printed_over_another(states: int, commands: int, size: float) -> None:
     names = ["foot_placement_lateral_offs", "x", "yaw_rate", "height", "pitch", "roll", "speed", "side_speed", "lean"]
     space = StepSpace(

@@ -204,10 +204,13 @@ def test_gait_and_map(robot: Robot, package: Path, stepgap: Command) -> None:
 
 
 @pytest.mark.usefixtures("no_repeats")
-def test_check(robot: Robot, stepgap: Command) -> None:
+def test_check(robot: Robot, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = robot.name in ("ball", "pitching")  # those of one state, and of more states than commands
+    if not drawn:
+        monkeypatch.setattr("stepgap.report.cli.check._draw", lambda run, out: None)
     result = stepgap("check", robot.name)
     assert result.code == 0, result
-    assert Path("check.png").read_bytes().startswith(b"\x89PNG")
+    assert not drawn or Path("check.png").read_bytes().startswith(b"\x89PNG")
     assert "wrong" not in {line[10:20].strip() for line in result.out.splitlines()}
 
 

@@ -1,26 +1,38 @@
 """`stepgap explain`: a run of a weak hopper, explained by real simulations."""
 
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from stepgap.cli.app import main
 from stepgap.study import simulated_errors
 from tests.cli.command_line import Command, refused
+from tests.quick_runs import leave_out_repeats, leave_out_report
 
 pytestmark = pytest.mark.usefixtures("no_repeats", "no_report")
 
 
-@pytest.fixture
-def weak(tmp_path: Path, stepgap: Command) -> Path:
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a run of 30 hops with weak motors."""
+    folder = tmp_path_factory.mktemp("weak")
     targets = np.random.default_rng(0).uniform([0.0, 0.54], [0.4, 0.62], (30, 2))
-    (tmp_path / "targets.csv").write_text("speed,height\n" + "".join(f"{a:.3f},{b:.3f}\n" for a, b in targets))
-    gap = ["--gap.preset", "none", "--gap.torque_scale", 0.9]
-    arguments = ["--reference", tmp_path / "targets.csv", *gap, "--iterations", 0, "--quiet", "--out"]
-    assert stepgap("run", *arguments, tmp_path / "weak").code == 0
-    return tmp_path / "weak"
+    (folder / "targets.csv").write_text("speed,height\n" + "".join(f"{a:.3f},{b:.3f}\n" for a, b in targets))
+    gap = ["--gap.preset", "none", "--gap.torque_scale", "0.9"]
+    options = ["--reference", str(folder / "targets.csv"), *gap, "--iterations", "0", "--quiet"]
+    with pytest.MonkeyPatch.context() as patch:
+        leave_out_repeats(patch)
+        leave_out_report(patch)
+        main(["run", *options, "--out", str(folder / "weak")])
+    return folder / "weak"
+
+
+@pytest.fixture
+def weak(run: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(run, tmp_path / "weak")
 
 
 def test_a_weak_motor_is_found(weak: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:

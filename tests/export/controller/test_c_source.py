@@ -27,7 +27,7 @@ pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-Wpedantic")
 SCALE = np.concatenate([SPACE.state_scale, SPACE.command_scale])
 TOLERANCE = 1e-9
-OPTIMISED_MAPS = ("quadratic", "gp")
+OPTIMISED_MAPS = ("gp",)
 """Maps whose code is optimised, for which the compiler takes five times as long; that of plans is optimised, too."""
 
 
@@ -137,7 +137,7 @@ def test_the_map_is_that_of_python(kind: str, compile_in: Callable[..., Compiled
 def test_plans_are_those_of_python(kind: str, compile_in: Callable[..., Compiled]) -> None:
     """Also where the search takes another way because of rounding, the expected squared distance is the same."""
     controller = learned(kind)
-    code, rng, same = compile_in(controller, optimised=True), np.random.default_rng(5), 0
+    code, rng, same = compile_in(controller, optimised=kind != "none"), np.random.default_rng(5), 0
     for _ in range(40):
         state, target = SPACE.state_centre + SPACE.state_scale * rng.uniform(-1, 1, (2, 2))
         guess = SPACE.command_centre + SPACE.command_scale * rng.uniform(-1, 1, 2)
@@ -162,8 +162,8 @@ def test_a_search_whose_start_makes_no_step_begins_again_in_the_middle(
     """With few evaluations nothing else finds the way back; then only the status is the same as in Python."""
     controller = learned("none", failing=True)
     controller = replace(controller, settings=replace(controller.settings, evaluations=evaluations))
-    code, rng, compared = compile_in(controller, optimised=True), np.random.default_rng(7), 0
-    for _ in range(200):
+    code, rng, compared = compile_in(controller), np.random.default_rng(7), 0
+    for _ in range(120):
         state, target = SPACE.state_centre + SPACE.state_scale * rng.uniform(-1, 1, (2, 2))
         guess = SPACE.command_centre + SPACE.command_scale * rng.uniform(-1, 1, 2)
         middle = controller.map.evaluate(state, SPACE.command_centre).status
@@ -224,7 +224,7 @@ def test_it_is_clean_for_the_sanitizers(tmp_path: Path) -> None:
     assert built.returncode == 0, built.stderr
     result = subprocess.run([str(tmp_path / "main")], capture_output=True, text=True)
     assert (result.returncode, result.stderr) == (0, "")
-    assert int(result.stdout) > 200
+    assert int(result.stdout) > 75
 
 
 MAIN = """
@@ -250,7 +250,7 @@ int main(void)
     int planned = 0;
     double before[2] = {0, 0};
     controller_filter_init(&filter);
-    for (int i = 0; i < 400; i++) {
+    for (int i = 0; i < 150; i++) {
         double state[2] = {number(-0.2, 0.6), number(0.45, 0.7)}, target[2] = {number(0, 0.4), number(0.52, 0.64)};
         double next[2] = {number(0, 0.4), number(0.52, 0.64)}, yaw = number(-10, 10), command[2], predicted[2], std[2];
         double jacobian[8], std_gradient[8], ahead[8], *previous = i % 3 ? before : NULL;
@@ -342,7 +342,7 @@ def test_fast_arithmetic_is_refused_or_changes_nothing(compiler: str, tmp_path: 
         return subprocess.run(["./answers"], input=SECTIONS, check=True, **where).stdout.splitlines()
 
     compiled("main.c")
-    assert "error" not in compiled("controller.c")
+    assert "error" not in compiled("controller.c", "-O0")
     wanted = answers()
     assert [line.split()[:2] for line in wanted] == [["0", "0"], *2 * [["9", "6"]], ["0", "6"], ["0", "0"]]
     for flag in FAST:

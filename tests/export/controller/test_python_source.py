@@ -68,7 +68,7 @@ def test_in_a_closed_loop_c_and_python_agree_also_where_measurements_are_missing
     module = exported(python_source(controller), "exported_filter", monkeypatch)
     filter_, code, rng = (
         module.StepFilter(module.MODEL),
-        compile_in(controller, optimised=True),
+        compile_in(controller, optimised=change == 1.0),
         np.random.default_rng(2),
     )
     state, before, found = SPACE.state_centre, None, list[int]()

@@ -196,7 +196,7 @@ def test_several_processes_sample_the_same_surrogate(package: Path, monkeypatch:
 def test_the_robot_of_the_page_learns(package: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stepgap.robots.nominal_maps.surrogate_map.MOST_SAMPLES", 512)
     (reference,) = (make() for make in load_robot("spring_hopper").references().values())
-    rows = [reference.names, *reference.targets[:24].tolist()]
+    rows = [reference.names, *reference.targets[:16].tolist()]
     Path("targets.csv").write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
     options = ("--reference", "targets.csv", "--out", "out", "--iterations", "1", "--quiet")
     result = stepgap("run", "--robot", "spring_hopper", *options)

@@ -158,9 +158,9 @@ def test_treads_may_be_as_long_as_half_the_circle():
     for seed in range(3):
         ground = UnevenGround(stair_height=0.04, stair_length=5.0)
         profile = profile_of(ground, seed=seed)
-        for yaw in np.linspace(0, 2 * pi, 7):
-            twin = twin_on(ground, float(yaw), seed=seed)
-            for state in hopping(twin, 2):
+        for yaw in (0.0, 2.1, 4.2):
+            twin = twin_on(ground, yaw, seed=seed)
+            for state in hopping(twin, 1)[::3]:
                 assert state.ground_height == pytest.approx(profile.height(yaw_of(twin, state, yaw)), abs=2e-3)
 
 
