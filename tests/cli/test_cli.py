@@ -401,7 +401,7 @@ def test_a_verb_announces_compilation_once(capfd: pytest.CaptureFixture[str], mo
         return evaluate(nominal, state, command)
 
     monkeypatch.setattr(ApexMap, "evaluate", compiling)
-    main(["map"])
+    main(["gait", "--command", "fx=0"])
     assert capfd.readouterr().err == "stepgap: compiling for this machine, once; this takes about half a minute\n"
 
 
@@ -505,7 +505,7 @@ def test_debug_shows_where_an_error_arose(stepgap: Command) -> None:
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
-        (["--help"], ["Usage: stepgap COMMAND", "run", "gait", "map", "report", "--TABLE.KEY VALUE"]),
+        (["--help"], ["Usage: stepgap COMMAND", "run", "gait", "report", "--TABLE.KEY VALUE"]),
         ([], ["Usage: stepgap COMMAND"]),
         (["run", "--help"], ["--out", "--seed", "--iterations", "--resume", "--quiet", "--reference", "EXPERIMENT"]),
         (["gait", "--help"], ["--state", "speed=0.2,height=0.58"]),
@@ -565,7 +565,7 @@ def test_what_is_gone_is_answered_by_what_replaces_it(stepgap: Command, words: s
         refused(stepgap(verb, *arguments), f"stepgap: {words}: gone: {GONE[words]}")
 
 
-@pytest.mark.parametrize("verb", ["run", "sweep", "view", "export", "fit", "gait", "map", "rig check"])
+@pytest.mark.parametrize("verb", ["run", "sweep", "view", "export", "fit", "gait", "rig check"])
 def test_the_help_says_what_a_value_is_and_not_how_it_is_stored(stepgap: Command, verb: str) -> None:
     assert not re.findall(r"--[a-z-]+ (?:STR|FLOAT)\b", stepgap(*verb.split(), "--help").out)
 
@@ -675,7 +675,7 @@ class Interrupted:
             raise ImportError("initialization failed") from KeyboardInterrupt()
 
 sys.meta_path.insert(0, Interrupted())
-sys.argv = ["stepgap", "map"]
+sys.argv = ["stepgap", "gait"]
 from stepgap.cli.start import start
 start()
 """
@@ -715,7 +715,7 @@ def test_standard_output_may_be_closed() -> None:
 
 
 def test_a_full_cache_of_compiled_code_is_named(tmp_path: Path) -> None:
-    program = [sys.executable, "-c", "from stepgap.cli.app import main; main()", "map"]
+    program = [sys.executable, "-c", "from stepgap.cli.app import main; main()", "gait", "--command", "fx=0"]
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"}  # no short files
     with largest_file(1000):
         done = subprocess.run(program, capture_output=True, text=True, env=environment, check=False)

@@ -195,9 +195,10 @@ def test_the_folder_of_a_run_with_a_file_as_nominal_map_is_complete(
     assert stepgap("report", folder).code == 0
 
 
-def test_gait_and_map(robot: Robot, package: Path, stepgap: Command) -> None:
+def test_gait_and_a_step(robot: Robot, package: Path, stepgap: Command) -> None:
     Path("e.toml").write_text(f"robot = '{robot.name}'\n")
-    for verb in (["gait", "--robot", robot.name], ["map", "e.toml"]):
+    command = f"{robot.space.command_names[0]}={robot.space.command_centre[0]}"
+    for verb in (["gait", "--robot", robot.name], ["gait", "e.toml", "--command", command]):
         result = stepgap(*verb)
         assert result.code == 0, result.err
         assert robot.space.state_names[0] in result.out

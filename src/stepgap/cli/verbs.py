@@ -16,7 +16,7 @@ VERBS = "stepgap.verbs"
 GROUPS = {
     "Start": ("run", "new", "settings", "doctor"),
     "Run and look": ("report", "view", "compare", "explain", "sweep", "export", "recover"),
-    "Robots": ("check", "gait", "map", "prior"),
+    "Robots": ("check", "gait", "prior"),
     "Logs": ("cure", "steps", "fit"),
     "Hardware": ("rig",),
 }
@@ -41,7 +41,7 @@ GONE = {
     "fit --predictions": _NO_MODEL,
     "gait knobs": "docs/evidence.md has which step command is the least coupled; type stepgap gait for the gait of the "
     "command",
-    "map --tick": "the twin holds torques from tick to tick, and run --gap.preset none shows their effect alone",
+    "map": "type stepgap gait --command NAME=VALUE for one step, --csv FILE for many, --table FILE for many commands",
     "sweep --merge": "copy the folders of all parts into one, and continue that with --out FOLDER --resume",
 }
 """Verbs, second words and options of earlier versions, with what replaces them."""

@@ -1,4 +1,4 @@
-"""`stepgap map`: one step, many rows, a table of commands."""
+"""`stepgap gait` for single steps: one, many rows, a table of commands."""
 
 import re
 from pathlib import Path
@@ -18,7 +18,7 @@ def numbers(text: str) -> list[float]:
 
 
 def test_one_step_and_its_derivatives(stepgap: Command) -> None:
-    result = stepgap("map", "--state", "speed=0.1,height=0.56", "--command", "fx=-3,fy=2.5")
+    result = stepgap("gait", "--state", "speed=0.1,height=0.56", "--command", "fx=-3,fy=2.5")
     assert (result.code, result.err) == (0, "")
     state, command, first, _, header, *rows = result.out.splitlines()
     apex_map = ApexMap()
@@ -36,19 +36,19 @@ def test_settings_change_the_map(stepgap: Command) -> None:
     Path("soft.toml").write_text("[gains]\nstiffness = 2400\n")
     expected = ApexMap(gains=Gains(stiffness=2400))([0.2, 0.58], [0, 0])
     for arguments in (["soft.toml"], ["--gains.stiffness", "2400"]):
-        result = stepgap("map", *arguments)
+        result = stepgap("gait", *arguments, "--command", "fx=0")
         assert result.code == 0
         assert numbers(result.out.splitlines()[2]) == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_value_that_is_not_given_is_shown(stepgap: Command) -> None:
-    state, command, *_ = stepgap("map", "--state", "speed=0.1").out.splitlines()
+    state, command, *_ = stepgap("gait", "--state", "speed=0.1", "--command", "fx=0").out.splitlines()
     assert state.split() == ["state", "speed", "0.100000", "m/s,", "height", "0.580000", "m"]
     assert command.split() == ["command", "fx", "0.000000", "N,", "fy", "0.000000", "N"]
 
 
 def test_a_failed_step_has_a_reason(stepgap: Command) -> None:
-    result = stepgap("map", "--state", "height=0.2")
+    result = stepgap("gait", "--state", "height=0.2", "--command", "fx=0")
     refused(result, "height 0.200000 m, fx 0.000000 N, ", "(foot_scuffed: ", "choose a higher apex")
 
 
@@ -58,7 +58,7 @@ ROWS = "fy, speed,height,fx\n0,0.2,0.58,0\n\n2,0.1,0.2,1\n-1e1,0.3,0.6,0.5\n"
 @pytest.mark.parametrize("out", [None, "next.csv"])
 def test_many_rows(stepgap: Command, out: str | None) -> None:
     Path("points.csv").write_text(ROWS)
-    result = stepgap("map", "--csv", "points.csv", *(["--out", out] if out else []))
+    result = stepgap("gait", "--csv", "points.csv", *(["--out", out] if out else []))
     assert (result.code, result.err) == (0, "")
     if out:
         assert result.out == "next.csv\n"
@@ -73,7 +73,7 @@ def test_many_rows(stepgap: Command, out: str | None) -> None:
 
 def test_a_table(stepgap: Command) -> None:
     result = stepgap(
-        "map", "--table", "table.npz", "--points", 3, "--gains.stiffness", "2400", "--command.fy_upper", "18"
+        "gait", "--table", "table.npz", "--points", 3, "--gains.stiffness", "2400", "--command.fy_upper", "18"
     )
     assert (result.code, result.err) == (0, "")
     assert result.out.endswith("\ntable.npz\n")
@@ -96,41 +96,41 @@ def test_a_table(stepgap: Command) -> None:
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
-        ("map --state speed=nan", ["--state speed=nan: it must be names, each once, with finite numbers"]),
+        ("gait --state speed=nan", ["--state speed=nan: it must be names, each once, with finite numbers"]),
         (
-            "map --command fx=strong",
+            "gait --command fx=strong",
             ["--command fx=strong: it must be names, each once, with finite numbers, such as fx=0,fy=0"],
         ),
-        ("map --gains.stifness 3", ["--gains.stifness: unknown key; did you mean stiffness?"]),
-        ("map none.toml", ["none.toml: No such file or directory"]),
-        ("map --csv good.csv --state speed=0.1", ["--csv and --state, --command: give only one of them"]),
-        ("map --csv good.csv --table t.npz", ["--csv and --table: give only one of them"]),
-        ("map --out next.csv", ["--out: valid only with --csv"]),
-        ("map --points 5", ["--points 5: valid only with --table"]),
-        ("map --quiet", ["--quiet: valid only with --table"]),
-        ("map --table t.npz --points 1", ['Invalid value "1" for --points. Must be >= 2']),
-        ("map --table t.npz --points 1.5", ["--points", "1.5"]),
+        ("gait --gains.stifness 3", ["--gains.stifness: unknown key; did you mean stiffness?"]),
+        ("gait none.toml", ["none.toml: No such file or directory"]),
+        ("gait --csv good.csv --state speed=0.1", ["--csv and --state: give only one of them"]),
+        ("gait --csv good.csv --table t.npz", ["--csv and --table: give only one of them"]),
+        ("gait --command fx=0 --out next.png", ["--out: valid only for the figure, and with --csv"]),
+        ("gait --points 5", ["--points 5: valid only with --table"]),
+        ("gait --quiet", ["--quiet: valid only with --table"]),
+        ("gait --table t.npz --points 1", ['Invalid value "1" for --points. Must be >= 2']),
+        ("gait --table t.npz --points 1.5", ["--points", "1.5"]),
         (
-            "map --table good.csv --points 2",
+            "gait --table good.csv --points 2",
             ["good.csv: exists already; choose another --table"],
         ),
-        ("map --table none/t.npz --points 2", ["none/t.npz: cannot be written", "choose another --table"]),
+        ("gait --table none/t.npz --points 2", ["none/t.npz: cannot be written", "choose another --table"]),
         (
-            "map --csv good.csv --out good.csv",
+            "gait --csv good.csv --out good.csv",
             ["good.csv: exists already; choose another --out"],
         ),
-        ("map --csv good.csv --out none/n.csv", ["none/n.csv: cannot be written", "choose another --out"]),
-        ("map --nominal.kind log --nominal.file none.csv", ["stepgap: nominal.file: none.csv: No such file"]),
-        ("map --csv none.csv", ["none.csv: No such file or directory; it must be a CSV file with the columns"]),
-        ("map --csv folder", ["folder: Is a directory; it must be a CSV file"]),
-        ("map --csv empty.csv", ["empty.csv, line 1: the header is ''; it must be 'speed,height,fx,fy'"]),
-        ("map --csv header.csv", ["header.csv, line 2: there is no point"]),
-        ("map --csv names.csv", ["names.csv, line 1: the header is 'speed,height,fx,f'; it must be"]),
-        ("map --csv short.csv", ["short.csv, line 3: 3 values; it must have 4, one for each of speed,height,fx,fy"]),
-        ("map --csv word.csv", ["word.csv, line 2, column 'fx': 'strong'; it must be a finite number in N, for"]),
-        ("map --csv nan.csv", ["nan.csv, line 2, column 'height': 'nan'; it must be a finite number in m, for"]),
-        ("map --csv binary.csv", ["binary.csv: this is not text; it must be a CSV file"]),
-        ("map --csv quote.csv", ["quote.csv, line 2: "]),
+        ("gait --csv good.csv --out none/n.csv", ["none/n.csv: cannot be written", "choose another --out"]),
+        ("gait --nominal.kind log --nominal.file none.csv", ["stepgap: nominal.file: none.csv: No such file"]),
+        ("gait --csv none.csv", ["none.csv: No such file or directory; it must be a CSV file with the columns"]),
+        ("gait --csv folder", ["folder: Is a directory; it must be a CSV file"]),
+        ("gait --csv empty.csv", ["empty.csv, line 1: the header is ''; it must be 'speed,height,fx,fy'"]),
+        ("gait --csv header.csv", ["header.csv, line 2: there is no point"]),
+        ("gait --csv names.csv", ["names.csv, line 1: the header is 'speed,height,fx,f'; it must be"]),
+        ("gait --csv short.csv", ["short.csv, line 3: 3 values; it must have 4, one for each of speed,height,fx,fy"]),
+        ("gait --csv word.csv", ["word.csv, line 2, column 'fx': 'strong'; it must be a finite number in N, for"]),
+        ("gait --csv nan.csv", ["nan.csv, line 2, column 'height': 'nan'; it must be a finite number in m, for"]),
+        ("gait --csv binary.csv", ["binary.csv: this is not text; it must be a CSV file"]),
+        ("gait --csv quote.csv", ["quote.csv, line 2: "]),
     ],
 )
 def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, parts: list[str]) -> None:
@@ -154,7 +154,7 @@ def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, part
 
 
 def test_help(stepgap: Command) -> None:
-    result = stepgap("map", "--help")
+    result = stepgap("gait", "--help")
     assert (result.code, result.err) == (0, "")
     for word in ("--csv", "--table", "--points", "speed=0.2,height=0.58", "fx=5,fy=-5"):
         assert word in result.out
