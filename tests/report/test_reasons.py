@@ -64,7 +64,7 @@ def test_commands_that_jump_are_named_even_where_the_robot_tracks(tracked: Run) 
     jumping = steps.with_columns(requested=NOMINAL.space.command_centre + signs * NOMINAL.space.command_scale)
     np.testing.assert_allclose(changes_at_constant_targets(jumping), 0.4)
     (reason,) = reasons(changed(tracked, jumping, 1.0))
-    assert "the command changes by 40 % of its range or more in every fourth step" in reason.sentence
+    assert "changes by 40 % of its range or more in every fourth step" in reason.sentence
     assert reason.command.endswith("/run/experiment.toml --control.largest_change 0.1")
 
 
@@ -143,3 +143,15 @@ def test_bounds_of_a_setting_are_proposed_wider(tracked: Run) -> None:
     (reason, *_) = reasons(run)
     assert reason.sentence.startswith("fx was at a bound in 100 %")
     assert reason.command.endswith("/run/experiment.toml --command.fx_lower=-60 --command.fx_upper=60")
+
+
+def test_jumps_that_learning_brought_are_named_where_the_noise_floor_grew_with_them(tracked: Run) -> None:
+    """A command that acts in the next step, too, rings; then the floor that is found from these steps is no measure."""
+    steps = tracked.recorded
+    signs = np.where(steps.number % 2, 0.4, -0.4)[:, None]
+    ringing = steps.with_columns(requested=NOMINAL.space.command_centre + signs * NOMINAL.space.command_scale)
+    run = changed(tracked, ringing, 100.0)
+    assert not run.summary.noise_floor_measured
+    (reason,) = reasons(run)
+    assert reason.command.endswith("--control.largest_change 0.1")
+    assert "It tracked" not in run_summary(run)

@@ -21,7 +21,7 @@ from stepgap.experiment.settings_text import described_settings
 from stepgap.learning.observations import observe
 from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
-from stepgap.records.text import capitalised, listed
+from stepgap.records.text import listed
 from stepgap.report.diagnosis_sentences import (
     OFFSET_ADVICE,
     OFTEN,
@@ -72,7 +72,9 @@ def reasons(run: Run) -> list[Reason]:
     for decisive in (_known_before, _too_weak, _response, _worse):
         if found := list(decisive(run, achieved)):
             return found[:MOST_REASONS]
-    possible = chain(_reach(run, achieved), _changes(run, achieved), jumps, _goes_on(run, achieved))
+    reach = list(_reach(run, achieved))
+    others = [] if reach else jumps  # between two bounds a command jumps
+    possible = chain(reach, _changes(run, achieved), others, _goes_on(run, achieved))
     return list(islice(possible, MOST_REASONS))
 
 
@@ -231,14 +233,14 @@ def _jumps(run: Run, last: Steps) -> Iterator[Reason]:
     names = [name for name, change in zip(run.space.command_names, often, strict=True) if change > _JUMP]
     if names:
         sentence = (
-            f"{listed(names)}: at an unchanged target, the command changes by {100 * often.max():.0f} % of its range "
-            "or more in every fourth step."
+            f"At an unchanged target, {listed(names)} changes by {100 * often.max():.0f} % of its range or more in "
+            "every fourth step."
         )
         advice = (
             "Other commands do about equally well, or a command also acts in the step after it: a limit of its change "
             "calms it."
         )
-        yield Reason(capitalised(sentence), advice, _with_settings("run", run, "--control.largest_change 0.1"))
+        yield Reason(sentence, advice, _with_settings("run", run, "--control.largest_change 0.1"))
 
 
 def _goes_on(run: Run, achieved: Achievement) -> Iterator[Reason]:

@@ -33,16 +33,11 @@ def headline(run: Run) -> str:
         verdict = f"It did not track: {errors}. But {to_end}"
         if all(achieved.parts[row] <= CLOSE for row in far):
             verdict = f"It followed its targets closely, {errors}: {to_end}"
-    elif np.isfinite(achieved.floor[achieved.rows]).all() and not _is_doubtful(achieved):
+    elif np.isfinite(achieved.floor[achieved.rows]).all() and not any(map(achieved.is_doubtful, achieved.rows)):
         verdict = f"It tracked: {to_end}"
     else:
         verdict = capitalised(to_end)
     return f"{verdict}{_compared(achieved)}."
-
-
-def _is_doubtful(achieved: Achievement) -> bool:
-    """Whether errors became larger, and the noise floor is found from the same steps, so that it grew with them."""
-    return not achieved.run.summary.noise_floor_measured and any(change > 0 for change in achieved.changes())
 
 
 def sentences(run: Run) -> list[str]:

@@ -157,6 +157,8 @@ class Achievement:
         floor, (low, high) = self.floor[row], self.run.noise_floor_interval[:, row]
         if np.isnan(floor) or np.isnan(self.after[row]):
             return "no noise" if self.is_without_noise else "–"
+        if self.is_doubtful(row):
+            return "–"
         if row in self.beyond():
             verdict = "follows" if self.parts[row] <= CLOSE else "not tracked"
             return f"{verdict}: {decimal(100 * self.parts[row], 2)} % of its range"
@@ -167,6 +169,10 @@ class Achievement:
         if reached <= (high if np.isfinite(high) else floor * NEAR_FLOOR):
             return "at the noise floor"
         return f"{decimal(reached / floor, 2)} noise floors"
+
+    def is_doubtful(self, row: int) -> bool:
+        """Whether an error became larger, and its noise floor, found from the same steps, grew with it."""
+        return not self.run.summary.noise_floor_measured and self._change(row) > 0
 
     def _change(self, row: int) -> float:
         before = self.before[row]
