@@ -42,11 +42,15 @@ def test_the_state_is_the_mean_velocity_in_the_frame_of_the_body(seconds: float)
     ticks: list[Rows] = []
     plant = plant_of(replace(EXACT, walk=Walk(seconds=seconds)), lambda rows, _: ticks.append(rows))
     assert plant.start() == pytest.approx(np.zeros(3))
-    states = [plant.take_step(COMMAND).next_state for _ in range(3)]
+    records = [plant.take_step(COMMAND) for _ in range(3)]
+    states = [record.next_state for record in records]
     times = [rows[-1][0] for rows in ticks]
     np.testing.assert_allclose(np.diff(times), seconds, atol=1e-9)
     poses = np.array([row for rows in ticks for row in rows])[:, 1:8]
     rotations = np.array([_matrix(pose[3:]) for pose in poses])
+    heading = np.arctan2(rotations[-1, 1, 0], rotations[-1, 0, 0])
+    measured = [records[-1].context[name] for name in EXACT.space.pose_names]
+    np.testing.assert_allclose(measured, [*poses[-1, :2], heading], atol=1e-9)
     moved = np.einsum("tij,ti->tj", rotations[1:], np.diff(poses[:, :3], axis=0)) / EXACT.tick
     turned = np.array([_turn(a.T @ b)[2] for a, b in pairwise(rotations)]) / EXACT.tick
     number = round(seconds / EXACT.tick)
