@@ -38,6 +38,7 @@ from stepgap.learning.first_beliefs import (
     WAVES,
     Family,
     features_of,
+    first_beliefs,
 )
 from stepgap.step import Array
 from tests.learning.robots import (
@@ -624,3 +625,18 @@ def test_errors_of_any_size_leave_beliefs_that_can_plan(seed: int, largest: floa
     mean, std = known(beliefs, POINTS)
     assert np.isfinite(mean).all()
     assert (std > 0).all()
+
+
+def test_what_is_not_known_of_a_robot_with_a_lag_stays_within_its_range() -> None:
+    """Its error in a corner of all ranges; of other robots it may be more than three half ranges."""
+    features = features_of(6, LEAST_FOR_WAVES)
+    corner = features(np.ones(6))[: features.monomials]
+
+    def largest(lagged: bool) -> float:
+        unknown = [belief for belief in first_beliefs(features, (3, 3), (), None, lagged) if belief.kind == "unknown"]
+        size = features.monomials
+        covariances = [belief.weights.covariance[0, :size, :size] for belief in unknown]
+        return float(np.sqrt(max(corner @ covariance @ corner for covariance in covariances)))
+
+    assert largest(lagged=True) < 1.0
+    assert largest(lagged=False) > 3.0

@@ -27,6 +27,9 @@ that stands at slow commands was told too much there."""
 WAVE_STD: Final = 0.06  # Prior standard deviation of the part that no quadratic has [half ranges]
 UNKNOWN_STDS: Final = ((0.3, 0.08), (0.6, 0.6))
 """Prior standard deviations of the weights of robots of which nothing is known: up to degree 1, and of degree 2."""
+LAGGED_STDS: Final = ((0.3, 0.08), (0.3, 0.04))
+"""The same of robots that follow their commands with a lag, such as commanded velocities. With 0.6, a humanoid that had
+walked forward was told to turn to the wrong side on its way back: its quadratic had a second root there."""
 UNKNOWN_NOISE, NOMINAL_NOISE = 0.03, 0.1
 """Expected standard deviation of their noise, and of that of a nominal map that is right [half ranges]."""
 RIGHT_STD: Final = 1e-3  # Prior standard deviation of the weights where a map is right [half ranges]
@@ -71,7 +74,8 @@ def first_beliefs(
     expected: list[tuple[Kind, Family]] = [("family", family) for family in families]
     if fitted is not None:
         expected = [("fitted", Family(zero, right, fitted))]
-    rivals: list[tuple[Kind, Family]] = [("unknown", unknown(features, n, stds)) for stds in UNKNOWN_STDS]
+    unknown_stds = LAGGED_STDS if lagged else UNKNOWN_STDS
+    rivals: list[tuple[Kind, Family]] = [("unknown", unknown(features, n, stds)) for stds in unknown_stds]
     nominal: list[tuple[Kind, Family]] = [("nominal", Family(zero, right, np.full(n, NOMINAL_NOISE)))]
     groups = [(1 - 2 * RIVAL, expected), (2 * RIVAL, rivals)] if expected else [(1 - 2 * RIVAL, rivals)]
     if fitted is None:
