@@ -158,8 +158,8 @@ def imagined_steps(response: Response, space: StepSpace, seconds: float) -> Step
 
     Somebody who drives by hand holds each command for some steps. So the velocity before a step says the same as the
     command before it, and nothing says which of both acts on: plans would then let the command alternate. These steps
-    say it, since the commands change with every one or two of them: the error of ten random trots after the cure was 0.91
-    times that without them (95 % interval 0.86 to 0.97).
+    say it, since the commands change with every one or two of them: the error of ten random trots after the cure was
+    0.91 times that without them (95 % interval 0.86 to 0.97).
     """
     rng = np.random.default_rng(0)
     lengths = rng.integers(1, 3, IMAGINED)
