@@ -37,6 +37,8 @@ FIRST = "run --reference short.csv --iterations 0"
 USED = (
     "run",
     "run --reference short.csv --iterations 1 --online",
+    "run --reference short.csv --iterations 1 --method paper",
+    "run --reference short.csv --iterations 0 --ground.stair_height 0.03",
     "run --robot quadruped --iterations 1",
     "check hopper",
     "check quadruped",
