@@ -75,3 +75,14 @@ def test_an_interrupted_run_goes_on(stepgap: Command, monkeypatch: pytest.Monkey
 def test_what_is_wrong_is_named(stepgap: Command, arguments: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         library.run(**{"robot": None if "resume" in arguments else "ball", "progress": False, **arguments})
+
+
+def test_a_plant_of_ones_own_is_an_argument(stepgap: Command) -> None:
+    robot = load_robot("ball")
+    nominal = next(iter(robot.nominal_maps().values()))()
+    run = library.run(
+        "ball", plant=lambda rng: library.ModelPlant(nominal, [0.5], [0.01], rng), out="own", iterations=0
+    )
+    assert run.needed(run.settings).plant == "own"
+    assert np.std(run.steps.next_state - run.steps.predicted) == pytest.approx(0.01, rel=0.5), "the noise of this plant"
+    assert stepgap("report", "own").code == 0

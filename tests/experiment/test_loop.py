@@ -841,3 +841,11 @@ def test_a_reference_for_another_map_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="the reference has targets of pace"):
         run_experiment(Setup(NOMINAL, Plants(plant_of(REALITY)), reference, ALWAYS), tmp_path)
     assert not contents(tmp_path)
+
+
+def test_a_deployment_is_named_by_what_learned_in_it() -> None:
+    """Without a step, only beliefs learn while it goes on, whatever residual is fitted afterwards."""
+    settings = LearningSettings("gp", online=True)
+    assert loop._residual_name(Learner.start(NOMINAL, Steps(NOMINAL.space), settings, 0)) == POSTERIOR.name
+    alone = replace(settings, drift=False)
+    assert loop._residual_name(Learner.start(NOMINAL, Steps(NOMINAL.space), alone, 0)) == "gp"

@@ -417,3 +417,15 @@ def test_a_file_of_a_robot_is_found_beside_the_settings_and_goes_with_a_run(tmp_
     assert as_hopper(again.robot, "").ground.largest_change == 0.01
     with pytest.raises(InputError, match=r"ground.profile: .*floor.csv"):
         write_experiment(tmp_path / "run", settings, load_reference(settings, settings.space))
+
+
+def test_reading_the_names_of_presets_draws_no_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(RealityGap, "random", None)
+    assert settings.preset_names(Hopper())["gap"][-1] == "random:NUMBER"
+    assert "gap" not in settings.preset_names(load_robot("custom"))
+
+
+def test_a_warm_start_that_a_file_names_is_turned_off(tmp_path: Path) -> None:
+    (tmp_path / "e.toml").write_text("warm_start = 'run'\n")
+    assert read_experiment(tmp_path / "e.toml").warm_start == str(tmp_path / "run")
+    assert read_experiment(tmp_path / "e.toml", [("warm_start", "none")]).warm_start == ""

@@ -161,3 +161,12 @@ def test_an_explained_error_is_a_result() -> None:
     )
     assert isinstance(found, PartResult)
     assert found.verdict == "wrong"
+
+
+@pytest.mark.usefixtures("package", "no_repeats")
+def test_a_machine_that_must_not_get_random_commands_gets_none(
+    stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr("stepgap.experiment.trial.ProbedPlant")
+    result = stepgap("check", "ball", "--no-random")
+    assert (result.code, verdicts(result)["motion"]) == (0, "ok")

@@ -121,8 +121,9 @@ class DeploymentController:
             settings: Settings of step control.
         """
         table = build_table(learner.step_map(), settings.table) if settings.table else None
-        distance = learner.farthest
-        if not (learner.nominal.space.planar_seconds and np.isfinite(distance).all()):
+        walks = learner.nominal.space.planar_seconds
+        distance = learner.farthest if walks else np.array(inf)
+        if not np.isfinite(distance).all():
             return cls(learner, settings, table)
         farthest = (1 + settings.widening) * distance if isfinite(settings.widening) else None
         return cls(learner, settings, table, farthest, settings.surprise)
