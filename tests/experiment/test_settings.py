@@ -276,7 +276,7 @@ def test_no_number_may_be_nan_and_few_may_be_infinite(name: str) -> None:
         with pytest.raises(InputError, match=f"^--{name} = {value}, but it must"):
             read_experiment(None, [(name, value)])
     table, key = name.split(".")
-    may_be_infinite = name == "learning.forgetting_time" or (
+    may_be_infinite = name in ("learning.forgetting_time", "control.widening", "control.surprise") or (
         table == "gap" and math.isinf(getattr(RealityGap.none(), key))
     )
     if not may_be_infinite:
