@@ -1,6 +1,7 @@
 """The experiment from Python is that of the command: same settings, same folder, same bytes."""
 
 from importlib import import_module
+from multiprocessing.spawn import get_preparation_data
 from pathlib import Path
 
 import numpy as np
@@ -86,3 +87,20 @@ def test_a_plant_of_ones_own_is_an_argument(stepgap: Command) -> None:
     assert run.needed(run.settings).plant == "own"
     assert np.std(run.steps.next_state - run.steps.predicted) == pytest.approx(0.01, rel=0.5), "the noise of this plant"
     assert stepgap("report", "own").code == 0
+
+
+def test_a_program_without_a_guard_runs_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that starts meanwhile, such as one that compiles, would run the file of the program again."""
+    door = import_module("stepgap.cli.python_door")
+    monkeypatch.setattr(import_module("__main__"), "__file__", "program.py", raising=False)
+    found = list[dict[str, object]]()
+    loop = door.run_experiment
+
+    def observed(*arguments: object) -> None:
+        found.append(get_preparation_data("other"))
+        loop(*arguments)
+
+    monkeypatch.setattr(door, "run_experiment", observed)
+    library.run("ball", iterations=0, progress=False)
+    assert not {"init_main_from_path", "init_main_from_name"} & set(found[0])
+    assert vars(import_module("__main__"))["__file__"] == "program.py"

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.base.errors import InputError
+from stepgap.base.start_method import program_left_alone
 from stepgap.cli.nominal import nominal_with_progress
 from stepgap.cli.progress import RunProgress
 from stepgap.control.reference import Reference
@@ -87,7 +88,7 @@ def run(
         experiment = replace(experiment, reference="targets")
     if own:
         experiment = replace(experiment, plant=OWN_PLANT)
-    with run_folder(folder_of_run) as folder:
+    with run_folder(folder_of_run) as folder, program_left_alone():
         with plant_compiled_beside(experiment):
             nominal = nominal_with_progress(experiment, reference)
         setup = load_setup(PlantRequest(experiment, reference, folder, program=program, own=own), nominal.map)
