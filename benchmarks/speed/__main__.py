@@ -101,7 +101,7 @@ def _announce(line: str) -> None:
 def speed_line(_: str = "") -> App:
     """The command line."""
     app = App(name="benchmarks.speed", help="Measure how fast StepGap is on this machine.", help_format="plaintext")
-    add_verb(app, "map", bench_map_)
+    add_verb(app, "step-map", bench_map_)
     add_verb(app, "gp", bench_gp_)
     add_verb(app, "run", bench_run_)
     return app

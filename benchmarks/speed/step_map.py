@@ -1,4 +1,4 @@
-"""`benchmarks.speed map`: computing times of the nominal map and of everything that is built on it.
+"""`benchmarks.speed step-map`: computing times of the nominal map and of everything that is built on it.
 
 Single calls and batches take turns within one run, so that a busy machine slows both equally: compare ratios, not
 times.

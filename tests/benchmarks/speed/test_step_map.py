@@ -1,4 +1,4 @@
-"""`benchmarks.speed map`: it runs and reports its measurements; no test checks the times."""
+"""`benchmarks.speed step-map`: it runs and reports its measurements; no test checks the times."""
 
 import json
 import re
@@ -24,7 +24,7 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("tiny")
 def test_the_quick_bench_writes_json_and_a_table(stepgap: Command) -> None:
-    command_result = stepgap("map", "--quick", verbs=speed_line)
+    command_result = stepgap("step-map", "--quick", verbs=speed_line)
     assert command_result.code == 0, command_result.err
     assert command_result.out.endswith("\nbench_map.json\n")
     for line in ("StepGap ", "StepGap in a batch ", *SECTIONS):
@@ -39,14 +39,14 @@ def test_the_quick_bench_writes_json_and_a_table(stepgap: Command) -> None:
 
 def test_bad_input_is_refused(stepgap: Command) -> None:
     Path("there.json").write_text("keep me")
-    refused(stepgap("map", "--out", "there.json", verbs=speed_line), "there.json: exists already; choose another --out")
-    refused(stepgap("map", "--gains.stifness", "3", verbs=speed_line), "did you mean stiffness?")
+    refused(stepgap("step-map", "--out", "there.json", verbs=speed_line), "there.json: exists already; choose another --out")
+    refused(stepgap("step-map", "--gains.stifness", "3", verbs=speed_line), "did you mean stiffness?")
     refused(stepgap("maps", verbs=speed_line), "maps")
     assert Path("there.json").read_text() == "keep me"
 
 
 def test_settings_with_which_nothing_hops_fail_in_one_line(stepgap: Command) -> None:
-    command_result = stepgap("map", "--quick", "--gains.rest_length", "0.2", verbs=speed_line)
+    command_result = stepgap("step-map", "--quick", "--gains.rest_length", "0.2", verbs=speed_line)
     assert (command_result.code, command_result.out) == (1, "")
     assert command_result.err.splitlines()[-1].startswith("stepgap: only 0 of 12 random steps succeed; choose settings")
     assert not list(Path().iterdir())
