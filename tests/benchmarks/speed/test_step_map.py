@@ -39,7 +39,8 @@ def test_the_quick_bench_writes_json_and_a_table(stepgap: Command) -> None:
 
 def test_bad_input_is_refused(stepgap: Command) -> None:
     Path("there.json").write_text("keep me")
-    refused(stepgap("step-map", "--out", "there.json", verbs=speed_line), "there.json: exists already; choose another --out")
+    again = stepgap("step-map", "--out", "there.json", verbs=speed_line)
+    refused(again, "there.json: exists already; choose another --out")
     refused(stepgap("step-map", "--gains.stifness", "3", verbs=speed_line), "did you mean stiffness?")
     refused(stepgap("maps", verbs=speed_line), "maps")
     assert Path("there.json").read_text() == "keep me"
