@@ -9,6 +9,8 @@ import onnx
 import pytest
 from onnx import numpy_helper
 
+import stepgap
+from stepgap import verbs
 from stepgap.mujoco_robots.cli.new_policy import step_seconds
 from stepgap.mujoco_robots.velocity.policy.policy_settings import read_policy_settings
 from tests.cli.command_line import Command, refused
@@ -180,3 +182,12 @@ def test_a_step_has_whole_periods_of_the_gait(period: float, seconds: float) -> 
     known = {"observation": ["base_ang_vel", "phase_sin"], "gait_period": period}
     assert step_seconds(known) == pytest.approx(seconds)
     assert step_seconds({"observation": ["base_ang_vel"], "gait_period": period}) == 0.5
+
+
+def test_a_policy_runs_from_python_in_two_lines() -> None:
+    """Those of docs/notebook_policy.md, with shorter walks."""
+    write_network(Path("policy.onnx"), driving(), mjlab_metadata())
+    Path("robot.xml").write_text(cart_xml())
+    verbs.new("dog", policy="policy.onnx", mjcf="robot.xml")
+    run = stepgap.run("dog/experiment.toml", targets=np.full((4, 3), 0.1), iterations=0, progress=False)
+    assert len(run.steps) == 4
