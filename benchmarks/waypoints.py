@@ -38,6 +38,7 @@ import stepgap
 from benchmarks.ratios import ratio
 from benchmarks.velocity import Cell, Trip, affine_inverse, robot_of, walked
 from stepgap.base.random_streams import random_stream
+from stepgap.control.shortfall import turned
 from stepgap.export.controller.model_document import model_text
 from stepgap.export.controller.portable_controller import portable_controller
 from stepgap.export.controller.step_filter import StepFilter
@@ -182,7 +183,7 @@ def walk_tour(robot: WalkingRobot, tour: Tour, correct: Corrector, rng: np.rando
     noise = robot.gap.state_noise * robot.space.state_scale
     substeps = max(1, round(robot.tick / model.opt.timestep))
     ticks = round(PERIOD / robot.tick)
-    start = _pose(data)
+    start = np.array(robot.context(model, data))
     result = Walked(WAYPOINTS * POINT_SECONDS, [], [])
     sums, step, velocity, error = np.zeros(4), -1, np.zeros(3), np.zeros(3)
     for number in range(round(WAYPOINTS * POINT_SECONDS / PERIOD)):
@@ -197,7 +198,7 @@ def walk_tour(robot: WalkingRobot, tour: Tour, correct: Corrector, rng: np.rando
             step += 1
             velocity = sums[:3] / max(sums[3], 1.0) + noise * rng.standard_normal(3)
             sums[:] = 0.0
-        error = _error(tour.points[int(point)], start, _pose(data))
+        error = _error(tour.points[int(point)], start, np.array(robot.context(model, data)))
         command = correct(law(error[:2], error[2]), velocity, begins)
         # a punch acts on one body
         data.xfrc_applied[:] = 0.0
@@ -217,21 +218,11 @@ def walk_tour(robot: WalkingRobot, tour: Tour, correct: Corrector, rng: np.rando
     return result
 
 
-def _pose(data: Any) -> Array:
-    """x, y and heading of the first body; shape (3,)."""
-    w, x, y, z = data.qpos[3:7]
-    return np.array([*data.qpos[:2], np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))])
-
-
 def _error(point: Array, start: Array, pose: Array) -> Array:
     """A waypoint, given from the start, in the frame of the robot; shape (3,)."""
-    place = start[:2] + _turned(point[:2], start[2])
+    place = start[:2] + turned(start[2], *point[:2])
     turn = np.remainder(start[2] + point[2] - pose[2] + np.pi, 2 * np.pi) - np.pi
-    return np.array([*_turned(place - pose[:2], -pose[2]), turn])
-
-
-def _turned(vector: Array, angle: float) -> Array:
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ vector
+    return np.array([*turned(-pose[2], *(place - pose[:2])), turn])
 
 
 def correctors(robot: WalkingRobot, cell: Cell) -> dict[str, Callable[[], Corrector]]:

@@ -9,7 +9,7 @@ to its side is made up for.
 
 from dataclasses import dataclass, replace
 from math import pi
-from typing import Final, Self, final
+from typing import Any, Final, Self, final
 
 import numpy as np
 
@@ -90,11 +90,11 @@ def moved(pose: Array, way: Array) -> Array:
     return pose + np.array([*turned(pose[2] + turn / 2, chord * ahead, chord * left), turn])
 
 
-def turned(angle: float, x: float, y: float) -> tuple[float, float]:
-    """A vector turned to the left by an angle."""
+def turned(angle: Array | float, x: Array | float, y: Array | float) -> tuple[Any, Any]:
+    """Vectors turned to the left by angles [rad]: numbers, or arrays of one shape."""
     cos = np.cos(angle)
     sin = np.sin(angle)
-    return float(cos * x - sin * y), float(sin * x + cos * y)
+    return cos * x - sin * y, sin * x + cos * y
 
 
 def _zero_of(pose: Array, measured: Array) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.base.errors import InputError
+from stepgap.control.shortfall import turned
 from stepgap.cure.topics import COMMAND_TYPES, POSE_TYPES, VELOCITY_TYPES, Topic, chosen_topic, topics_in
 from stepgap.logs.sections.held_commands import HeldCommands, held_commands
 from stepgap.logs.sections.section_settings import POSE_COLUMNS, SectionSettings
@@ -97,8 +98,7 @@ class HandDrive:
         middle = (self.velocity[1:] + self.velocity[:-1]) / 2
         turns = np.append(0.0, np.cumsum(middle[:, 2] * spans))
         yaw = (turns[1:] + turns[:-1]) / 2
-        forward, left = (middle[:, axis] * spans for axis in (0, 1))
-        moves = np.stack([np.cos(yaw) * forward - np.sin(yaw) * left, np.sin(yaw) * forward + np.cos(yaw) * left])
+        moves = np.stack(turned(yaw, *(middle[:, axis] * spans for axis in (0, 1))))
         # The sway of the gait is no way: lengths are those of means over half a second.
         smooth = _means(self.velocity[:, :2], max(1, round(0.5 / self.interval)))
         return moves.sum(axis=1), float(np.sum(np.hypot(*smooth[:-1].T) * spans))
@@ -158,8 +158,7 @@ def read_drive(text: str, command: str = "", odometry: str = "") -> HandDrive:
 
 def _by_places(log: SignalLog, given: Topic, commands: HeldCommands, pose: Topic) -> HandDrive:
     """The drive of a robot of which places alone are known; its velocity is the way in a step over its time."""
-    columns = pose.columns if len(pose.columns) == 3 else (*pose.columns[:2], *pose.columns[2:])
-    settings = SectionSettings(state=("forward",), every=1.0, pose=columns)
+    settings = SectionSettings(state=("forward",), every=1.0, pose=pose.columns)
     posed = with_pose(log, settings)
     motion = [posed.signal(column) for column in POSE_COLUMNS]
     time = motion[0].time
@@ -203,8 +202,8 @@ def _in_robot_frame(drive: HandDrive, pose: Topic | None) -> HandDrive:
     yaw = _yaw_of(drive, pose)
     if np.ptp(yaw) < _TURNED:
         return drive
-    turned = replace(drive, velocity=_turned(drive.velocity, -yaw), is_turned=True)
-    as_it_is, in_world = (_unexplained_sideways(one) for one in (drive, turned))
+    in_robot = replace(drive, velocity=_turned(drive.velocity, -yaw), is_turned=True)
+    as_it_is, in_world = (_unexplained_sideways(one) for one in (drive, in_robot))
     if not in_world < _BETTER * as_it_is:
         return drive
     note = (
@@ -212,7 +211,7 @@ def _in_robot_frame(drive: HandDrive, pose: Topic | None) -> HandDrive:
         f"{100 * (1 - as_it_is):.0f} % as they are, {100 * (1 - in_world):.0f} % turned by its yaw), so they were "
         "turned into that of the robot. The message nav_msgs/Odometry demands the frame of the robot."
     )
-    return _with_velocity(replace(turned, log=replace(drive.log, files=drive.log.files[1:])), [note])
+    return _with_velocity(replace(in_robot, log=replace(drive.log, files=drive.log.files[1:])), [note])
 
 
 def _yaw_of(drive: HandDrive, pose: Topic | None) -> Array:
@@ -226,10 +225,8 @@ def _yaw_of(drive: HandDrive, pose: Topic | None) -> Array:
 
 def _turned(velocity: Array, angle: Array) -> Array:
     """Velocities whose first two numbers are turned by an angle; shape (R, 3)."""
-    cosine = np.cos(angle)
-    sine = np.sin(angle)
     x, y, turning = velocity.T
-    return np.stack([cosine * x - sine * y, sine * x + cosine * y, turning], axis=-1)
+    return np.stack([*turned(angle, x, y), turning], axis=-1)
 
 
 def _unexplained_sideways(drive: HandDrive) -> float:
