@@ -13,6 +13,8 @@ from stepgap.cure.drive import check_distance, read_drive
 from stepgap.cure.habits import Habit, commands_to_drive, habits_of, stands_at_zero
 from stepgap.cure.lesson import Lesson, lesson_of
 from stepgap.cure.response import Response, response_of
+from stepgap.experiment.settings import read_experiment
+from stepgap.records.steps_csv import read_step_log
 from stepgap.step import Array
 from tests.cure.drives import DRIFT, GAINS, LAG, SWAY, drive, turned, written
 from tests.logs.cli.test_cli_walks import write_bag
@@ -94,6 +96,9 @@ def test_the_folder_has_page_passport_and_correctors(
     passport = json.loads((tmp_path / "cure/passport.json").read_text())
     assert passport["name"] == "unit 7"
     assert all(error["after"] < error["before"] for error in passport["errors"])
+    settings = read_experiment(tmp_path / "cure/experiment.toml")
+    steps = read_step_log(tmp_path / "cure/steps.csv", settings.robot.space)
+    assert len(steps) == passport["steps"], "a run can begin with them"
     said = capsys.readouterr().out
     assert "Asked to stand, it " in said
     assert "% can be corrected" in said

@@ -21,6 +21,7 @@ from stepgap.export.controller.model_document import model_text
 from stepgap.export.controller.passport import checked_robot_name, passport_lines
 from stepgap.export.controller.portable_controller import portable_form
 from stepgap.export.controller.python_source import python_source
+from stepgap.logs.foreign_log import as_deployments
 from stepgap.records.steps_csv import text_of
 
 _PACKAGE: Final = "stepgap.cure"
@@ -92,7 +93,7 @@ def cure_files(lesson: Lesson, habits: list[Habit], checks: list[str], name: str
         "cmd_vel_correction.py": _template("cmd_vel_correction.py.txt", {"DEFAULTS": _defaults(lesson)}),
         "correction.launch.py": _template("correction.launch.py.txt", {"STAMPED": str(_stamped(lesson)).lower()}),
         "experiment.toml": settings,
-        "steps.csv": text_of(lesson.steps),
+        "steps.csv": text_of(as_deployments(lesson.steps)),
         "next_commands.csv": _next_commands(lesson),
     }
 

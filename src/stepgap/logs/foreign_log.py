@@ -108,22 +108,24 @@ def imported_steps(path: Path, columns: Path | None, names: Mapping[str, str | t
 def step_log_of(found: FoundSteps) -> Steps:
     """The steps of other logs as those of a run, such as for a `steps.csv`.
 
-    A new deployment begins where a step does not follow the one before it: by its number or, without numbers, because
-    it does not start from the state in which that one ended. Predictions, and targets that the log does not have, are
-    not known. The yaw after a step is the one at which the next step of its deployment starts, so it is not known for
-    the last one.
+    The yaw after a step is the one at which the next step of its deployment starts, so that of the last one is unknown.
     """
-    steps = found.steps
     follows = found.steps.follows
-    iteration = np.cumsum(~follows) - 1
     yaw_after = np.roll(np.where(follows, found.phase, np.nan), -1)
-    return steps.with_columns(
-        iteration=iteration,
-        number=1 + np.arange(len(steps)) - np.flatnonzero(~follows)[iteration],
-        predicted=np.nan,
-        std=0.0,
-        context=np.repeat(yaw_after[:, None], len(steps.space.context), axis=1),
-    )
+    context = np.repeat(yaw_after[:, None], len(found.steps.space.context), axis=1)
+    return as_deployments(found.steps).with_columns(context=context)
+
+
+def as_deployments(steps: Steps) -> Steps:
+    """Steps with gaps as those of a run, which has none: predictions are not known.
+
+    A new deployment begins where a step does not follow the one before it: by its number or, without numbers, because
+    it does not start from the state in which that one ended.
+    """
+    follows = steps.follows
+    iteration = np.cumsum(~follows) - 1
+    number = 1 + np.arange(len(steps)) - np.flatnonzero(~follows)[iteration]
+    return steps.with_columns(iteration=iteration, number=number, predicted=np.nan, std=0.0)
 
 
 def _steps_of(rows: LogTable, columns: Columns) -> tuple[dict[str, Array], Labels, dict[str, int]]:
