@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from stepgap.base.errors import InputError
 from stepgap.cure.cli.cure import cure
+from stepgap.cure.cure_page import verdict
 from stepgap.cure.drive import check_distance, read_drive
 from stepgap.cure.habits import Habit, commands_to_drive, habits_of, stands_at_zero
 from stepgap.cure.lesson import Lesson, lesson_of
@@ -67,6 +69,13 @@ def test_a_sentence_names_what_is_sure_alone() -> None:
     assert quiet.in_words() == (
         "Asked for 0.40 m/s straight on, it walks 0.31 m/s forward and turns 0.12 rad/s (7°/s) to the left."
     )
+    aside = Habit(np.array([0, 0.2, 0]), np.array([-0.1, 0.15, 0]), np.full(3, 0.01), True, np.zeros(3), np.zeros(3))
+    assert aside.in_words() == "Asked for 0.20 m/s to the left, it walks 0.10 m/s backward and 0.15 m/s to the left."
+
+
+def test_where_nothing_is_left_to_correct_the_interval_is_zero(lesson: Lesson) -> None:
+    cured = replace(lesson, held=replace(lesson.held, asked=0.5 * lesson.held.predicted))
+    assert "it would remove 0 % (95 % interval 0 to 0 %)" in verdict(cured)
 
 
 def test_most_of_the_error_can_be_corrected_and_that_is_sure(lesson: Lesson) -> None:

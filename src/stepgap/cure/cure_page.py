@@ -25,7 +25,7 @@ def verdict(lesson: Lesson) -> str:
     """How much of the error can be corrected, and how sure that is, in a sentence or two."""
     share, half = lesson.held.correctable(lesson.space.state_scale, lesson.driven)
     reached, asked = within_reach(lesson)
-    low, high = max(0.0, share - half), min(1.0, share + half)
+    low, high = np.clip([share - half, share + half], 0.0, 1.0).tolist()
     if share - half <= 0 or share < _LITTLE:
         sentence = (
             f"This log does not show that a correction helps: of the error at held commands it would remove "

@@ -50,7 +50,7 @@ class Habit:
     def in_words(self) -> str:
         """A sentence on what was asked and what is done."""
         asked = _asked_in_words(self.asked)
-        does = _done_in_words(self.does, self.std)
+        does = _done_in_words(self.does, self.std, self.asked)
         unsure = "" if self.was_driven else " (no such command is in the log)"
         return f"{asked}, it {does}{unsure}."
 
@@ -65,12 +65,15 @@ def _asked_in_words(command: Array) -> str:
     return f"Asked for {listed(parts)}"
 
 
-def _done_in_words(velocity: Array, std: Array) -> str:
+def _done_in_words(velocity: Array, std: Array, asked: Array) -> str:
     sure = (np.abs(velocity) > np.maximum(_SMALL, _SURE * std)).tolist()
     if not any(sure):
         return "stands"
+    verbs = ["walks ", "drifts "]
+    if velocity[1] * asked[1] > 0:  # to the side that was asked for
+        verbs[1] = "" if sure[0] else "walks "
     axis_words = [
-        f"{'walks' if axis == 0 else 'drifts'} {abs(velocity[axis]):.2f} m/s {_direction(axis, velocity[axis])}"
+        f"{verbs[axis]}{abs(velocity[axis]):.2f} m/s {_direction(axis, velocity[axis])}"
         for axis in (0, 1)
         if sure[axis]
     ]
