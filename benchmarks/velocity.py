@@ -9,14 +9,16 @@ robot falls as it is are passed over. It follows its own reference, of some 100 
 - with an integrator, the command is the target plus the sum of all errors times a gain; the sum begins with that of a
   run before. *The better gain* of each cell is chosen in hindsight;
 - with StepGap, after one and two redeployments, with warm starts of the first seconds of its first deployment, and
-  online in the first deployment and the next.
+  online in the first deployment and the next;
+- with an oracle, which tries the commands of two steps on copies of the simulation, as it truly is, before each step:
+  what is left is what no command mends.
 
 Errors are those of the true velocities, RMSE up to a fall. *Held* are errors from the third step after a change of
 target on, and *change* is the root mean square change of the command there, from step to step, in half ranges of use:
 of a command that rings it is large.
 
     ./go python -m benchmarks.velocity --out velocity.jsonl [--robots velocity,FILE.toml] [--gaps 5] [--first-gap 1000]
-        [--warm 15,30] [--online]
+        [--warm 15,30] [--online] [--oracle]
 
 A robot is a name, or a file of settings, whose settings of control count. `--out` receives a line of JSON for each cell
 as soon as it is done; cells in it are not computed again.
@@ -26,6 +28,7 @@ import argparse
 import json
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from functools import cache, partial
 from itertools import count
@@ -34,6 +37,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from benchmarks.disturbed_plant import METHODS, finished, own_priors
 from stepgap.base.random_streams import random_stream
@@ -50,6 +54,11 @@ from stepgap.step import Array, StepSpace, StepStatus
 
 GAINS = (0.1, 0.2, 0.4)
 """Gains of the integrator."""
+
+ORACLE_SEARCH = {"bounds": (-1.0, 1.0), "diff_step": 0.05, "max_nfev": 3}
+"""How the oracle searches two commands [half ranges]: differences that noise of the gait does not spoil."""
+CALM = 0.1
+"""Weight of its changes of command beside its errors, both in half ranges of use, as in the plans of a humanoid."""
 
 RAW, BETTER = "command = target", "integrator, the better gain"
 """Names of the run without correction, and of the better integrator of a cell."""
@@ -134,7 +143,12 @@ def walked(cell: Cell, run: int, law: Law) -> Trip:
             break
         rows.append((command, record.true_next_state, record.next_state, target))
         state, before = record.next_state, target
-    columns = np.array(rows).reshape(-1, 4, len(space.state)).transpose(1, 0, 2)
+    return _trip(rows, targets)
+
+
+def _trip(rows: Sequence[tuple[Array, ...]], targets: Array) -> Trip:
+    """A run by its rows: command, velocity, measured velocity and target."""
+    columns = np.array(rows).reshape(-1, 4, targets.shape[1]).transpose(1, 0, 2)
     return Trip(*columns, fell=len(rows) < len(targets))
 
 
@@ -169,6 +183,42 @@ def integrated(cell: Cell, gain: float) -> Trip:
     return first if first.fell else walked(cell, 1, law.again())
 
 
+def foreseen(cell: Cell) -> Trip:
+    """The run of the oracle: the commands of two steps that are best on copies of the simulation, the first of them."""
+    robot = robot_of(cell)
+    space = robot.space
+    plant = plant_of(robot, random_stream(cell.gap, 1))
+    targets = reference_of(robot).targets
+    plant.start()
+    before = targets[0]
+    plan = np.tile(space.point_of(before), 2)
+    rows = list[tuple[Array, ...]]()
+    for number, target in enumerate(targets):
+        wanted = targets[[number, min(number + 1, len(targets) - 1)]]
+        outcomes = partial(_shortcomings, plant, wanted, before, space)
+        plan = least_squares(outcomes, np.clip(plan, -0.99, 0.99), **ORACLE_SEARCH).x
+        command = space.command_at(plan[: len(before)])
+        record = plant.take_step(command)
+        if record.status != StepStatus.OK:
+            break
+        rows.append((command, record.true_next_state, record.next_state, target))
+        before = command
+        plan = np.tile(plan[len(before) :], 2)
+    return _trip(rows, targets)
+
+
+def _shortcomings(plant: Plant, targets: Array, before: Array, space: StepSpace, plan: Array) -> Array:
+    """Errors and changes of command of two steps of a copy of the simulation; large where it falls."""
+    copied = deepcopy(plant)
+    parts = list[Array]()
+    for target, command in zip(targets, space.command_at(plan.reshape(2, -1)), strict=True):
+        velocity = copied.take_step(command).true_next_state
+        parts += [np.nan_to_num((velocity - target) / space.state_scale, nan=3.0)]
+        parts += [CALM * (command - before) / space.state_scale]
+        before = command
+    return np.concatenate(parts)
+
+
 def size_of(values: Array, space: StepSpace) -> float:
     """Root of the mean square of velocities (N, n) [half ranges]."""
     return float(np.sqrt(np.mean((values / space.state_scale) ** 2)))
@@ -201,13 +251,14 @@ def trip_of(steps: Steps, reference: Reference) -> Trip:
     return Trip(*(column[done] for column in columns), fell=int(done.sum()) < len(reference))
 
 
-def measure(cell: Cell, warm: Sequence[float] = (), online: bool = False) -> dict[str, Any]:
+def measure(cell: Cell, warm: Sequence[float] = (), online: bool = False, oracle: bool = False) -> dict[str, Any]:
     """The row of a cell; without `walks` if the robot falls as it is.
 
     Args:
         cell: The cell.
         warm: Seconds of the first deployment that other runs begin with.
         online: Whether to learn online, too.
+        oracle: Whether to measure the oracle, too.
     """
     robot = robot_of(cell)
     space, reference = robot.space, reference_of(robot)
@@ -233,6 +284,8 @@ def measure(cell: Cell, warm: Sequence[float] = (), online: bool = False) -> dic
     if online:
         both = learned(cell, replace(METHODS["online"], iterations=1, early_stop=False))
         walks |= {f"StepGap online, deployment {number}": trip_of(each, reference) for number, each in enumerate(both)}
+    if oracle:
+        walks["oracle"] = foreseen(cell)
     found = {
         name: {
             "rmse": np.sqrt(np.mean(walk.errors**2, axis=0)).tolist(),
@@ -287,10 +340,11 @@ def main() -> None:
     parser.add_argument("--first-gap", type=int, default=1000)
     parser.add_argument("--warm", default="", help="seconds of the first deployment that other runs begin with")
     parser.add_argument("--online", action="store_true")
+    parser.add_argument("--oracle", action="store_true", help="some minutes a cell")
     given = parser.parse_args()
     warm = [float(each) for each in given.warm.split(",") if each]
     rows: list[dict[str, Any]] = [json.loads(line) for line in given.out.open()] if given.out.exists() else []
-    task = partial(measure, warm=warm, online=given.online)
+    task = partial(measure, warm=warm, online=given.online, oracle=given.oracle)
     with given.out.open("a", encoding="utf-8") as out:
         for robot in given.robots.split(","):
             done = {row["gap"] for row in rows if row["robot"] == robot}
