@@ -11,14 +11,15 @@ robot falls as it is are passed over. It follows its own reference, of some 100 
 - with StepGap, after one and two redeployments, with warm starts of the first seconds of its first deployment, and
   online in the first deployment and the next;
 - with an oracle, which tries the commands of two steps on copies of the simulation, as it truly is, before each step:
-  what is left is what no command mends.
+  what is left is what no command mends;
+- with StepGap without one of its parts each, after one redeployment (`WITHOUT`).
 
 Errors are those of the true velocities, RMSE up to a fall. *Held* are errors from the third step after a change of
 target on, and *change* is the root mean square change of the command there, from step to step, in half ranges of use:
 of a command that rings it is large.
 
     ./go python -m benchmarks.velocity --out velocity.jsonl [--robots velocity,FILE.toml] [--gaps 5] [--first-gap 1000]
-        [--warm 15,30] [--online] [--oracle]
+        [--warm 15,30] [--online] [--oracle] [--without]
 
 A robot is a name, or a file of settings, whose settings of control count. `--out` receives a line of JSON for each cell
 as soon as it is done; cells in it are not computed again.
@@ -32,6 +33,7 @@ from copy import deepcopy
 from dataclasses import replace
 from functools import cache, partial
 from itertools import count
+from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -49,6 +51,7 @@ from stepgap.learning.steps import LoggedStep, Steps
 from stepgap.mujoco_robots.velocity.walking_robot import WalkingRobot
 from stepgap.plants.plant import Plant
 from stepgap.robots.entry_points import load_robot
+from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepSpace, StepStatus
 
@@ -59,6 +62,17 @@ ORACLE_SEARCH = {"bounds": (-1.0, 1.0), "diff_step": 0.05, "max_nfev": 3}
 """How the oracle searches two commands [half ranges]: differences that noise of the gait does not spoil."""
 CALM = 0.1
 """Weight of its changes of command beside its errors, both in half ranges of use, as in the plans of a humanoid."""
+
+COMMAND_BEFORE = "the command before"
+WITHOUT: Mapping[str, Mapping[str, Any]] = {
+    COMMAND_BEFORE: {},
+    "the step after": {"horizon": 1},
+    "caution": {"cautious": False},
+    "widening": {"widening": inf},
+    "surprise": {"surprise": inf},
+    "largest_change": {"largest_change": 1.0},
+}
+"""Settings of control by which StepGap lacks a part; without the command before the space says that it is without."""
 
 RAW, BETTER = "command = target", "integrator, the better gain"
 """Names of the run without correction, and of the better integrator of a cell."""
@@ -231,12 +245,15 @@ def affine_inverse(walk: Trip) -> Law:
     return lambda target, state, before: np.linalg.lstsq(found[1:].T, target - found[0], rcond=None)[0]
 
 
-def learned(cell: Cell, settings: LearningSettings, known: Steps | None = None) -> list[Steps]:
-    """The deployments of a run of StepGap, with the settings of control of its file."""
+def learned(cell: Cell, settings: LearningSettings, known: Steps | None = None, without: str = "") -> list[Steps]:
+    """The deployments of a run of StepGap, with the settings of control of its file, without a part of `WITHOUT`."""
     robot, log = robot_of(cell), list[LoggedStep]()
     nominal = next(iter(robot.nominal_maps().values()))()
+    if without == COMMAND_BEFORE:
+        assert isinstance(nominal, AffineMap)
+        nominal = replace(nominal, quantities=replace(nominal.space, is_lagged=False))
     plants, priors = Plants(partial(plant_of, robot)), own_priors(robot)
-    control = experiment_of(cell.robot).control
+    control = replace(experiment_of(cell.robot).control, **WITHOUT.get(without, {}))
     setup = Setup(nominal, plants, reference_of(robot), settings, control, cell.gap, known, priors)
     with tempfile.TemporaryDirectory() as folder:
         run_experiment(setup, Path(folder), Observer(on_step=log.append))
@@ -251,7 +268,9 @@ def trip_of(steps: Steps, reference: Reference) -> Trip:
     return Trip(*(column[done] for column in columns), fell=int(done.sum()) < len(reference))
 
 
-def measure(cell: Cell, warm: Sequence[float] = (), online: bool = False, oracle: bool = False) -> dict[str, Any]:
+def measure(
+    cell: Cell, warm: Sequence[float] = (), online: bool = False, oracle: bool = False, without: bool = False
+) -> dict[str, Any]:
     """The row of a cell; without `walks` if the robot falls as it is.
 
     Args:
@@ -259,6 +278,7 @@ def measure(cell: Cell, warm: Sequence[float] = (), online: bool = False, oracle
         warm: Seconds of the first deployment that other runs begin with.
         online: Whether to learn online, too.
         oracle: Whether to measure the oracle, too.
+        without: Whether to measure StepGap without each of its parts, too.
     """
     robot = robot_of(cell)
     space, reference = robot.space, reference_of(robot)
@@ -284,6 +304,9 @@ def measure(cell: Cell, warm: Sequence[float] = (), online: bool = False, oracle
     if online:
         both = learned(cell, replace(METHODS["online"], iterations=1, early_stop=False))
         walks |= {f"StepGap online, deployment {number}": trip_of(each, reference) for number, each in enumerate(both)}
+    for part in WITHOUT if without else ():
+        fewer = learned(cell, replace(settings, iterations=1), without=part)[-1]
+        walks[f"StepGap without {part}, redeployment 1"] = trip_of(fewer, reference)
     if oracle:
         walks["oracle"] = foreseen(cell)
     found = {
@@ -341,10 +364,11 @@ def main() -> None:
     parser.add_argument("--warm", default="", help="seconds of the first deployment that other runs begin with")
     parser.add_argument("--online", action="store_true")
     parser.add_argument("--oracle", action="store_true", help="some minutes a cell")
+    parser.add_argument("--without", action="store_true", help="StepGap without each of its parts")
     given = parser.parse_args()
     warm = [float(each) for each in given.warm.split(",") if each]
     rows: list[dict[str, Any]] = [json.loads(line) for line in given.out.open()] if given.out.exists() else []
-    task = partial(measure, warm=warm, online=given.online, oracle=given.oracle)
+    task = partial(measure, warm=warm, online=given.online, oracle=given.oracle, without=given.without)
     with given.out.open("a", encoding="utf-8") as out:
         for robot in given.robots.split(","):
             done = {row["gap"] for row in rows if row["robot"] == robot}
