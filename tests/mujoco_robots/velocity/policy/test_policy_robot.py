@@ -227,7 +227,7 @@ def test_other_joints_keep_their_control_signals(tmp_path: Path) -> None:
 
 
 def test_the_policy_of_the_documentation_is_valid(tmp_path: Path) -> None:
-    section = section_of("velocity.md", "A trained policy in MuJoCo")
+    section = section_of("policy.md", "The file policy.toml")
     block = re.findall(r"```toml\n(.*?)```", section, re.DOTALL)[0]
     (tmp_path / "policy.toml").write_text(block, "utf-8")
     assert read_policy_settings(tmp_path / "policy.toml").sizes["joint_pos"] == 3
