@@ -39,10 +39,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from benchmarks.disturbed_plant import METHODS, finished, own_priors
 from stepgap.base.random_streams import random_stream
+from stepgap.control.gauss_newton import minimise
 from stepgap.control.reference import Reference
 from stepgap.experiment.loop import Observer, Plants, Setup, run_experiment
 from stepgap.experiment.settings import Experiment, read_experiment
@@ -58,8 +58,9 @@ from stepgap.step import Array, StepSpace, StepStatus
 GAINS = (0.1, 0.2, 0.4)
 """Gains of the integrator."""
 
-ORACLE_SEARCH = {"bounds": (-1.0, 1.0), "diff_step": 0.05, "max_nfev": 3}
-"""How the oracle searches two commands [half ranges]: differences that noise of the gait does not spoil."""
+APART, FLAT = 0.08, 0.03
+"""The oracle's search: differences of commands [half ranges] that scatter of the gait does not spoil, and the share by
+which a better plan must lower the cost."""
 CALM = 0.1
 """Weight of its changes of command beside its errors, both in half ranges of use, as in the plans of a humanoid."""
 
@@ -210,7 +211,7 @@ def foreseen(cell: Cell) -> Trip:
     for number, target in enumerate(targets):
         wanted = targets[[number, min(number + 1, len(targets) - 1)]]
         outcomes = partial(_shortcomings, plant, wanted, before, space)
-        plan = least_squares(outcomes, np.clip(plan, -0.99, 0.99), **ORACLE_SEARCH).x
+        plan = minimise(outcomes, partial(_slopes, outcomes), plan, improvement=FLAT).point
         command = space.command_at(plan[: len(before)])
         record = plant.take_step(command)
         if record.status != StepStatus.OK:
@@ -231,6 +232,13 @@ def _shortcomings(plant: Plant, targets: Array, before: Array, space: StepSpace,
         parts += [CALM * (command - before) / space.state_scale]
         before = command
     return np.concatenate(parts)
+
+
+def _slopes(outcomes: Callable[[Array], Array], plan: Array) -> Array:
+    """Differences of outcomes by each command of a plan, inside of its bounds."""
+    here = outcomes(plan)
+    steps = np.diag(np.where(plan > 0, -APART, APART))
+    return np.array([(outcomes(plan + step) - here) / step.sum() for step in steps]).T
 
 
 def size_of(values: Array, space: StepSpace) -> float:
