@@ -191,23 +191,22 @@ class _Cache(FunctionCache):
     """
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
-        codegen, locator = target_context.codegen(), self._impl.locator
+        codegen = target_context.codegen()
+        locator = self._impl.locator
         if (target := _target(locator.objects, codegen.magic_tuple())) is not None:
-            folder, stamp = str(locator.objects / locator.module), locator.get_source_stamp()
+            folder = str(locator.objects / locator.module)
             signature, _, code = self._index_key(sig, codegen)
-            data = IndexDataCacheFile(folder, self._impl.filename_base, stamp).load((signature, target, code))
-            if data is not None:
+            index = IndexDataCacheFile(folder, self._impl.filename_base, locator.get_source_stamp())
+            if (data := index.load((signature, target, code))) is not None:
                 return self._impl.rebuild(target_context, data)
         return super()._load_overload(sig, target_context)
 
 
 @lru_cache
 def _target(objects: Path, host: tuple[str, str, str]) -> tuple[str, ...] | None:
-    """What the objects of a folder were compiled for, or None if there are none, or none for this computer.
+    """What the objects of a folder were compiled for; None if there are none, or none for this computer.
 
-    Args:
-        objects: The folder.
-        host: Numba's description of this computer: triple, processor, features such as "+avx2".
+    Numba describes the computer, `host`, by triple, processor and features such as "+avx2".
     """
     if not (objects.parents[1] / "__init__.py").is_file():
         return None  # beside a script there may be anything
@@ -225,10 +224,6 @@ class ContentLocator:
     """Tells Numba where the compiled code of a function is: in a folder that is named after the content of its package.
 
     Numba makes it by `from_function` and calls the other methods (its variable NUMBA_CACHE_LOCATOR_CLASSES).
-
-    Args:
-        function: The function.
-        file: Its source.
 
     Attributes:
         module: Name of the folder of the source as a module, in the cache and below `objects`.
@@ -250,9 +245,9 @@ class ContentLocator:
     @classmethod
     def from_function(cls, function: Callable[..., Any], file: str) -> Self:
         """The locator of a function."""
-        found = cls(function, file)
-        found.ensure_cache_path()
-        return found
+        locator = cls(function, file)
+        locator.ensure_cache_path()
+        return locator
 
     def ensure_cache_path(self) -> None:
         """Makes the folder."""
@@ -277,7 +272,7 @@ def _used(folder: Path) -> Path:
     with suppress(OSError):  # another process has just removed one
         if not folder.exists():
             named = re.compile("[0-9a-f]{16}-[0-9a-f]{16}").fullmatch
-            versions = [(each.stat().st_mtime, each) for each in folder.parent.iterdir() if named(each.name)]
+            versions = [(path.stat().st_mtime, path) for path in folder.parent.iterdir() if named(path.name)]
             for _, old in sorted(versions)[: 1 - KEPT_VERSIONS]:
                 shutil.rmtree(old, ignore_errors=True)
         folder.mkdir(parents=True, exist_ok=True)

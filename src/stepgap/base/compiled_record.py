@@ -89,9 +89,9 @@ def _load(context, builder, kinds, record):
 
 def _store(context, builder, kinds, values):
     """Generates the code of `assign`; a nested named tuple is written field by field."""
-    (record_kind, tuple_kind), (record, value) = kinds, values
-    for index, name in enumerate(tuple_kind.fields):
-        kind = tuple_kind.types[index]
+    record_kind, tuple_kind = kinds
+    record, value = values
+    for index, (name, kind) in enumerate(zip(tuple_kind.fields, tuple_kind.types, strict=True)):
         element = builder.extract_value(value, index)
         if isinstance(kind, types.BaseNamedTuple):
             inner_kind = record_kind.typeof(name)

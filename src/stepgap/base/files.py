@@ -195,7 +195,8 @@ def _becoming(path: Path) -> Iterator[Path]:
         with removed_on_failure(partial):
             yield partial
     except OSError as error:
-        error.filename, error.filename2 = str(error.filename or path).replace(str(partial), str(path)), None
+        error.filename = str(error.filename or path).replace(str(partial), str(path))
+        error.filename2 = None
         raise
 
 

@@ -57,20 +57,14 @@ def as_object(value: Any, name: str) -> dict[str, Any]:
 
 
 def objects(data: Mapping[str, Any], key: str, of: str, where: str = "") -> list[dict[str, Any]]:
-    """The list of objects under `key`.
-
-    Args:
-        data: The object.
-        key: Its key.
-        of: What the objects are, for the message.
-        where: As of `integer`.
+    """The list of objects under `key`; the message says `of` what it must be, and begins with `where`.
 
     Raises:
         ValueError: The key is missing, or its value is of another kind.
     """
     values = data.get(key)
     check_value(isinstance(values, list), f"{where}{key}", values, f"be a list of {of}")
-    return [as_object(each, f"{where}{key}[{row}]") for row, each in enumerate(values or ())]
+    return [as_object(item, f"{where}{key}[{row}]") for row, item in enumerate(values or ())]
 
 
 def numbers(data: Mapping[str, Any], key: str, dimensions: int) -> NDArray[np.float64]:
@@ -103,8 +97,6 @@ def integer(data: Mapping[str, Any], key: str, least: int = 1, where: str = "") 
     """The integer under `key`.
 
     Args:
-        data: The object.
-        key: Its key.
         least: Smallest valid integer.
         where: What the message begins with, such as the name of the file and a colon.
 

@@ -21,7 +21,6 @@ def array_in(content: bytes, check_shape: Callable[[tuple[int, ...]], None] = la
     """The array in a `.npy` file; its header must not claim more than the file holds.
 
     Args:
-        content: The file.
         check_shape: Raises an error where the array has too many values.
 
     Raises:
@@ -46,11 +45,7 @@ def array_in(content: bytes, check_shape: Callable[[tuple[int, ...]], None] = la
 
 
 def arrays_in(content: bytes, largest: int) -> dict[str, NDArray[Any]]:
-    """The arrays in a `.npz` file, by name.
-
-    Args:
-        content: The file.
-        largest: Largest size of all arrays together [bytes].
+    """The arrays in a `.npz` file, by name; `largest` is the largest size of all together [bytes].
 
     Raises:
         InputError: The content is not such a file, or its arrays are larger; the message does not name the file.

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from itertools import chain, count
 from pathlib import Path
 
 from stepgap.base.errors import InputError
@@ -62,9 +63,5 @@ def write_together(contents: Mapping[Path, str | bytes], option: str) -> None:
 
 def free_name(path: Path) -> Path:
     """The first of NAME.SUFFIX, NAME_2.SUFFIX, … that does not exist."""
-    free = path
-    number = 1
-    while os.path.lexists(free):  # also a link to nothing takes its name
-        number += 1
-        free = path.with_stem(f"{path.stem}_{number}")
-    return free
+    names = chain([path], (path.with_stem(f"{path.stem}_{number}") for number in count(2)))
+    return next(name for name in names if not os.path.lexists(name))  # also a link to nothing takes its name

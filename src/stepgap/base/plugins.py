@@ -27,25 +27,23 @@ def load_plugin(group: str, kind: str, name: str, accepts: Callable[[Any], bool]
     Only installed entry points are imported, so a file that names a plug-in cannot run other code.
 
     Args:
-        group: Group of the entry points.
         kind: Kind of its plug-ins for messages, such as "rig".
-        name: Name of the entry point.
         accepts: Whether the object is valid.
         wanted: Description of a valid object, for the message where `accepts` is false.
 
     Raises:
         InputError: The name is unknown, or offered by two packages; or the object cannot be imported or is not valid.
     """
-    found = _entries(group, tuple(sys.path)).select(name=name)
-    if not found:
+    entries = _entries(group, tuple(sys.path)).select(name=name)
+    if not entries:
         names = plugin_names(group)
         meant = suggestion(name, names)
-        known = f"the {kind}s installed here are {', '.join(names)}" if names else f"no {kind} is installed here"
-        raise InputError(f"{kind} '{name:.40}': unknown; {f'{meant} ' if meant else ''}{known}")
-    if len({entry.value for entry in found}) > 1:
-        owners = " and by ".join(sorted(map(owner, found)))
+        choices = f"the {kind}s installed here are {', '.join(names)}" if names else f"no {kind} is installed here"
+        raise InputError(f"{kind} '{name:.40}': unknown; {f'{meant} ' if meant else ''}{choices}")
+    if len({entry.value for entry in entries}) > 1:
+        owners = " and by ".join(sorted(map(owner, entries)))
         raise InputError(f"{kind} '{name}': offered by {owners}; uninstall one of them")
-    entry = next(iter(found))
+    entry = next(iter(entries))
     try:
         plugin = entry.load()
     except ModuleNotFoundError as error:
@@ -63,9 +61,9 @@ def suggestion(name: str, names: Iterable[str]) -> str:
     return f"did you mean {close[0]}?" if close else ""
 
 
-def one_of(given: object, known: Iterable[str]) -> str:
+def one_of(given: object, choices: Iterable[str]) -> str:
     """The valid names, and the one of them that was probably meant, for the message about another one."""
-    names = tuple(known)
+    names = tuple(choices)
     close = get_close_matches(str(given), names, n=1)
     return " or ".join(f"'{name}'" for name in names) + (f"; did you mean '{close[0]}'?" if close else "")
 

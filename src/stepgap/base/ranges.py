@@ -6,17 +6,7 @@ LARGEST_INTEGER = 10**300  # Integers of this size or larger are not accepted as
 
 
 def require(condition: object, name: str, value: Any, rule: str) -> None:
-    """Raises ValueError `name = value, but it must RULE` unless the condition holds.
-
-    Args:
-        condition: Whether the value is right.
-        name: Name of the setting or argument.
-        value: The value, for the message.
-        rule: Rule that a valid value follows, such as "be positive".
-
-    Raises:
-        ValueError: The condition does not hold.
-    """
+    """Raises ValueError `name = value, but it must RULE` unless the condition holds; a rule is like "be positive"."""
     if not condition:
         raise ValueError(f"{name} = {format_value(value)}, but it must {rule}")
 

@@ -36,11 +36,7 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
 
 
 def read_toml_text(path: Path, what: str) -> tuple[str, dict[str, Any]]:
-    """Reads a TOML file: returns its text and its table.
-
-    Args:
-        path: The file.
-        what: Description of the file with its article, for messages.
+    """Reads a TOML file: returns its text and its table; messages call the file `what`, with an article.
 
     Raises:
         InputError: The file cannot be read, is too large, is not text, or is not TOML.
@@ -70,17 +66,11 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise ValueError("its lists or tables are nested too deeply") from None
 
 
-def check_keys(table: Mapping[str, Any], known: Sequence[str], where: str) -> None:
-    """Raises InputError if a table has another key than the known ones.
-
-    Args:
-        table: The table.
-        known: Its valid keys.
-        where: What precedes the key in the message, such as the file and the table.
-    """
+def check_keys(table: Mapping[str, Any], keys: Sequence[str], where: str) -> None:
+    """Raises InputError if a table has a key that is none of `keys`; `where`, such as file and table, precedes it."""
     for key in table:
-        if key not in known:
-            meant = suggestion(key, known) or f"the keys here are {', '.join(known)}"
+        if key not in keys:
+            meant = suggestion(key, keys) or f"the keys here are {', '.join(keys)}"
             raise InputError(f"{where}{key}: unknown key; {meant}")
 
 
@@ -97,7 +87,7 @@ def toml_string(text: str) -> str:
 def toml_line(key: str, value: Any) -> str:
     """A key with its value in one line of TOML, also a list."""
     if isinstance(value, list | tuple):
-        return f"{key} = [{', '.join(toml_line('x', each).removeprefix('x = ') for each in value)}]"
+        return f"{key} = [{', '.join(toml_line('x', item).removeprefix('x = ') for item in value)}]"
     return tomli_w.dumps({key: value}).rstrip("\n")
 
 
@@ -148,12 +138,11 @@ def _settable(settings: Any) -> list[Field[Any]]:
 
 def build(kind: type[Any], table: Mapping[str, Any], locate: Locate, prefix: str = "") -> Any:
     """Builds a dataclass from a TOML table, which must have all fields without a default; otherwise as `merge`."""
-    required = [entry.name for entry in fields(kind) if entry.default is MISSING and entry.default_factory is MISSING]
     defaults = {entry.name: entry.default for entry in fields(kind) if is_dataclass(entry.default)}
     entries = {entry.name: entry for entry in fields(kind)}
     values = _values(entries, get_type_hints(kind), defaults, table, locate, prefix)
-    for name in required:
-        if name not in values:
+    for name, entry in entries.items():
+        if name not in values and entry.default is MISSING and entry.default_factory is MISSING:
             raise InputError(f"{locate(prefix + name)}: missing; it must be given")
     try:
         return kind(**values)
@@ -162,12 +151,7 @@ def build(kind: type[Any], table: Mapping[str, Any], locate: Locate, prefix: str
 
 
 def build_from_file(kind: type[Any], path: Path, what: str) -> Any:
-    """Builds a dataclass from a TOML file, as `build` does from its table.
-
-    Args:
-        kind: The dataclass.
-        path: The file.
-        what: Description of the file with its article, for messages.
+    """Builds a dataclass from a TOML file, as `build` does from its table; messages call the file `what`.
 
     Raises:
         InputError: The file cannot be read, or a setting is wrong; the message names file, key and rule.
@@ -185,9 +169,9 @@ def _to_value(value: Any, wanted: Any) -> Any:
     if is_dataclass(value):
         return to_table(value)
     if isinstance(value, Mapping):
-        return {name: _to_value(each, get_args(wanted)[1]) for name, each in value.items()}
+        return {name: _to_value(item, get_args(wanted)[1]) for name, item in value.items()}
     if isinstance(value, tuple):
-        return [_to_value(each, get_args(wanted)[0]) for each in value]
+        return [_to_value(item, get_args(wanted)[0]) for item in value]
     return float(value) if wanted is float else value
 
 
@@ -201,17 +185,17 @@ def _values(
     more: Collection[str] = (),
 ) -> dict[str, Any]:
     """Converts the values of a table to the types of the fields."""
-    known = list(entries)
+    keys = list(entries)
     values: dict[str, Any] = {}
     for key, value in table.items():
         here = locate(prefix + key)
         inner = f"{prefix}{key}."
-        if key not in known:
+        if key not in keys:
             for entry in entries.values():
                 if entry.metadata.get(FORMER_NAME) == key:
                     raise InputError(f"{here}: this key is called {entry.name} now")
-            known += [name.removeprefix(prefix) for name in more if name.rpartition(".")[0] == prefix.rstrip(".")]
-            raise InputError(f"{here}: unknown key; {_meant(key, known, current, prefix)}")
+            keys += [name.removeprefix(prefix) for name in more if name.rpartition(".")[0] == prefix.rstrip(".")]
+            raise InputError(f"{here}: unknown key; {_meant(key, keys, current, prefix)}")
         wanted = types[key]
         if is_dataclass(current.get(key)):
             values[key] = merge(current[key], _as_table(value, here), locate, inner, more)
@@ -220,7 +204,7 @@ def _values(
         elif get_origin(wanted) is Mapping:
             kind = get_args(wanted)[1]
             given = _as_table(value, here).items()
-            values[key] = current[key] | {name: as_type(each, kind, locate(inner + name)) for name, each in given}
+            values[key] = current[key] | {name: as_type(item, kind, locate(inner + name)) for name, item in given}
         elif get_origin(wanted) is tuple:
             values[key] = _as_list(get_args(wanted)[0], value, locate, prefix + key)
         else:
@@ -228,7 +212,7 @@ def _values(
     return values
 
 
-def _meant(key: str, known: list[str], current: Mapping[str, Any], prefix: str) -> str:
+def _meant(key: str, keys: list[str], current: Mapping[str, Any], prefix: str) -> str:
     """Suggestion for an unknown key: a similar key here or in a table below; else all keys here."""
     below = {
         entry.name: with_table(f"{prefix}{name}.{entry.name}")
@@ -236,9 +220,9 @@ def _meant(key: str, known: list[str], current: Mapping[str, Any], prefix: str) 
         if is_dataclass(inner)
         for entry in fields(inner)
     }
-    near = [below[key]] if key in below else get_close_matches(key, known, n=1)
+    near = [below[key]] if key in below else get_close_matches(key, keys, n=1)
     near = near or [below[name] for name in get_close_matches(key, below, n=1)]
-    return f"did you mean {near[0]}?" if near else f"the keys here are {', '.join(known)}"
+    return f"did you mean {near[0]}?" if near else f"the keys here are {', '.join(keys)}"
 
 
 def _as_table(value: Any, here: str) -> Mapping[str, Any]:
@@ -257,8 +241,8 @@ def _as_list(kind: type, value: Any, locate: Locate, name: str) -> tuple[Any, ..
     keys = [f"{name} {number}" for number in range(1, len(value) + 1)]
     if of_tables:
         pairs = zip(keys, value, strict=True)
-        return tuple(build(kind, _as_table(each, locate(at)), locate, f"{at}.") for at, each in pairs)
-    return tuple(as_type(each, kind, locate(at)) for at, each in zip(keys, value, strict=True))
+        return tuple(build(kind, _as_table(item, locate(at)), locate, f"{at}.") for at, item in pairs)
+    return tuple(as_type(item, kind, locate(at)) for at, item in zip(keys, value, strict=True))
 
 
 def located(error: ValueError, locate: Locate, prefix: str) -> InputError:

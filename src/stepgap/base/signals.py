@@ -29,10 +29,6 @@ def handled(
     """Handles signals within the block, in the main thread; those that are ignored remain ignored.
 
     `nohup` starts a program with SIGHUP ignored.
-
-    Args:
-        handler: Called with the number of a signal and the present frame.
-        numbers: The signals.
     """
     if current_thread() is not main_thread():
         yield

@@ -16,7 +16,6 @@ def answer_of(
     """Runs `python -m MODULE ARGUMENTS SECONDS BYTES`, a program that calls `print_answer`, and returns its answer.
 
     Args:
-        module: Name of the module.
         arguments: The arguments before the limits.
         reader: What reads the file, for messages.
         seconds: Longest time of a processor that it may need [s].

@@ -16,12 +16,7 @@ INSTALL = "./go uv pip install" if (Path(__file__).parents[3] / "go").is_file() 
 
 
 def optional_package(module: str, user: str, extra: str) -> Any:
-    """A module of a package that only some installations have.
-
-    Args:
-        module: Name of the module, such as `pyarrow.parquet`.
-        user: What needs it, such as an option.
-        extra: The extra of StepGap that installs it.
+    """A module of a package that only some installations have, by the `extra` of StepGap; `user` is what needs it.
 
     Raises:
         InputError: It is not installed; the message is the command that installs it.
