@@ -99,11 +99,7 @@ def check_units(units: Mapping[str, str], factors: Mapping[str, float]) -> None:
 
 
 def read_columns(file: Path | None, options: Mapping[str, str | tuple[str, ...]]) -> Columns | None:
-    """Reads `Columns` from a TOML file and from options, which override the file; None if neither gives any.
-
-    Args:
-        file: The file.
-        options: Names of columns by attribute.
+    """Reads `Columns` from a TOML file and from options by attribute, which override it; None if neither gives any.
 
     Raises:
         InputError: An entry is wrong; the message names file and key, or option, and the rule.

@@ -45,15 +45,15 @@ def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> FoundSteps:
     deployments = []
     origins = list[str]()
     left_out = Counter[str]()
-    found = 0
+    deployment_count = 0
     for path in paths:
         roles = columns.numbers | ({columns.deployment: "deployment"} if columns.deployment else {})
         rows = chosen_table(path, read_log_tables(path, columns.format), list(roles), roles)
         part, deployment, missing = _steps_of(rows, columns)
         origins += map(rows.row, part.pop("row")[:, 0].tolist())
         parts.append(part)
-        deployments.append(deployment + found)
-        found += int(deployment.max(initial=-1)) + 1
+        deployments.append(deployment + deployment_count)
+        deployment_count += int(deployment.max(initial=-1)) + 1
         left_out.update(missing)
     table = {role: np.concatenate([part[role] for part in parts]) for role in parts[0]}
     command = table["command" if columns.command else "target"]
@@ -90,10 +90,7 @@ def describe_left_out(left_out: Mapping[str, int]) -> str:
 def imported_steps(path: Path, columns: Path | None, names: Mapping[str, str | tuple[str, ...]]) -> Steps:
     """The steps of a log of any origin, for `stepgap new --from`.
 
-    Args:
-        path: The log.
-        columns: TOML file that names its columns.
-        names: Columns by their roles, which override those of the file.
+    Its columns are those of a TOML file, and `names` by their roles, which override them.
 
     Raises:
         InputError: No column is the command, or the file of columns is not valid.
@@ -105,15 +102,15 @@ def imported_steps(path: Path, columns: Path | None, names: Mapping[str, str | t
     return step_log_of(read_foreign_logs([path], meaning))
 
 
-def step_log_of(found: FoundSteps) -> Steps:
+def step_log_of(log_steps: FoundSteps) -> Steps:
     """The steps of other logs as those of a run, such as for a `steps.csv`.
 
     The yaw after a step is the one at which the next step of its deployment starts, so that of the last one is unknown.
     """
-    follows = found.steps.follows
-    yaw_after = np.roll(np.where(follows, found.phase, np.nan), -1)
-    context = np.repeat(yaw_after[:, None], len(found.steps.space.context), axis=1)
-    return as_deployments(found.steps).with_columns(context=context)
+    follows = log_steps.steps.follows
+    yaw_after = np.roll(np.where(follows, log_steps.phase, np.nan), -1)
+    context = np.repeat(yaw_after[:, None], len(log_steps.steps.space.context), axis=1)
+    return as_deployments(log_steps.steps).with_columns(context=context)
 
 
 def as_deployments(steps: Steps) -> Steps:

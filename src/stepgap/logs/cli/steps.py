@@ -70,17 +70,17 @@ def steps(
     picture = plot or out.with_suffix(".png")
     meaning = out.with_suffix(".toml")
     _check_outputs(out, meaning, picture)
-    found: list[ExtractedSteps] = []
+    deployments: list[ExtractedSteps] = []
     for number, text in enumerate(log):
-        for each in extract_deployments(text, plan[number] if plan else None, settings):
-            found.append(each)
-            print(describe_steps(each), flush=True)
-    if refusals := [each.refusal for each in found if each.refusal]:
-        write_together(_drawn(found, picture), "--plot")
+        for deployment in extract_deployments(text, plan[number] if plan else None, settings):
+            deployments.append(deployment)
+            print(describe_steps(deployment), flush=True)
+    if refusals := [deployment.refusal for deployment in deployments if deployment.refusal]:
+        write_together(_drawn(deployments, picture), "--plot")
         raise InputError(f"{'; '.join(refusals)}. {picture} shows them; nothing else was written")
-    text = columns_toml(found[0], settings)
-    tables = {out: steps_table(found), **({meaning: text} if text else {})}
-    write_together({**tables, **_drawn(found, picture)}, "--out")
+    text = columns_toml(deployments[0], settings)
+    tables = {out: steps_table(deployments), **({meaning: text} if text else {})}
+    write_together({**tables, **_drawn(deployments, picture)}, "--out")
     if text:
         typed = (quote(f"./{path}" if str(path).startswith("-") else str(path)) for path in (out, meaning))
         print(f"stepgap fit {' --columns '.join(typed)} shows what can be learned from these steps", file=sys.stderr)
@@ -111,14 +111,14 @@ def _is_of_refused(picture: Path) -> bool:
         return False
 
 
-def _drawn(found: "list[ExtractedSteps]", picture: Path) -> dict[Path, bytes]:
+def _drawn(deployments: "list[ExtractedSteps]", picture: Path) -> dict[Path, bytes]:
     """The figure, as the content of its file, in whose place there is no longer that of a refused log."""
     from stepgap.report.own_style import own_style
 
     with own_style():
         from stepgap.logs.sections.section_figures import sections_picture
 
-        content = sections_picture(found, picture.suffix[1:].lower())
+        content = sections_picture(deployments, picture.suffix[1:].lower())
     if _is_of_refused(picture):
         picture.unlink()
     return {picture: content}

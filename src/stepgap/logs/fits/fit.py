@@ -1,6 +1,6 @@
 """Input of `stepgap fit`: the error of the nominal map in any log, and what is held out."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -19,6 +19,7 @@ from stepgap.logs.fits.validation import (
     FOLDS,
     LEAST_STEPS,
     Folds,
+    OnFit,
     Validation,
     contiguous_folds,
     deployment_folds,
@@ -78,13 +79,10 @@ class FitData:
     def without(self, rows: Iterable[int]) -> "FitData":
         """The data without some rows, with the ranges of the others."""
         kept = ~np.isin(np.arange(len(self.steps)), list(rows))
-        found = replace(
-            self,
-            steps=self.steps.selected(kept),
-            observed=self.observed.selected(kept),
-            origin=self.origin[kept],
+        rest = replace(
+            self, steps=self.steps.selected(kept), observed=self.observed.selected(kept), origin=self.origin[kept]
         )
-        return found.in_space(self.columns.space(found.steps.state, found.steps.requested)) if self.columns else found
+        return rest.in_space(self.columns.space(rest.steps.state, rest.steps.requested)) if self.columns else rest
 
     def in_space(self, space: StepSpace) -> "FitData":
         """The same data with other ranges."""
@@ -118,14 +116,14 @@ def read_fit_data(
         experiment = experiment or _common_experiment(logs)
     settings = read_experiment(experiment, overrides, recorded=recorded)
     space = settings.space
-    found = _read_runs(logs, space) if columns is None else read_foreign_logs(logs, columns)
-    steps = found.steps
-    source = nominal or _nominal_of(found.steps, space)
+    log_steps = _read_runs(logs, space) if columns is None else read_foreign_logs(logs, columns)
+    steps = log_steps.steps
+    source = nominal or _nominal_of(log_steps.steps, space)
     description = NOMINALS[source]
     step_map = None
     predicted = {"target": steps.target, "state": steps.state}.get(source, steps.predicted)
     if source == MAP:
-        found = found._replace(steps=steps.in_space(_same_names(steps.space, space)))
+        log_steps = log_steps._replace(steps=steps.in_space(_same_names(steps.space, space)))
         step_map = load_nominal(settings).map
         predicted = step_map.evaluate(steps.state, steps.requested).next_state
         description += f" with the settings of {experiment}" if experiment else " with default settings"
@@ -133,7 +131,7 @@ def read_fit_data(
     elif len(steps) and np.isnan(predicted).any(axis=1).all():
         some = "none" if np.isnan(predicted).all() else "no step with one for every state coordinate"
         raise InputError(f"--nominal {source}: the log has {some}; name its columns by --{source}")
-    data = _with_errors(found, predicted, description, NominalSource(source, step_map))
+    data = _with_errors(log_steps, predicted, description, NominalSource(source, step_map))
     count = len(data.steps)
     if not LEAST_STEPS <= count <= MOST_STEPS:
         usable = f"{count} usable step{'' if count == 1 else 's'}, but there must be {LEAST_STEPS} to {MOST_STEPS}"
@@ -142,25 +140,25 @@ def read_fit_data(
     return data if source == MAP else replace(data, columns=columns)
 
 
-def _with_errors(found: FoundSteps, predicted: Array, nominal: str, source: NominalSource) -> FitData:
+def _with_errors(log_steps: FoundSteps, predicted: Array, nominal: str, source: NominalSource) -> FitData:
     """The steps that have a nominal next state (N, n), and its errors; arguments as of `FitData`."""
-    known = np.flatnonzero(np.isfinite(predicted).all(axis=1))
-    left_out = dict(found.left_out)
-    if failed := len(predicted) - len(known):
+    rows = np.flatnonzero(np.isfinite(predicted).all(axis=1))
+    left_out = dict(log_steps.left_out)
+    if failed := len(predicted) - len(rows):
         reason = "for which the nominal map predicts a failure" if source.step_map else f"without a whole {source.name}"
         left_out[reason] = failed
-    steps = found.steps.with_columns(predicted=predicted).selected(known)
+    steps = log_steps.steps.with_columns(predicted=predicted).selected(rows)
     observed = Observations(steps.space, steps.state, steps.requested, steps.next_state - steps.predicted)
-    return FitData(steps, observed, found.origin[known], left_out, nominal, source)
+    return FitData(steps, observed, log_steps.origin[rows], left_out, nominal, source)
 
 
 def _common_experiment(logs: Sequence[Path]) -> Path | None:
     """Settings in the folders of the logs, if they describe the same nominal map."""
     files = [log.with_name("experiment.toml") if log.with_name("experiment.toml").is_file() else None for log in logs]
     read = [read_experiment(file, recorded=True) for file in files]
-    maps = [(each.robot.as_modelled, each.nominal) for each in read]
-    for log, found in zip(logs, maps, strict=True):
-        if found != maps[0]:
+    maps = [(experiment.robot.as_modelled, experiment.nominal) for experiment in read]
+    for log, own_map in zip(logs, maps, strict=True):
+        if own_map != maps[0]:
             raise InputError(f"{log}: recorded with another robot or nominal map than {logs[0]}; give --experiment")
     return files[0]
 
@@ -170,17 +168,17 @@ def _read_runs(logs: Sequence[Path], space: StepSpace) -> FoundSteps:
 
     Their predictions are omitted: they may be those of a corrected map.
     """
-    found: list[Steps] = []
+    runs: list[Steps] = []
     for path in logs:
         try:
-            found.append(read_step_log(path, space))
+            runs.append(read_step_log(path, space))
         except OSError as error:
             raise InputError(
                 f"{path}: {error.strerror}; give the folder of a run, its steps.csv, or a CSV file"
             ) from None
         except RecordError as error:
             raise InputError(f"{error}; for any other CSV file name its columns, see --help") from None
-    steps = joined(found)
+    steps = joined(runs)
     done = steps.status == StepStatus.OK
     left_out = {"that ended without a next state": steps.failed_steps}
     numbers = zip(steps.iteration.tolist(), steps.number.tolist(), strict=True)
@@ -205,11 +203,11 @@ def _nominal_of(steps: Steps, space: StepSpace) -> str:
     )
 
 
-def _same_names(found: StepSpace, space: StepSpace) -> StepSpace:
+def _same_names(column_space: StepSpace, space: StepSpace) -> StepSpace:
     """The robot's space, after a check that the columns have its names."""
-    if space.has_names_of(found):
+    if space.has_names_of(column_space):
         return space
-    names = ",".join(found.names)
+    names = ",".join(column_space.names)
     wanted = ",".join(space.names)
     raise InputError(f"--nominal map: state and command are {names}; it must be {wanted}; rename by NAME=COLUMN")
 
@@ -247,8 +245,8 @@ def read_test_data(
         raise InputError(f"--test {min(both)}: also fitted to; a log may be used for one of both only")
     if columns is None and experiment is None:
         _common_experiment([log / "steps.csv" if log.is_dir() else log for log in (*logs, *test)])
-    found = read_fit_data(test, columns, nominal, experiment, overrides)
-    return found.in_space(data.observed.space)
+    tested = read_fit_data(test, columns, nominal, experiment, overrides)
+    return tested.in_space(data.observed.space)
 
 
 def without_suspicious(data: FitData) -> tuple[FitData, dict[str, str]]:
@@ -289,16 +287,11 @@ def compare(
     data: FitData,
     tested: FitData | None,
     folds: int | None,
-    on_fit: Callable[[int, int], None] = lambda done, total: None,
+    on_fit: OnFit = lambda done, total: None,
 ) -> Validation:
-    """Scores residuals on held-out steps.
+    """Scores residuals on `tested`, or without it on held-out parts of `data`, whose number is as of `choose_folds`.
 
-    Args:
-        kinds: Names of the residuals, from simple to complex.
-        data: Steps to which they are fitted.
-        tested: Other steps on which they are scored; None to hold out parts of `data`.
-        folds: Number of these parts; as of `choose_folds`.
-        on_fit: Called with the number of fits done and the number of all fits.
+    The other arguments are those of `validate`.
     """
     if tested is None:
         return validate(kinds, data.observed, choose_folds(data.steps, folds), on_fit)

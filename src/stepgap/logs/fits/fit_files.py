@@ -22,12 +22,7 @@ LOOKS: tuple[dict[str, Any], ...] = (
 def fit_picture(state: Sequence[Quantity], validation: Validation, form: str) -> bytes:
     """Draws predicted against actual errors of the nominal map, with a panel for each state coordinate.
 
-    The figure shows the constant and the residual that predicts best.
-
-    Args:
-        state: State coordinates.
-        validation: Predictions of held-out steps by all residuals.
-        form: File format, one of `base.output_files.PICTURE_FORMATS`.
+    The figure, in one of `base.output_files.PICTURE_FORMATS`, shows the constant and the residual that predicts best.
     """
     drawn = [validation.held_out[kind] for kind in dict.fromkeys(("constant", validation.best.kind))]
     figure = Figure(figsize=(PANEL * len(state), PANEL + 0.5), layout="constrained")

@@ -39,6 +39,9 @@ CERTAIN: Final = 2.0
 SIGNIFICANCE_LEVEL: Final = 0.05
 """Probability of calling equal residuals different, for independent and normal scores of blocks."""
 
+OnFit = Callable[[int, int], None]
+"""Called with the number of fits done and the number of all fits."""
+
 
 @dataclass(frozen=True, eq=False)
 class Folds:
@@ -215,18 +218,13 @@ class Validation:
 
 
 def validate(
-    kinds: Sequence[str],
-    steps: Observations,
-    folds: Folds,
-    on_fit: Callable[[int, int], None] = lambda done, total: None,
+    kinds: Sequence[str], steps: Observations, folds: Folds, on_fit: OnFit = lambda done, total: None
 ) -> Validation:
     """Holds out every fold from every residual; a `StepGapWarning` names each that is left out because it fails.
 
     Args:
         kinds: Names of the residuals, from simple to complex.
         steps: Errors of the nominal map at the steps.
-        folds: Which steps are held out together.
-        on_fit: Called with the number of fits done and the number of all fits.
     """
     held = [folds.fold == number for number in range(folds.count)]
     parts = [(steps.selected(~rows), steps.selected(rows)) for rows in held]
@@ -235,28 +233,18 @@ def validate(
 
 
 def validate_on(
-    kinds: Sequence[str],
-    steps: Observations,
-    test: Observations,
-    on_fit: Callable[[int, int], None] = lambda done, total: None,
+    kinds: Sequence[str], steps: Observations, test: Observations, on_fit: OnFit = lambda done, total: None
 ) -> Validation:
-    """Fits every residual to some steps and predicts others, such as those of another day or robot.
+    """Fits every residual to some steps and predicts others, `test`, such as those of another day or robot.
 
-    Args:
-        kinds: As of `validate`.
-        steps: Errors of the nominal map at the steps to fit.
-        test: Those of the same map at the steps to predict, which count in blocks for the standard errors.
-        on_fit: As of `validate`.
+    These count in blocks for the standard errors; the arguments are otherwise those of `validate`.
     """
     together = replace(contiguous_folds(len(test), FOLDS), fold=np.zeros(len(test), np.intp))
     return Validation(together, _hold_out(kinds, [(steps, test)], np.arange(len(test)), on_fit))
 
 
 def _hold_out(
-    kinds: Sequence[str],
-    parts: Sequence[tuple[Observations, Observations]],
-    order: Labels,
-    on_fit: Callable[[int, int], None],
+    kinds: Sequence[str], parts: Sequence[tuple[Observations, Observations]], order: Labels, on_fit: OnFit
 ) -> dict[str, HeldOut]:
     """Fits each residual to the first steps of each part, predicts the second ones, and puts these in order."""
     error = np.concatenate([held.error for _, held in parts])[order]

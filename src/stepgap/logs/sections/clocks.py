@@ -31,7 +31,8 @@ _SAME_RATE: Final = 2e-3  # Largest difference of the rates of two clocks that r
 _APART: Final = 1.0  # Largest time between a stamp and the clock of the other stamps [s]
 _COARSE: Final = 0.25  # Rounding of times that hides the motion within a step [s]
 _COARSE_SINGLE: Final = 0.02  # The same, if it is that of single precision, which nobody wants [s]
-_FIRST_DAY, _LAST_DAY, _DAYS = 20_000.0, 80_000.0, 2e-6  # Days of Excel, and their steps of less than 0.2 s
+_DAYS: Final = (20_000.0, 80_000.0)  # Dates of logs as Excel counts days
+_SHORT_STEP: Final = 2e-6  # A time between two rows of less than 0.2 s, in days
 _SLOWEST: Final = 0.4  # Time between two rows of a log [s] from which on it is in another unit, if that is not given
 _DELAYED: Final = 0.5  # Largest time by which messages are late from time to time [s]
 
@@ -97,9 +98,6 @@ class Clock:
         """Raises RecordError if the times of a log are in another unit than seconds, and their factor is not given.
 
         The rows of its fastest table are then too far apart for motion. Times of messages are always in seconds.
-
-        Args:
-            tables: Tables and the times of their rows.
         """
         measured = [(table, time[np.isfinite(time)]) for table, time in tables if not _is_logged(table)]
         apart = [float(np.median(np.diff(time))) if len(time) > _FEWEST else 0.0 for _, time in measured]
@@ -148,7 +146,6 @@ def clock_of(source: str, files: Sequence[Mapping[str, LogTable]], name: str, fa
         source: The log, for messages.
         files: Tables by topic, for each file.
         name: The column of the time, perhaps as TOPIC:COLUMN; empty if the user names none.
-        factors: Factors by which columns are multiplied.
     """
     messages = [(topic, table) for file in files for topic, table in file.items() if _is_logged(table)]
     if not messages:
@@ -205,9 +202,9 @@ def _pairs(
             continue
         logged = np.asarray(table.columns[LOGGED], float) * factors.get(LOGGED, 1.0)
         stamped = np.asarray(table.columns[column], float) * factors.get(column, 1.0)
-        known = np.isfinite(stamped) & np.isfinite(logged)
+        has_both = np.isfinite(stamped) & np.isfinite(logged)
         # The longest part in which the clock was not set back, such as by a reset of the simulation.
-        parts = np.split(np.flatnonzero(known), np.flatnonzero(np.diff(stamped[known]) < -_DELAYED) + 1)
+        parts = np.split(np.flatnonzero(has_both), np.flatnonzero(np.diff(stamped[has_both]) < -_DELAYED) + 1)
         rows = max(parts, key=len)
         rising = np.diff(np.maximum.accumulate(stamped[rows]), prepend=-np.inf) > 0
         later = rows[rising & (np.diff(logged[rows], prepend=-np.inf) >= 0)]
@@ -226,21 +223,21 @@ def checked_times(table: LogTable, column: str, factors: Mapping[str, float]) ->
     """
     factor = factors.get(column, 1.0)
     time = table.times(column, factor)
-    known = np.flatnonzero(np.isfinite(time))
-    back = np.flatnonzero(np.diff(time[known]) < 0)
+    rows = np.flatnonzero(np.isfinite(time))
+    back = np.flatnonzero(np.diff(time[rows]) < 0)
     if len(back):
-        before = known[back[0]]
-        after = known[back[0] + 1]
+        before = rows[back[0]]
+        after = rows[back[0] + 1]
         where = f"{table.row(int(after))}, column {column!r}"
         change = f"{where}: the time goes back from {time[before]:.6f} to {time[after]:.6f} s"
-        period = _period(time[known], factor)
+        period = _period(time[rows], factor)
         if not period:
             raise RecordError(f"{change}; split the log there, or name the column of its episodes by --deployment")
         kind = _PERIODS.get(period, "a counter that begins anew")
         _warn(f"{change}, as {kind}; {period:.10g} s are added from there on")
         time = time.copy()
-        time[known[1:]] += period * np.cumsum(np.diff(time[known]) < 0)
-    _check_rounding(table, column, time[known])
+        time[rows[1:]] += period * np.cumsum(np.diff(time[rows]) < 0)
+    _check_rounding(table, column, time[rows])
     return time
 
 
@@ -278,7 +275,7 @@ def _check_rounding(table: LogTable, column: str, time: Array) -> None:
             f"{where}: all {len(time)} rows have the time {time[0]:.10g}; write more digits, in double precision, "
             "or name another column by --time"
         )
-    if time[0] > _FIRST_DAY and np.median(later) < _DAYS and time[-1] < _LAST_DAY:
+    if time[0] > _DAYS[0] and np.median(later) < _SHORT_STEP and time[-1] < _DAYS[1]:
         raise RecordError(f"{where}: days, as of Excel; its factor in [factors] of --columns is 86400")
     rounding = float(later.min())
     spacing = float(np.spacing(np.float32(np.abs(time).max())))

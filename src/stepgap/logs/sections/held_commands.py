@@ -58,8 +58,8 @@ def held_commands(signals: Sequence[Signal], hold: float = 0.0) -> HeldCommands:
     columns: list[Array] = []
     for signal, last in zip(signals, lasting, strict=True):
         latest = np.searchsorted(signal.time, time, "right") - 1
-        known = (latest >= 0) & (time - signal.time[latest] < last - 1e-6)  # times since 1970 are rounded to 0.24 µs
-        columns.append(np.where(known, np.asarray(signal.values, float)[latest], np.nan))
+        holds = (latest >= 0) & (time - signal.time[latest] < last - 1e-6)  # times since 1970 are rounded to 0.24 µs
+        columns.append(np.where(holds, np.asarray(signal.values, float)[latest], np.nan))
     values = np.stack(columns, axis=-1)
     same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     new = np.append(True, ~same.all(axis=1))
@@ -67,15 +67,8 @@ def held_commands(signals: Sequence[Signal], hold: float = 0.0) -> HeldCommands:
 
 
 def regular_sections(commands: HeldCommands, every: float, first: float, last: float) -> list[FoundSection]:
-    """Sections where the command changes, and then at equal intervals for as long as it holds.
-
-    Args:
-        commands: The commands.
-        every: The interval [s].
-        first: Time before which there are no sections [s].
-        last: Time after which there are none [s].
-    """
-    found: list[FoundSection] = []
+    """Sections from `first` to `last` [s]: where the command changes, and then every `every` [s] while it holds."""
+    sections: list[FoundSection] = []
     for (begin, end), values in zip(pairwise(commands.begin.tolist()), commands.values, strict=False):
         if not np.isfinite(values).all():
             continue
@@ -84,10 +77,10 @@ def regular_sections(commands: HeldCommands, every: float, first: float, last: f
             continue
         if abs(end - times[-1]) <= SLACK * every:
             times[-1] = end
-        if not (found and found[-1].time == begin):
-            found.append(FoundSection(begin, since=begin - every))
-        found += [FoundSection(time, since=before) for before, time in pairwise(times.tolist())]
-    return [each for each in found if first <= each.time <= last]
+        if not (sections and sections[-1].time == begin):
+            sections.append(FoundSection(begin, since=begin - every))
+        sections += [FoundSection(time, since=before) for before, time in pairwise(times.tolist())]
+    return [section for section in sections if first <= section.time <= last]
 
 
 def held_in_steps(commands: HeldCommands, sections: Sequence[FoundSection], every: float) -> StepValues:
@@ -96,16 +89,16 @@ def held_in_steps(commands: HeldCommands, sections: Sequence[FoundSection], ever
     A step has none if the command changed before it had ended, and neither if another change was less than this time
     before it: the mean over this time does not say then how the robot moved when the step began.
     """
-    time, since = (np.array([getattr(each, name) for each in sections]) for name in ("time", "since"))
+    time, since = (np.array([getattr(section, name) for section in sections]) for name in ("time", "since"))
     held = commands.at(time)
     before = commands.at(since + SLACK * every)
-    known = np.append(np.isfinite(commands.values).all(axis=1), False)  # the last is that of the index −1
+    is_complete = np.append(np.isfinite(commands.values).all(axis=1), False)  # the last is that of the index −1
     previous = commands.at(np.nextafter(time, -np.inf))
     doubts: list[str] = []
     for number in range(len(time) - 1):
         if since[number + 1] != time[number]:
             doubts.append(f"the command changes within {every:g} s")
-        elif not known[previous[number]]:
+        elif not is_complete[previous[number]]:
             doubts.append("no command is known before it")
         elif before[number] != previous[number]:
             doubts.append(f"another change of the command less than {every:g} s before it")
@@ -120,7 +113,6 @@ def command_lag(cells: Array, motion: Sequence[Array], commands: HeldCommands) -
     Args:
         cells: Times that divide the log evenly [s]; shape (G + 1,).
         motion: Mean of each velocity between these times, NaN where it is not known; each of shape (G,).
-        commands: The commands.
 
     Returns:
         One of the lags up to a step, positive where the motion comes later; NaN if the motion does not follow them.
@@ -130,12 +122,12 @@ def command_lag(cells: Array, motion: Sequence[Array], commands: HeldCommands) -
     at = commands.at(middle - lags[:, None])
     inputs = np.where((at >= 0)[..., None], commands.values[at], np.nan)
     velocities = np.stack(motion, axis=-1)
-    known = np.isfinite(inputs).all(axis=(0, 2)) & np.isfinite(velocities).all(axis=1)
-    spread = velocities[known].std(axis=0) if known.any() else np.zeros(len(motion))
-    if not (spread > 0).all() or known.sum() < 2 * CELLS:
+    complete = np.isfinite(inputs).all(axis=(0, 2)) & np.isfinite(velocities).all(axis=1)
+    spread = velocities[complete].std(axis=0) if complete.any() else np.zeros(len(motion))
+    if not (spread > 0).all() or complete.sum() < 2 * CELLS:
         return np.nan
-    wanted = (velocities[known] - velocities[known].mean(axis=0)) / spread
-    unexplained = [_unexplained(each[known], wanted) for each in inputs]
+    wanted = (velocities[complete] - velocities[complete].mean(axis=0)) / spread
+    unexplained = [_unexplained(lagged[complete], wanted) for lagged in inputs]
     best = int(np.argmin(unexplained))
     return float(lags[best]) if unexplained[best] < 1 - EXPLAINED else np.nan
 

@@ -48,7 +48,6 @@ def step_values(signal: Signal, sections: Array, of_several: str | None = None) 
     plans, and a step has the one that was made during it.
 
     Args:
-        signal: The signal.
         sections: Times of the sections [s]; shape (K,).
         of_several: Which of several values counts, first, last or largest; None if they are doubtful.
     """
@@ -130,9 +129,9 @@ class Plans:
         if self.table.fault_of(column):
             return None
         values = self.table.numbers(column, self.factors.get(column, 1.0))
-        known = np.isfinite(self.time) & np.isfinite(values)
-        order = np.argsort(self.time[known], kind="stable")
-        return Signal(self.time[known][order], values[known][order])
+        complete = np.isfinite(self.time) & np.isfinite(values)
+        order = np.argsort(self.time[complete], kind="stable")
+        return Signal(self.time[complete][order], values[complete][order])
 
 
 def read_plans(path: Path, log: SignalLog, settings: SectionSettings) -> Plans:
@@ -168,12 +167,12 @@ def read_plans(path: Path, log: SignalLog, settings: SectionSettings) -> Plans:
 
 def _matching_times(signal: Signal, numbers: Array) -> Array:
     """Times at which a signal has the given numbers; NaN for a number that it never has, or in separate rows."""
-    found = np.full(len(numbers), np.nan)
+    times = np.full(len(numbers), np.nan)
     for row, number in enumerate(numbers.tolist()):
         equal = np.flatnonzero(signal.values == number)
         if len(equal) and equal[-1] - equal[0] == len(equal) - 1:
-            found[row] = signal.time[equal[0]]
-    return found
+            times[row] = signal.time[equal[0]]
+    return times
 
 
 def joined_doubts(parts: Sequence[StepValues]) -> list[str]:

@@ -16,8 +16,9 @@ from stepgap.step import Array
 
 SECTIONS_IN_ROW = 25  # Number of sections in one row of the overview
 
-MOST_OVERVIEW_ROWS, MOST_VIEWS, PANELS = 40, 20, 4
-"""Largest numbers of rows of the overview, of doubtful sections, and of signals that are drawn about each."""
+MOST_OVERVIEW_ROWS = 40  # Largest number of rows of the overview
+MOST_VIEWS = 20  # Largest number of doubtful sections that are drawn
+PANELS = 4  # Largest number of signals that are drawn about each of them
 
 POINTS_IN_ROW = 4000  # Number of samples that are drawn in a row
 
@@ -27,12 +28,7 @@ _LEFT_OUT: dict[str, Any] = {"color": LIGHT, "alpha": 0.35, "linewidth": 0, "lab
 
 
 def sections_picture(logs: Sequence[ExtractedSteps], form: str) -> bytes:
-    """Draws the sections on the signal in which they are seen; steps that are left out have a grey background.
-
-    Args:
-        logs: Steps of the logs.
-        form: File format: pdf, png or svg.
-    """
+    """Draws sections on the signal in which they are seen, as pdf, png or svg; steps left out are grey behind."""
     rows = [(log, begin) for log in logs for begin in range(0, len(log.sections.time) - 1, SECTIONS_IN_ROW)]
     doubtful = [(log, number) for log in logs for number, doubt in enumerate(log.sections.doubts) if doubt]
     del rows[MOST_OVERVIEW_ROWS:], doubtful[MOST_VIEWS:]

@@ -16,8 +16,8 @@ from stepgap.step import Array
 GLITCH: Final = 0.2  # A phase is a glitch if it is shorter than this part of a typical phase of its kind
 SHORT_PHASE: Final = 0.4  # A phase is doubtful if it is shorter than this part of a typical phase of its kind
 
-HIGH, LOW = 0.3, 0.1
-"""A foot touches down where its force exceeds HIGH of the force in firm contact, and lifts off below LOW of it."""
+HIGH: Final = 0.3  # A foot touches down where its force exceeds this part of the force in firm contact,
+LOW: Final = 0.1  # and lifts off below this part of it
 
 
 @final
@@ -57,15 +57,15 @@ def aerial_phases(time: Array, inside: NDArray[np.bool_]) -> list[AerialPhase]:
         del edges[shortest : shortest + 2], kinds[shortest : shortest + 2]
     durations = np.diff(edges)
     typical = _typical(edges, kinds)
-    short = [bool(each < SHORT_PHASE * typical[kind]) for each, kind in zip(durations, kinds, strict=True)]
+    short = [bool(duration < SHORT_PHASE * typical[kind]) for duration, kind in zip(durations, kinds, strict=True)]
     resolution = float(np.median(np.diff(time)) or np.mean(np.diff(time)))
-    found: list[AerialPhase] = []
+    phases: list[AerialPhase] = []
     for number in range(1, len(kinds) - 1):
         if kinds[number]:
             doubts = ["unusually short phase"] if short[number] else []
             doubts += ["unusually short interruption"] if short[number - 1] or short[number + 1] else []
-            found.append(AerialPhase(edges[number], edges[number + 1], resolution, tuple(doubts)))
-    return found
+            phases.append(AerialPhase(edges[number], edges[number + 1], resolution, tuple(doubts)))
+    return phases
 
 
 def airborne(force: Signal, threshold: float | None) -> NDArray[np.bool_]:
@@ -89,10 +89,10 @@ def airborne(force: Signal, threshold: float | None) -> NDArray[np.bool_]:
         )
     high, low = (HIGH * firm, LOW * firm) if threshold is None else (threshold, threshold / 3)
     state = np.where(values > high, 1, np.where(values < low, 0, -1))
-    known = np.flatnonzero(state >= 0)
-    if not len(known):
+    samples = np.flatnonzero(state >= 0)
+    if not len(samples):
         return np.zeros(len(values), bool)
-    last = known[np.clip(np.searchsorted(known, np.arange(len(values)), "right") - 1, 0, None)]
+    last = samples[np.clip(np.searchsorted(samples, np.arange(len(values)), "right") - 1, 0, None)]
     return state[last] == 0
 
 
@@ -106,16 +106,16 @@ def crossings(signal: Signal, level: float, falling: bool) -> list[float]:
     low, high = np.percentile(values, [5, 95])
     below = max(0.1 * float(high - low), 8 * rounding_of(values))  # it may rest for nearly all the time
     armed = False
-    found = []
+    times = []
     for number in range(1, len(values)):
         armed |= bool(values[number - 1] < -below)
         if armed and values[number] >= 0:
             before = values[number - 1]
             after = values[number]
             share = float(-before / (after - before)) if before < 0 else 0.0
-            found.append(float(signal.time[number - 1] + share * (signal.time[number] - signal.time[number - 1])))
+            times.append(float(signal.time[number - 1] + share * (signal.time[number] - signal.time[number - 1])))
             armed = False
-    return found
+    return times
 
 
 def _glitch(edges: Sequence[float], kinds: Sequence[bool]) -> int | None:
@@ -132,12 +132,12 @@ def _glitch(edges: Sequence[float], kinds: Sequence[bool]) -> int | None:
 def _typical(edges: Sequence[float], kinds: Sequence[bool]) -> dict[bool, float]:
     durations = np.diff(edges)
     of_kind = np.array(kinds)
-    found = {}
+    typical = {}
     for kind in (False, True):
         sorted_durations = np.sort(durations[of_kind == kind])
         total = np.cumsum(sorted_durations)
-        found[kind] = float(sorted_durations[np.searchsorted(total, total[-1] / 2)]) if len(total) else 1.0
-    return found
+        typical[kind] = float(sorted_durations[np.searchsorted(total, total[-1] / 2)]) if len(total) else 1.0
+    return typical
 
 
 FLIGHT_WORDS = ("flight", "aerial", "swing")
@@ -181,22 +181,22 @@ def find_sections(log: SignalLog, settings: SectionSettings) -> list[FoundSectio
         RecordError: A column is missing, or there are less than two sections.
     """
     if settings.rule == "height":
-        found = _tops(log, settings)
+        sections = _tops(log, settings)
     elif settings.rule == "crossing":
         signal = log.signal(settings.crossing)
         times = crossings(signal, settings.level, settings.falling)
         std = signal.interval / np.sqrt(12)
-        found = [FoundSection(time, time_std=std) for time in times]
+        sections = [FoundSection(time, time_std=std) for time in times]
     elif settings.at == NEXT_FOOT:
-        found = _next_feet(log, settings)
+        sections = _next_feet(log, settings)
     else:
-        found = _in_flights(flights(log, settings), log, settings)
-    if len(found) < 2:
+        sections = _in_flights(flights(log, settings), log, settings)
+    if len(sections) < 2:
         raise RecordError(
-            f"{log.source}: the rule {settings.rule} finds {len(found)} section(s); at least two are needed"
+            f"{log.source}: the rule {settings.rule} finds {len(sections)} section(s); at least two are needed"
             + (WALKING if (settings.contact or settings.force) and settings.at != NEXT_FOOT else "")
         )
-    return found
+    return sections
 
 
 def _tops(log: SignalLog, settings: SectionSettings) -> list[FoundSection]:
@@ -258,7 +258,7 @@ def _next_feet(log: SignalLog, settings: SectionSettings) -> list[FoundSection]:
     swings: list[tuple[AerialPhase, int]] = []
     for number, column in enumerate(settings.contact or settings.force):
         foot = _in_air(log, column, settings)
-        swings += [(each, number) for each in aerial_phases(foot.time, np.asarray(foot.values) == 1)]
+        swings += [(phase, number) for phase in aerial_phases(foot.time, np.asarray(foot.values) == 1)]
     swings.sort(key=lambda swing: swing[0].end)
     others = [foot != (swings[row - 1][1] if row else None) for row, (_, foot) in enumerate(swings)]
     return [
@@ -268,30 +268,30 @@ def _next_feet(log: SignalLog, settings: SectionSettings) -> list[FoundSection]:
     ]
 
 
-def _in_flights(found: Sequence[AerialPhase], log: SignalLog, settings: SectionSettings) -> list[FoundSection]:
+def _in_flights(phases: Sequence[AerialPhase], log: SignalLog, settings: SectionSettings) -> list[FoundSection]:
     whole = [
-        FoundSection(each.begin, each.begin, each.end, each.resolution / np.sqrt(12), each.doubts) for each in found
+        FoundSection(phase.begin, phase.begin, phase.end, phase.resolution / np.sqrt(12), phase.doubts)
+        for phase in phases
     ]
     if settings.at == "begin":
         return whole
     if settings.at == "end":
-        return [replace(each, time=each.end) for each in whole]
+        return [replace(section, time=section.end) for section in whole]
     height = log.signal(settings.height_column)
     sections = list[FoundSection]()
     rises = list[float]()
-    for each in whole:
-        part = height.between(each.begin, each.end)
+    for section in whole:
+        part = height.between(section.begin, section.end)
         if not len(part):
-            sections.append(
-                replace(each, time=(each.begin + each.end) / 2, doubts=(*each.doubts, "no height in this flight"))
-            )
+            middle = (section.begin + section.end) / 2
+            sections.append(replace(section, time=middle, doubts=(*section.doubts, "no height in this flight")))
             rises.append(np.nan)
             continue
         top = int(np.argmax(part.values))
-        sections.append(replace(each, time=float(part.time[top]), time_std=0.0))
+        sections.append(replace(section, time=float(part.time[top]), time_std=0.0))
         rises.append(float(part.values[top] - part.values[[0, -1]].astype(float).min()))
     low = 0.2 * float(np.nanmedian(rises)) if np.isfinite(rises).any() else 0.0
     return [
-        replace(each, doubts=(*each.doubts, "the height hardly rises")) if rise < low else each
-        for each, rise in zip(sections, rises, strict=True)
+        replace(section, doubts=(*section.doubts, "the height hardly rises")) if rise < low else section
+        for section, rise in zip(sections, rises, strict=True)
     ]

@@ -145,13 +145,14 @@ class SectionSettings:
 
     def _check_coordinates(self) -> None:
         for role in COORDINATES:
-            found = self.coordinates(role)
-            if len({each.name for each in found}) < len(found) or len(found) > MOST_COORDINATES:
+            coordinates = self.coordinates(role)
+            names = {coordinate.name for coordinate in coordinates}
+            if len(names) < len(coordinates) or len(coordinates) > MOST_COORDINATES:
                 raise ValueError(
                     f"{role} = {_joined(getattr(self, role))!r:.80}, but it must be at most {MOST_COORDINATES} "
                     "coordinates with different names"
                 )
-            if role in ("target", "predicted") and len(found) not in (0, len(self.state)):
+            if role in ("target", "predicted") and len(coordinates) not in (0, len(self.state)):
                 given = _joined(getattr(self, role))
                 raise ValueError(f"{role} = {given!r:.80}, but it must be {len(self.state)} coordinates, as the state")
 

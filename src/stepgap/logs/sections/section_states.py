@@ -228,14 +228,14 @@ def section_states(log: SignalLog, sections: Sequence[FoundSection], settings: S
         RecordError: A column of the state is missing, or no section has enough samples about it.
     """
     coordinates = settings.coordinates("state")
-    signals = [log.signal(each.column) for each in coordinates]
+    signals = [log.signal(coordinate.column) for coordinate in coordinates]
     height = log.signal(settings.height_column) if settings.at_apex else None
     estimator = _Estimator(sections, coordinates, signals, height, one_sided=settings.at != "apex")
-    if height is None and all(each.mean for each in coordinates):
+    if height is None and all(coordinate.mean for coordinate in coordinates):
         return estimator(np.nan)
     longest = settings.window or _longest_window(sections)
     candidates = [estimator(longest * part) for part in (WINDOW_PARTS[:1] if settings.window else WINDOW_PARTS)]
-    usable = [each for each in candidates if np.isfinite(each.state).all(axis=1).sum() > len(sections) / 2]
+    usable = [estimate for estimate in candidates if np.isfinite(estimate.state).all(axis=1).sum() > len(sections) / 2]
     if not usable:
         rate = 1 / max(signal.interval for signal in signals)
         raise RecordError(
@@ -250,10 +250,10 @@ def section_states(log: SignalLog, sections: Sequence[FoundSection], settings: S
 
 def _longest_window(sections: Sequence[FoundSection]) -> float:
     """Two fifths of a typical flight if flights are known, else a fifth of the time between sections."""
-    flights = np.array([each.end - each.begin for each in sections])
+    flights = np.array([section.end - section.begin for section in sections])
     if np.isfinite(flights).all():
         return 0.4 * float(np.median(flights))
-    return 0.2 * float(np.median(np.diff([each.time for each in sections])))
+    return 0.2 * float(np.median(np.diff([section.time for section in sections])))
 
 
 def _agree(longer: SectionStates, shorter: SectionStates) -> bool:
@@ -265,8 +265,8 @@ def _agree(longer: SectionStates, shorter: SectionStates) -> bool:
     for i in range(longer.state.shape[1]):
         with np.errstate(divide="ignore", invalid="ignore"):  # of a signal that is constant
             differences = (longer.state - shorter.state)[sure, i] / shorter.std[sure, i]
-        known = differences[np.isfinite(differences)]
-        if len(known) and np.sqrt(np.mean(known**2)) > BIAS:
+        ratios = differences[np.isfinite(differences)]
+        if len(ratios) and np.sqrt(np.mean(ratios**2)) > BIAS:
             return False
     return True
 
@@ -277,9 +277,7 @@ class _Estimator:
     """Estimates with a given window.
 
     Attributes:
-        sections: The sections.
-        coordinates: Coordinates of the state.
-        signals: Their signals.
+        signals: Those of the coordinates.
         height: The signal whose maximum is the section; None if the time of a section is known.
         one_sided: Whether the section is the begin or the end of the smooth motion.
     """
@@ -322,7 +320,7 @@ class _Estimator:
                         fit, coordinate, float(times[number]), float(time_std[number]), noise[number]
                     )
             _note_uncertain(state[:, column], std[:, column], doubts, coordinate.name)
-        texts = tuple("; ".join(dict.fromkeys(each)) for each in doubts)
+        texts = tuple("; ".join(dict.fromkeys(reasons)) for reasons in doubts)
         return SectionStates(times, time_std, state, std, texts, window)
 
     def _means(
@@ -332,9 +330,9 @@ class _Estimator:
         since = np.array([section.since for section in self.sections])
         begin = np.where(np.isnan(since), np.append(np.nan, times[:-1]), since)
         values, std, reasons = step_means(signal, begin, times, rate=coordinate.rate)
-        for reason, found in zip(reasons, doubts, strict=True):
+        for reason, notes in zip(reasons, doubts, strict=True):
             if reason:
-                found.append(f"{reason} of {coordinate.column}")
+                notes.append(f"{reason} of {coordinate.column}")
         return values, std
 
     def _top(self, section: FoundSection, window: float) -> LocalFit | None:
@@ -366,9 +364,9 @@ def _at(fit: LocalFit, coordinate: SignalCoordinate, time: float, time_std: floa
 
 def _noise_of(fits: Sequence[LocalFit | None], signal: Signal) -> list[float]:
     """Standard deviation of the samples of each fit; NaN where there is none."""
-    found = [fit for fit in fits if fit]
-    known = iter(noise_std_of(found, resolution_of(signal)).tolist() if found else [])
-    return [next(known) if fit else float("nan") for fit in fits]
+    parabolas = [fit for fit in fits if fit]
+    deviations = iter(noise_std_of(parabolas, resolution_of(signal)).tolist() if parabolas else [])
+    return [next(deviations) if fit else float("nan") for fit in fits]
 
 
 def _note_uncertain(state: Array, std: Array, doubts: Sequence[list[str]], name: str) -> None:
@@ -376,9 +374,9 @@ def _note_uncertain(state: Array, std: Array, doubts: Sequence[list[str]], name:
         return
     spread = float(np.nanstd(state))
     typical = _usual(std, max(_EXACT * spread, rounding_of(state[np.isfinite(state)])))
-    for each, found in zip(std, doubts, strict=True):
-        if each > max(UNCERTAIN * typical, IMPRECISE * spread):
-            found.append(f"the standard error of {name} is {each / typical:.0f} times as large as usual")
+    for error, notes in zip(std, doubts, strict=True):
+        if error > max(UNCERTAIN * typical, IMPRECISE * spread):
+            notes.append(f"the standard error of {name} is {error / typical:.0f} times as large as usual")
 
 
 def _note_poor_fits(fits: Sequence[LocalFit | None], signal: Signal, doubts: Sequence[list[str]], name: str) -> None:
@@ -387,16 +385,16 @@ def _note_poor_fits(fits: Sequence[LocalFit | None], signal: Signal, doubts: Seq
     exact = max(_EXACT * float(np.ptp(values)), rounding_of(values))
     sizes = np.array([float(np.sqrt(np.mean(fit.residuals**2))) if fit else np.nan for fit in fits])
     typical = _usual(sizes, exact)
-    for fit, size, found in zip(fits, sizes, doubts, strict=True):
+    for fit, size, notes in zip(fits, sizes, doubts, strict=True):
         if fit is None:
-            found.append(f"too few samples for {name}")
+            notes.append(f"too few samples for {name}")
         elif fit.outliers > MOST_SAMPLES_OFF:
-            found.append(f"{fit.outliers:.0%} of the samples for {name} are off")
+            notes.append(f"{fit.outliers:.0%} of the samples for {name} are off")
         elif size > max(LARGE_RESIDUALS * typical, SMALL_RESIDUALS * fit.extent, exact):
-            found.append(f"the samples for {name} do not fit a parabola")
+            notes.append(f"the samples for {name} do not fit a parabola")
 
 
 def _usual(errors: Array, exact: float) -> float:
     """Median of the errors that are no smaller than what counts as exact; that if there are none."""
-    known = errors[errors > exact]
-    return float(np.median(known)) if len(known) else exact
+    larger = errors[errors > exact]
+    return float(np.median(larger)) if len(larger) else exact

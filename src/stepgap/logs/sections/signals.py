@@ -90,19 +90,20 @@ class SignalLog:
         Raises:
             RecordError: There is no such column, several tables of that file have it, or it does not contain numbers.
         """
-        found = self._find(column)
-        values = found.table.numbers(column, self.factors.get(column, 1.0))
-        known = np.isfinite(found.time) & np.isfinite(values)
-        if known.sum() < 2:
-            raise RecordError(f"{found.table.source}, column {column!r}: {known.sum()} numbers; at least 2 are needed")
-        return Signal(found.time[known], values[known])
+        timed = self._find(column)
+        values = timed.table.numbers(column, self.factors.get(column, 1.0))
+        complete = np.isfinite(timed.time) & np.isfinite(values)
+        if complete.sum() < 2:
+            where = f"{timed.table.source}, column {column!r}"
+            raise RecordError(f"{where}: {complete.sum()} numbers; at least 2 are needed")
+        return Signal(timed.time[complete], values[complete])
 
     def labels(self, column: str) -> Signal:
         """A column as text, such as the names of phases; a number as 3 or 0.5. Errors as of `signal`."""
-        found = self._find(column)
-        values = _labels(found.table, column)
-        known = np.isfinite(found.time) & (values != "")
-        return Signal(found.time[known], values[known])
+        timed = self._find(column)
+        values = _labels(timed.table, column)
+        complete = np.isfinite(timed.time) & (values != "")
+        return Signal(timed.time[complete], values[complete])
 
     def _find(self, column: str) -> TimedTable:
         for tables in self.files:
@@ -140,14 +141,10 @@ def read_signal_log(text: str, time: str, factors: Mapping[str, float], written:
 def read_deployments(
     text: str, time: str, factors: Mapping[str, float], written: TextFormat, deployment: str
 ) -> list[Callable[[], SignalLog]]:
-    """Reads a log that a column divides into deployments; each is given by a function, so that one may be wrong.
+    """Reads a log, as `read_signal_log` does, that a column divides into deployments.
 
-    Args:
-        text: As of `read_signal_log`.
-        time: As of `read_signal_log`.
-        factors: As of `read_signal_log`.
-        written: As of `read_signal_log`.
-        deployment: The column. A table without it has the deployments of the first file if it has as many rows.
+    Each is given by a function, so that one may be wrong. A table without the column has the deployments of the first
+    file if it has as many rows.
 
     Raises:
         RecordError: A file cannot be read, or has no such column; as of `read_signal_log`, for each deployment.
@@ -155,10 +152,10 @@ def read_deployments(
     files = [(path, read_log_tables(path, written)) for path in _paths(text)]
     logs: dict[str, list[tuple[Path, dict[str, LogTable]]]] = {}
     for path, tables in files:
-        found = dict(_with_deployments(tables, files[0][1], deployment))
-        if not found:
+        with_column = dict(_with_deployments(tables, files[0][1], deployment))
+        if not with_column:
             raise RecordError(f"{path}: {next(iter(tables.values())).fault_of(deployment)}; it is to be the deployment")
-        for topic, table in found.items():
+        for topic, table in with_column.items():
             for name, part in divided(table, deployment).items():
                 of_name = logs.setdefault(name, [])
                 if not of_name or of_name[-1][0] != path:
@@ -196,12 +193,12 @@ def _with_deployments(
     tables: Mapping[str, LogTable], first: Mapping[str, LogTable], column: str
 ) -> Iterator[tuple[str, LogTable]]:
     """Yields the tables that have the column of the deployment, or as many rows as one of the first file with it."""
-    known = {len(table): table.columns[column] for table in first.values() if not table.fault_of(column)}
+    by_length = {len(table): table.columns[column] for table in first.values() if not table.fault_of(column)}
     for topic, table in tables.items():
         if not table.fault_of(column):
             yield topic, table
-        elif len(table) in known:
-            yield topic, replace(table, columns={**table.columns, column: known[len(table)]})
+        elif len(table) in by_length:
+            yield topic, replace(table, columns={**table.columns, column: by_length[len(table)]})
 
 
 def _signal_log(

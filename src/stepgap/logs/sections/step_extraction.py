@@ -116,7 +116,6 @@ def extract_steps(
     Args:
         text: The log, as of `read_signal_log`.
         plan: File of its plans; None if commands and targets are columns of the log.
-        settings: Sections and columns.
         find: Finds the sections, in place of the rule of the settings.
 
     Raises:
@@ -126,31 +125,25 @@ def extract_steps(
 
 
 def extract_deployments(text: str, plan: Path | None, settings: SectionSettings) -> list[ExtractedSteps]:
-    """Extracts the steps of each deployment of a log; a `StepGapWarning` names each that is left out, with the reason.
+    """Extracts the steps of each deployment of a log, which is a single one unless the settings name a column.
 
-    Args:
-        text: As of `extract_steps`.
-        plan: As of `extract_steps`.
-        settings: As of `extract_steps`; the log is a single deployment unless they name a column.
-
-    Raises:
-        RecordError: As of `extract_steps`, for each of the deployments.
+    A `StepGapWarning` names those that are left out, with the reasons; arguments and errors are as of `extract_steps`.
     """
     if not settings.deployment:
         return [extract_steps(text, plan, settings)]
     logs = read_deployments(text, settings.time, settings.factors, settings.format, settings.deployment)
-    found: list[ExtractedSteps] = []
+    extracted: list[ExtractedSteps] = []
     faults: list[RecordError] = []
     for read in logs:
         try:
-            found.append(extract_from(read(), plan, settings))
+            extracted.append(extract_from(read(), plan, settings))
         except RecordError as error:
             faults.append(error)
-    if not found:
+    if not extracted:
         raise faults[0]
     for fault in faults:
         warnings.warn(f"left out: {fault}", StepGapWarning, stacklevel=2)
-    return found
+    return extracted
 
 
 def extract_from(
@@ -163,38 +156,40 @@ def extract_from(
     # Sections: where a step ends and the next one begins.
     held = None
     if find:
-        found = find(log)
+        boundaries = find(log)
     elif settings.every:
         held = _held(log, plans, settings)
-        found = _regular(held, log, settings)
+        boundaries = _regular(held, log, settings)
     else:
-        found = find_sections(log, settings)
-    found = sorted(found, key=lambda section: section.time)
-    if len(found) < 2:
-        raise RecordError(f"{log.source}: {len(found)} sections; at least two are needed")
-    sections = section_states(log, found, settings)
+        boundaries = find_sections(log, settings)
+    boundaries = sorted(boundaries, key=lambda section: section.time)
+    if len(boundaries) < 2:
+        raise RecordError(f"{log.source}: {len(boundaries)} sections; at least two are needed")
+    sections = section_states(log, boundaries, settings)
     # Commands, targets and predictions of the steps between them.
     parts: dict[str, list[StepValues]] = {}
     for role in COORDINATES[1:]:
         sources = [_source(entry, log, plans, settings) for entry in getattr(settings, role)]
         if held and role == "command" and sources:
-            parts[role] = [held_in_steps(held, found, settings.every)]
+            parts[role] = [held_in_steps(held, boundaries, settings.every)]
         elif sources:
             parts[role] = [step_values(source, sections.time, settings.of_several) for source in sources]
     values = {
-        role: np.concatenate([part.values.reshape(len(found) - 1, -1) for part in of_role], -1)
+        role: np.concatenate([part.values.reshape(len(boundaries) - 1, -1) for part in of_role], -1)
         for role, of_role in parts.items()
     }
     # Reasons for which steps are left out.
     signals = {column: log.signal(column) for column in _columns(settings)}
     hops = log.signal(settings.height_column) if settings.at_apex else None
     longest = LONGEST_GAP_IN_MEAN * settings.every or LONGEST_GAP * float(np.median(np.diff(sections.time)))
-    doubts = joined_doubts([each for part in parts.values() for each in part]) if parts else [""] * (len(found) - 1)
+    doubts = [""] * (len(boundaries) - 1)
+    if parts:
+        doubts = joined_doubts([part for of_role in parts.values() for part in of_role])
     return ExtractedSteps(
         source=log.source,
         deployment=log.deployment,
         clock=log.clock,
-        names={role: tuple(each.name for each in settings.coordinates(role)) for role in COORDINATES},
+        names={role: tuple(coordinate.name for coordinate in settings.coordinates(role)) for role in COORDINATES},
         sections=sections,
         values=values,
         yaw=_yaw(log, settings, sections.time[:-1]),
@@ -206,7 +201,8 @@ def extract_from(
 
 def _lag(held: HeldCommands, log: SignalLog, settings: SectionSettings) -> float:
     """Time by which the means of the state follow the commands [s]; NaN if it has none."""
-    means = [(log.signal(each.column), each.rate) for each in settings.coordinates("state") if each.mean]
+    coordinates = [coordinate for coordinate in settings.coordinates("state") if coordinate.mean]
+    means = [(log.signal(coordinate.column), coordinate.rate) for coordinate in coordinates]
     if not means:
         return np.nan
     first = max(signal.time[0] for signal, _ in means)
@@ -225,19 +221,19 @@ def _held(log: SignalLog, plans: Plans | None, settings: SectionSettings) -> Hel
 
 def _regular(held: HeldCommands, log: SignalLog, settings: SectionSettings) -> list[FoundSection]:
     """Sections at equal intervals, while all signals of the state have samples."""
-    signals = [log.signal(each.column) for each in settings.coordinates("state")]
+    signals = [log.signal(coordinate.column) for coordinate in settings.coordinates("state")]
     first = max(signal.time[0] for signal in signals)
     last = min(signal.time[-1] for signal in signals)
-    known = np.isfinite(held.values[:-1]).all(axis=1)
-    if np.diff(held.begin)[known].sum() > MOST_REGULAR * settings.every:
+    holds = np.isfinite(held.values[:-1]).all(axis=1)
+    if np.diff(held.begin)[holds].sum() > MOST_REGULAR * settings.every:
         raise RecordError(f"{log.source}: every = {settings.every:g} s makes more than {MOST_REGULAR:,} steps of it")
-    found = regular_sections(held, settings.every, float(first), float(last))
-    if len(found) < 2:
+    sections = regular_sections(held, settings.every, float(first), float(last))
+    if len(sections) < 2:
         raise RecordError(
             f"{log.source}: no command holds for {settings.every:g} s from {first:.3f} to {last:.3f} s, when the state "
             "is known"
         )
-    return found
+    return sections
 
 
 def _source(entry: str, log: SignalLog, plans: Plans | None, settings: SectionSettings) -> Signal:
@@ -245,17 +241,13 @@ def _source(entry: str, log: SignalLog, plans: Plans | None, settings: SectionSe
     coordinate = SignalCoordinate.of(entry)
     if coordinate.rate or coordinate.mean:
         raise RecordError(f"{entry}: only coordinates of the state may be rates or means")
-    found = _unshifted(coordinate.column, log, plans)
-    return Signal(found.time + settings.delay, found.values)
-
-
-def _unshifted(column: str, log: SignalLog, plans: Plans | None) -> Signal:
-    if plans is None:
-        return log.signal(column)
-    planned = plans.signal(column)
-    if planned is None and column not in log.columns:
+    column = coordinate.column
+    signal = plans.signal(column) if plans else None
+    if plans and signal is None and column not in log.columns:
         raise RecordError(f"{plans.table.source}: {plans.table.fault_of(column)}; nor has {log.source} one")
-    return log.signal(column) if planned is None else planned
+    if signal is None:
+        signal = log.signal(column)
+    return Signal(signal.time + settings.delay, signal.values)
 
 
 def _check_factors(settings: SectionSettings, log: SignalLog, plans: Plans | None) -> None:
@@ -268,7 +260,7 @@ def _check_factors(settings: SectionSettings, log: SignalLog, plans: Plans | Non
 def _columns(settings: SectionSettings) -> list[str]:
     """Columns of numbers that must not have gaps, first the one in which sections are seen."""
     seen = [column for column in (settings.crossing, settings.height_column) if column]
-    state = [each.column for each in settings.coordinates("state")]
+    state = [coordinate.column for coordinate in settings.coordinates("state")]
     return list(dict.fromkeys([*seen, *state, *settings.contact, *settings.force]))
 
 
@@ -338,11 +330,11 @@ def with_pose(log: SignalLog, settings: SectionSettings) -> SignalLog:
         if signal.time.shape != time.shape or (signal.time != time).any():
             raise RecordError(f"{log.source}, column {column!r}: its times are not those of {columns[0]!r}")
     parts = [np.asarray(signal.values, float) for signal in orientation]
-    yaw, known = (parts[0], np.ones(len(time), bool)) if len(parts) == 1 else _yaw_of(np.stack(parts))
-    if known.sum() < 2:
+    yaw, valid = (parts[0], np.ones(len(time), bool)) if len(parts) == 1 else _yaw_of(np.stack(parts))
+    if valid.sum() < 2:
         raise RecordError(f"{log.source}, column {columns[2]!r}: no quaternion x, y, z, w with a norm of 1")
-    moved = body_motion(*(np.asarray(each, float)[known] for each in (x.values, y.values, yaw)))
-    return with_columns(log, "pose", dict(zip(POSE_COLUMNS, moved, strict=True)), [time[known]] * len(moved))
+    moved = body_motion(*(np.asarray(values, float)[valid] for values in (x.values, y.values, yaw)))
+    return with_columns(log, "pose", dict(zip(POSE_COLUMNS, moved, strict=True)), [time[valid]] * len(moved))
 
 
 def with_columns(log: SignalLog, name: str, columns: Mapping[str, Array], times: Sequence[Array]) -> SignalLog:

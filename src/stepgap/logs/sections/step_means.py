@@ -22,7 +22,6 @@ def step_means(signal: Signal, begin: Array, end: Array, *, rate: bool) -> tuple
     """Means between pairs of times, between samples along straight lines.
 
     Args:
-        signal: The signal.
         begin: Times [s]; shape (K,), NaN where there is none.
         end: Times [s]; shape (K,).
         rate: Whether it is the mean of the rate: the difference between both times over the time between them.

@@ -109,12 +109,12 @@ def _labels(logs: Sequence[ExtractedSteps]) -> list[str]:
 def _units(columns: dict[str, list[str]], settings: SectionSettings) -> Iterator[tuple[str, str]]:
     computed = {"height": "m", "forward": "m"} if settings.boom else {}
     computed |= {"forward": "m", "left": "m", "turn": "rad"} if settings.pose else {}
-    known = computed | dict(settings.units)
+    units = computed | dict(settings.units)
     for role in ("state", "command"):
         for name, coordinate in zip(columns[role], settings.coordinates(role), strict=True):
-            unit = known.get(coordinate.column) or _unit_of_message(coordinate.column)
+            unit = units.get(coordinate.column) or _unit_of_message(coordinate.column)
             rate = f"{unit}/s" if unit and coordinate.rate else unit
-            yield name, known.get(coordinate.name, rate) if coordinate.name != coordinate.column else rate
+            yield name, units.get(coordinate.name, rate) if coordinate.name != coordinate.column else rate
 
 
 def _unit_of_message(column: str) -> str:

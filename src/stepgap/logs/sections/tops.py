@@ -18,8 +18,8 @@ CLEAR: Final = 3.0
 
 SMALL: Final = 0.15  # Other maxima must be less prominent than this part of the median top of a hop
 
-SHALLOW, TALL = 0.2, 0.5
-"""Parts of a typical descent after an apex: of the least descent of a hop, and of a top that is another hop."""
+SHALLOW: Final = 0.2  # The least descent of a hop, in parts of a typical descent after an apex
+TALL: Final = 0.5  # A top between two apexes that is another hop, in the same parts
 
 MOST_INTERPOLATED: Final = 2**22  # A signal is interpolated at no more times than this
 
@@ -32,7 +32,6 @@ def tops(signal: Signal, rise: float = 0.0) -> list[float]:
     hops. Of equal maxima, which rounded signals have, the last one counts.
 
     Args:
-        signal: Such as a height.
         rise: Smallest prominence of the top of a hop, in the unit of the signal; 0 to find it.
 
     Raises:
@@ -45,13 +44,13 @@ def tops(signal: Signal, rise: float = 0.0) -> list[float]:
     former: _Indices | None = None
     width = 1.0
     while width < len(values) / 20:
-        found = _prominent(gaussian_filter1d(values, width), rise)
+        peaks = _prominent(gaussian_filter1d(values, width), rise)
         apart = 4 * width
-        if former is not None and found is not None and _same(former, found, apart):
-            spacing = float(np.median(np.diff(found))) if len(found) > 1 else np.inf
+        if former is not None and peaks is not None and _same(former, peaks, apart):
+            spacing = float(np.median(np.diff(peaks))) if len(peaks) > 1 else np.inf
             if width <= 0.15 * spacing:
-                return time[found].tolist()
-        former = found
+                return time[peaks].tolist()
+        former = peaks
         width = 2 * width
     advice = "lower" if rise else "give"
     raise RecordError(
@@ -67,7 +66,6 @@ def hop_faults(height: Signal, apexes: Array) -> list[str]:
     it.
 
     Args:
-        height: Heights.
         apexes: Times of the K apexes [s]; shape (K,).
     """
     from scipy.ndimage import median_filter
@@ -126,5 +124,5 @@ def _floor(values: Array) -> float:
     return float(4 * np.std(np.diff(values, 2)) + 1e-9 * np.ptp(values))
 
 
-def _same(former: _Indices, found: _Indices, apart: float) -> bool:
-    return len(former) == len(found) and bool((np.abs(former - found) <= apart).all())
+def _same(former: _Indices, peaks: _Indices, apart: float) -> bool:
+    return len(former) == len(peaks) and bool((np.abs(former - peaks) <= apart).all())

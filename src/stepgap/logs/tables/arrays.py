@@ -25,7 +25,8 @@ _LARGEST_ARRAY_FILE = 16 * MOST_NUMBERS  # Largest file or member of an archive 
 _TIMES = ("time", "t", "tout", "timestamp", "log_time")
 """Names of vectors of times, in lower case."""
 
-_LONG, _SLIM = 100, 20  # Rows longer than this, and than the array is high by this factor, are signals
+_LONG = 100  # Rows longer than this,
+_SLIM = 20  # and than the array is high by this factor, are signals
 
 _AS_STRUCT = {
     "timeseries": "s.time = ts.Time; s.v = ts.Data",

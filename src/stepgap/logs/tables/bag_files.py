@@ -27,7 +27,7 @@ _LOGS = ("-wal", "-journal")
 # The write-ahead log of SQLite: length of its header, and of the header of a frame, both with two random numbers.
 _WAL_HEADER = 32
 _FRAME_HEADER = 24
-_SMALLEST_PAGE, _LARGEST_PAGE = 512, 65536
+_PAGES = (512, 65536)  # Smallest and largest page
 _BLOCK = 2**20  # Number of bytes that are copied at once
 
 
@@ -180,7 +180,7 @@ def _pages_in(log: Path) -> int:
             return 0
         (size,) = struct.unpack_from(">I", header, 8)
         pages = 0
-        if not _SMALLEST_PAGE <= size <= _LARGEST_PAGE:
+        if not _PAGES[0] <= size <= _PAGES[1]:
             return 1  # a damaged one
         while file.read(_FRAME_HEADER)[8:16] == header[16:24]:
             pages += 1

@@ -71,7 +71,6 @@ def read_mcap(
     Of a file that was cut off, the messages before its end are read, with a `StepGapWarning`.
 
     Args:
-        paths: The files.
         unread: The topics that cannot be read are added to it, with the reasons.
         release: Release of ROS 2 that recorded the log, if it is known.
         messages: Number of messages in the log, if it is known.
@@ -317,9 +316,7 @@ def _ros_decoders(path: Path, encoding: str, name: str, definition: str, form: s
     """The functions that may decode messages of a type.
 
     Args:
-        path: The file, for messages.
         encoding: That of the messages, cdr or ros1.
-        name: Name of the type.
         definition: Its definition; an empty one is that of a type without fields, or missing.
         form: Language of the definition; one that is not of `_LANGUAGES` is none.
         release: Release of ROS 2 that recorded the log. If the definition is or may be missing, those of the release

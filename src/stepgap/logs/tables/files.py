@@ -80,11 +80,7 @@ def _gunzipped(content: bytes, largest: int, path: Path) -> bytes:
 
 
 def decompress_part(data: bytes, compression: str) -> bytes:
-    """A decompressed chunk.
-
-    Args:
-        data: The compressed bytes.
-        compression: "zstd", "lz4" or "bz2"; "" or "none" for bytes that are not compressed.
+    """A chunk after decompression from "zstd", "lz4" or "bz2"; "" or "none" for bytes that are not compressed.
 
     Raises:
         ValueError: The compression is unknown, or the chunk is larger than `LARGEST_PART`.

@@ -21,13 +21,12 @@ def read_hdf5(matlab: bool, path: Path, unread: dict[str, str]) -> dict[str, Log
 
     Args:
         matlab: Whether the conventions are those of MATLAB 7.3: dimensions reversed, structs as groups.
-        path: The file.
         unread: The datasets and links that cannot be read are added to it, with the reasons.
     """
     h5py = library("h5py", path)
     check_file_size(path)
     with reading(path, "HDF5"), h5py.File(path, "r") as file:
-        datasets = _Datasets(h5py, file, path, matlab, unread).found
+        datasets = _Datasets(h5py, file, path, matlab, unread).by_name
         sizes = [max(float(dataset.size), dataset.nbytes / 8) for dataset in datasets.values()]  # text may be long
         check_size(str(path), sum(sizes))
         arrays: list[tuple[str, str, Any]] = []
@@ -48,7 +47,7 @@ class _Datasets:
     """The datasets of a file by their names from the root to them; links to elsewhere are left out."""
 
     def __init__(self, h5py: Any, file: Any, path: Path, matlab: bool, unread: dict[str, str]) -> None:
-        self.found: dict[tuple[str, ...], Any] = {}
+        self.by_name: dict[tuple[str, ...], Any] = {}
         self._h5py = h5py
         self._file = file
         self._path = path
@@ -93,7 +92,7 @@ class _Datasets:
         if self._matlab and self._h5py.check_ref_dtype(entry.dtype) is not None:
             self._add_referred(names, entry)
         elif entry.shape is not None:
-            self.found[names] = entry
+            self.by_name[names] = entry
 
     def _add_referred(self, names: tuple[str, ...], entry: Any) -> None:
         """Adds what the elements of a cell array, or of a field of an array of structs, refer to."""

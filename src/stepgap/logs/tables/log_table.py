@@ -170,7 +170,7 @@ def _shown(value: Any) -> str:
     return str(value) if isinstance(value, str) else f"{value:.6g}".replace("e+", "e")
 
 
-def unknown_column(name: str, known: Sequence[str]) -> str:
+def unknown_column(name: str, names: Sequence[str]) -> str:
     """Message about an unknown column, with the name that was probably meant."""
-    close = get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"no column {name!r}; " + (f"did you mean {close[0]!r}?" if close else f"there is {', '.join(known):.300}")
+    close = get_close_matches(name, names, n=1, cutoff=0.5)
+    return f"no column {name!r}; " + (f"did you mean {close[0]!r}?" if close else f"there is {', '.join(names):.300}")

@@ -108,9 +108,6 @@ class TopicRows:
     """Rows of the topics of a log, which grow message by message.
 
     A topic is left out if a message of it does not fit its definition: its numbers would be wrong.
-
-    Args:
-        source: The log, for messages.
     """
 
     def __init__(self, source: str) -> None:

@@ -45,13 +45,13 @@ def by_name(source: str, columns: Mapping[str, LogColumn], unread: dict[str, str
 
     A `StepGapWarning` names them. An array that cannot be told apart by its names is added to `unread`.
     """
-    found = dict(columns)
+    renamed = dict(columns)
     for _ in range(_DEEPEST):
-        named = next(filter(_changes, _named_arrays(found)), None)
+        named = next(filter(_changes, _named_arrays(renamed)), None)
         if named is None:
             break
-        found = _renamed(source, found, named, unread)
-    return found
+        renamed = _renamed(source, renamed, named, unread)
+    return renamed
 
 
 def _named_arrays(columns: Mapping[str, LogColumn]) -> list[_Named]:
@@ -87,8 +87,8 @@ def _renamed(
     matches = {column: named.elements.fullmatch(column) for column in columns}
     kept = {column: values for column, values in columns.items() if not matches[column]}
     labels = np.stack([named.names[index] for index in sorted(named.names)])
-    known = sorted(set(labels[labels != ""].tolist()))
-    shown = {label: re.sub(r"[^\w./-]", "_", label) for label in known}
+    names = sorted(set(labels[labels != ""].tolist()))
+    shown = {label: re.sub(r"[^\w./-]", "_", label) for label in names}
     if why := _fault(labels, list(shown.values())):
         reason = f"the order of {named.shown} differs from message to message, and {why}"
         unread.update((match["before"], reason) for match in matches.values() if match)
@@ -99,9 +99,9 @@ def _renamed(
             by_field[match["before"], match["rest"]][int(match["at"])] = columns[column]
     for (before, rest), values in by_field.items():
         is_text = any(one.dtype.kind == "U" for one in values.values())
-        for label in known:
+        for label in names:
             kept[f"{before}[{shown[label]}]{rest}"] = _of_label(label, named.names, values, is_text)
-    example = next(name for name in kept if f"[{shown[known[0]]}]" in name)
+    example = next(name for name in kept if f"[{shown[names[0]]}]" in name)
     message = f"{source}: the order of {named.shown} differs from message to message, so columns are by name: {example}"
     warnings.warn(message, StepGapWarning, stacklevel=2)
     return kept

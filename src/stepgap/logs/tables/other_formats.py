@@ -45,11 +45,7 @@ _BINARY: Final = (
 
 
 def kind_of_other(begin: bytes) -> str:
-    """What a file is that is not read, and what to do; empty if it is not known.
-
-    Args:
-        begin: The first bytes of the file.
-    """
+    """What a file with these first bytes is, which is not read, and what to do; empty if it is not known."""
     for magic, kind in _FORMATS:
         if begin.startswith(magic):
             return kind
@@ -78,11 +74,7 @@ def _kind_in_gzip(begin: bytes) -> str:
 
 
 def kind_of_archive(names: Sequence[str]) -> str:
-    """What an archive of zip is that has no arrays, and what to do.
-
-    Args:
-        names: Names of its members.
-    """
+    """What an archive of zip with these members is, which has no arrays, and what to do."""
     if "[Content_Types].xml" in names:
         return "a workbook of Excel; save it as CSV"
     if "mimetype" in names:

@@ -24,7 +24,7 @@ def read_parquet(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
     parquet = library("pyarrow.parquet", path, "parquet")
     library("pyarrow.compute", path, "parquet")
     check_file_size(path)
-    found: dict[str, LogColumn] = {}
+    columns: dict[str, LogColumn] = {}
     # Times in the 96 bits of Spark may be later than 2262, where nanoseconds end.
     options = {"page_checksum_verification": True, "coerce_int96_timestamp_unit": "us"}
     with reading(path, "Parquet"), parquet.ParquetFile(path, **options) as file:
@@ -38,8 +38,8 @@ def read_parquet(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
                 _check_bytes(name, chunks)
                 table = file.read(columns=[name])  # a name with dots selects the fields of structs, too
                 if name not in repeated and name in table.column_names:
-                    _add_columns(name, table.column(name), arrow, found, unread, str(path))
-        return {"": LogTable(str(path), found, repeated=repeated)} if found or not unread else {}
+                    _add_columns(name, table.column(name), arrow, columns, unread, str(path))
+        return {"": LogTable(str(path), columns, repeated=repeated)} if columns or not unread else {}
 
 
 def read_feather(path: Path, unread: dict[str, str]) -> dict[str, LogTable]:
@@ -70,7 +70,7 @@ def _check_bytes(name: str, chunks: Sequence[Any]) -> None:
 
 
 def _add_columns(
-    name: str, column: Any, arrow: Any, found: dict[str, LogColumn], unread: dict[str, str], source: str
+    name: str, column: Any, arrow: Any, columns: dict[str, LogColumn], unread: dict[str, str], source: str
 ) -> None:
     for part, values in _parts(name, column, arrow):
         if isinstance(values, str):
@@ -80,8 +80,8 @@ def _add_columns(
             numbers = _values(values, arrow)
             if numbers is None:
                 raise ValueError(f"values of type {values.type}, neither numbers nor text")
-            check_size(source, (len(found) + 1.0) * len(numbers))
-            found[part] = numbers
+            check_size(source, (len(columns) + 1.0) * len(numbers))
+            columns[part] = numbers
 
 
 def _parts(name: str, column: Any, arrow: Any) -> Iterator[tuple[str, Any]]:
@@ -119,5 +119,5 @@ def _values(column: Any, arrow: Any) -> LogColumn | None:
         column = column.cast(whole).cast(arrow.int64()).cast(arrow.duration(column.type.unit))
     if kind.is_boolean(column.type):
         column = column.cast(arrow.uint8())
-    known = kind.is_integer(column.type) or kind.is_floating(column.type) or kind.is_temporal(column.type)
-    return numbers_or_labels(column.to_numpy()) if known else None
+    has_numbers = kind.is_integer(column.type) or kind.is_floating(column.type) or kind.is_temporal(column.type)
+    return numbers_or_labels(column.to_numpy()) if has_numbers else None

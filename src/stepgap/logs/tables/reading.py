@@ -41,7 +41,6 @@ def read_log_tables(path: str | Path, written: TextFormat = AS_FOUND) -> Mapping
     message if it is asked for.
 
     Args:
-        path: The file.
         written: How the numbers of a text file are written.
 
     Returns:
@@ -134,12 +133,12 @@ def chosen_table(
         raise RecordError(f"{path}: no table of numbers in this file")
     named = {topic: with_topic(topic, table) for topic, table in tables.items()}
     missing = {topic: [name for name in wanted if table.fault_of(name)] for topic, table in named.items()}
-    found = [topic for topic, names in missing.items() if not names]
-    if len(found) == 1:
-        return named[found[0]]
-    if found:
-        example = f"{found[0]}:{wanted[0]}" if wanted else found[0]
-        raise RecordError(f"{path}: {', '.join(found):.200} have these columns; say which, as in {example!r}")
+    topics = [topic for topic, names in missing.items() if not names]
+    if len(topics) == 1:
+        return named[topics[0]]
+    if topics:
+        example = f"{topics[0]}:{wanted[0]}" if wanted else topics[0]
+        raise RecordError(f"{path}: {', '.join(topics):.200} have these columns; say which, as in {example!r}")
     closest = min(named, key=lambda topic: len(missing[topic]))
     table = named[closest]
     name = missing[closest][0]

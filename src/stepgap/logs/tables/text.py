@@ -73,8 +73,8 @@ class TextFormat:
         try:
             b"ab".decode(self.encoding or "utf-8", "replace")
         except (LookupError, UnicodeError):
-            known = "such as utf-8, utf-16, latin-1 or cp1252"
-            raise ValueError(f"encoding = {self.encoding!r:.40}, but it must be an encoding, {known}") from None
+            examples = "such as utf-8, utf-16, latin-1 or cp1252"
+            raise ValueError(f"encoding = {self.encoding!r:.40}, but it must be an encoding, {examples}") from None
 
 
 AS_FOUND = TextFormat()  # Everything as found in the file
