@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,14 @@ from stepgap.experiment.loop import Plants, Setup, run_experiment
 from stepgap.experiment.run import Run
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
+from stepgap.mujoco_robots.mjcf.mjcf_robot import MjcfPlant
+from stepgap.mujoco_robots.velocity.robot import TrottingRobot
+from stepgap.mujoco_robots.velocity.walking_robot import Walk, walks
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.records.recovery import recover_file
 from stepgap.records.step_columns import step_columns
 from stepgap.records.steps_csv import StepWriter, digest, read_step_log, space_of_header, with_context
-from stepgap.step import Array, ContextQuantity, StepRecord, StepSpace
+from stepgap.step import Array, ContextQuantity, StepMap, StepRecord, StepSpace
 from tests.control.maps import YAW, LossyHopper
 
 TRACK = ContextQuantity("track", "m", period=8.0)
@@ -103,6 +107,48 @@ def test_only_the_phase_matters_not_how_it_is_measured(run: Path, run_with_yaw: 
 def test_a_second_periodic_quantity_is_refused() -> None:
     with pytest.raises(ValueError, match="must have at most one quantity with a period"):
         _ = Walker(context=(TRACK, YAW)).space
+
+
+class Discharging(ModelPlant):
+    """A walking robot that drifts at a low voltage of its battery, which goes up and down."""
+
+    def __init__(self, nominal: StepMap, rng: np.random.Generator):
+        super().__init__(nominal, np.zeros(3), np.full(3, 5e-3), rng)
+        self._number = 0
+
+    def take_step(self, command: Array) -> StepRecord:
+        voltage = -1.0 if self._number // 10 % 2 else 0.0
+        self._number += 1
+        record = super().take_step(command)
+        self._state = record.next_state + voltage * np.array([0.2, 0.1, -0.2])
+        context = {"battery": voltage} if self.space.context_inputs else {}
+        return replace(record, next_state=self._state, context=context)
+
+
+def test_a_number_of_its_own_is_an_input_of_what_a_walking_robot_learns(tmp_path: Path) -> None:
+    battery = ContextQuantity("battery", "V", input_scale=1.0)
+    errors = list[float]()
+    for name, context in {"with": (battery,), "without": ()}.items():
+        robot = TrottingRobot(walk=Walk(context=context))
+        nominal = robot.nominal_maps()["lag"]()
+        plants = Plants(partial(Discharging, nominal))
+        folder = tmp_path / name
+        folder.mkdir()
+        run_experiment(Setup(nominal, plants, walks(robot.space, 3), LEARNING, seed=1), folder)
+        steps = read_step_log(folder / "steps.csv", robot.space).of_iteration(1)
+        foreseen = np.arange(len(steps)) % 10 > 0  # the voltage of the step before was that of the step
+        scaled = steps.tracking_errors()[foreseen] / robot.space.state_scale
+        errors.append(float(np.sqrt(np.mean(scaled**2))))
+    assert errors[0] < 0.7 * errors[1]
+
+
+def test_what_is_measured_besides_has_a_name_of_its_own_and_is_not_simulated() -> None:
+    with pytest.raises(ValueError, match="context.*have names that nothing else"):
+        Walk(context=(ContextQuantity("heading", "rad"),))
+    robot = TrottingRobot(walk=Walk(context=(ContextQuantity("battery", "V", input_scale=1.0),)))
+    plant = MjcfPlant(robot, np.random.default_rng(0))
+    plant.start()
+    assert np.isnan(plant.take_step(np.zeros(3)).context["battery"])
 
 
 # Files of versions in which every robot had the column yaw_after

@@ -9,7 +9,7 @@ Its MuJoCo model, its start posture and its `WalkingControl` make a walking robo
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import atan2, exp, isfinite, radians
+from math import atan2, exp, isfinite, nan, radians
 from typing import Any, Final, Self, final
 
 import mujoco
@@ -189,6 +189,8 @@ class Walk:
         vx: Forward velocity [m/s].
         vy: Velocity to the left [m/s].
         wz: Velocity of turning to the left [rad/s].
+        context: What else the robot measures that changes how it walks, such as the voltage of its battery, as an input
+            of what is learned.
     """
 
     seconds: float = 0.5
@@ -198,22 +200,25 @@ class Walk:
     vx: VelocityRange = VelocityRange(-0.2, 0.8, -0.5, 1.2)
     vy: VelocityRange = VelocityRange(-0.3, 0.3, -0.5, 0.5)
     wz: VelocityRange = VelocityRange(-0.6, 0.6, -1.0, 1.0)
+    context: tuple[ContextQuantity, ...] = ()
 
     def __post_init__(self) -> None:
         require(0.05 <= self.seconds <= 2.0, "seconds", self.seconds, "lie from 0.05 to 2")
         require(0 <= self.time_constant <= 10, "time_constant", self.time_constant, "lie from 0 to 10")
         require(self.fall_height >= 0, "fall_height", self.fall_height, "not be negative")
         require(0 < self.fall_tilt <= 3, "fall_tilt", self.fall_tilt, "lie between 0 and 3")
+        names = [*self.space.names, *self.space.context_names]
+        require(len(set(names)) == len(names), "context", names, "have names that nothing else of a walking robot has")
 
     @property
     def space(self) -> StepSpace:
-        """State vx, vy, wz: means over a step in the body's frame; command command_vx, …; context its pose."""
+        """State vx, vy, wz: means over a step in the body's frame; command command_vx, …; its pose and `context`."""
         ranges = [(name, unit, getattr(self, name)) for name, unit in _NAMES]
         pose = zip(StepSpace.pose_names, ("m", "m", "rad"), strict=True)
         return StepSpace(
             tuple(Quantity(name, unit, each.lower, each.upper) for name, unit, each in ranges),
             tuple(Quantity(f"command_{name}", u, each.command_lower, each.command_upper) for name, u, each in ranges),
-            tuple(ContextQuantity(name, unit) for name, unit in pose),
+            (*(ContextQuantity(name, unit) for name, unit in pose), *self.context),
             is_lagged=True,
             planar_seconds=self.seconds,
         )
@@ -313,10 +318,11 @@ class WalkingRobot(MjcfRobot):
         """Mean velocity since the begin of the step; shape (3,)."""
         return data.userdata[:3] / data.userdata[3]
 
-    def context(self, model: Any, data: Any) -> tuple[float, float, float]:  # noqa: ARG002
-        """Place in the world and heading of the first body, without errors."""
+    def context(self, model: Any, data: Any) -> tuple[float, ...]:  # noqa: ARG002
+        """Place in the world and heading of the first body, without errors; what else is measured is not simulated."""
         w, x, y, z = data.qpos[3:7]
-        return float(data.qpos[0]), float(data.qpos[1]), atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        heading = atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return float(data.qpos[0]), float(data.qpos[1]), heading, *(nan for _ in self.walk.context)
 
     def place(self, model: Any, data: Any, state: Array) -> None:
         """In the start posture, moving with the velocity of the state, as if it had done so in the step before."""
