@@ -143,7 +143,7 @@ def test_a_number_of_its_own_is_an_input_of_what_a_walking_robot_learns(tmp_path
 
 
 def test_what_is_measured_besides_has_a_name_of_its_own_and_is_not_simulated() -> None:
-    with pytest.raises(ValueError, match="context.*have names that nothing else"):
+    with pytest.raises(ValueError, match=r"context.*have names that nothing else"):
         Walk(context=(ContextQuantity("heading", "rad"),))
     robot = TrottingRobot(walk=Walk(context=(ContextQuantity("battery", "V", input_scale=1.0),)))
     plant = MjcfPlant(robot, np.random.default_rng(0))
