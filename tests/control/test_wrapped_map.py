@@ -79,7 +79,8 @@ def test_a_view_ahead_begins_to_change_the_command_early() -> None:
 def test_where_no_command_makes_a_step_the_limit_is_kept() -> None:
     learner = Learner.start(NeverWorks(), Steps(SPACE), LearningSettings(), 0)
     previous = SPACE.command_upper
-    controller = DeploymentController(learner, ControlSettings(largest_change=SHARE), command=previous)
+    start = DeploymentController.start(learner, ControlSettings(largest_change=SHARE))
+    controller = replace(start, command=previous)
     plan = controller.plan(SPACE.state_centre, SPACE.state_centre)
     np.testing.assert_allclose(plan.command, previous - 2 * SHARE * SPACE.command_scale)
 

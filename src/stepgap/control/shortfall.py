@@ -12,11 +12,15 @@ from math import pi
 from typing import Any, Final, Self, final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from stepgap.step import Array, StepRecord, StepSpace
+from stepgap.step import Array, StepSpace
 
 NOWHERE: Final = np.zeros(3)
 """The pose at the begin: place in the plane [m] and heading [rad]."""
+
+LEAST_UNKNOWN: Final = 1e30
+"""A number of this size is no measurement, nor is NaN: its square could be infinite."""
 
 
 @final
@@ -29,19 +33,19 @@ class Shortfall:
         total: Sum of the targets less the states; shape (n,).
         wanted: Pose to which the targets lead from `NOWHERE`; shape (3,).
         pose: Pose of the body, from `NOWHERE`; shape (3,).
-        zero: Measured pose, NaN where it is not measured, at `NOWHERE`; None before the first step. Shape (3,).
+        zero: Measured pose at `NOWHERE`, NaN where it was not yet measured; shape (3,).
     """
 
     space: StepSpace
     total: Array
     wanted: Array
     pose: Array
-    zero: Array | None = None
+    zero: Array
 
     @classmethod
     def start(cls, space: StepSpace) -> Self:
         """Nothing is short before the first step."""
-        return cls(space, np.zeros(len(space.state)), NOWHERE, NOWHERE)
+        return cls(space, np.zeros(len(space.state)), NOWHERE, NOWHERE, np.full(3, np.nan))
 
     @property
     def behind(self) -> Array:
@@ -57,25 +61,26 @@ class Shortfall:
         """Where it should be, forward and to the left of where it is [m]."""
         return turned(-self.pose[2], *(self.wanted - self.pose)[:2])
 
-    def after(self, target: Array, record: StepRecord) -> Self:
+    def after(self, target: Array, state: Array, pose: Array, part: float = 1.0) -> Self:
         """The shortfall after a step.
 
         Args:
             target: Its target, NaN in coordinates without one; shape (n,).
-            record: The step.
+            state: At its end, where the target counts as reached if it is not measured; shape (n,).
+            pose: Place [m] and heading [rad] at its end, from any zero, NaN where they are not measured; shape (3,).
+            part: Part of its duration after which it was ended.
         """
-        target = np.where(np.isfinite(target), target, record.next_state)
-        total = self.total + target - record.next_state
-        seconds = self.space.planar_seconds
+        target = np.where(_is_known(target), target, np.where(_is_known(state), state, 0.0))
+        state = np.where(_is_known(state), state, target)
+        total = self.total + part * (target - state)
+        seconds = part * self.space.planar_seconds
         if not seconds:
             return replace(self, total=total)
         wanted = moved(self.wanted, target[:3] * seconds)
-        pose = moved(self.pose, record.next_state[:3] * seconds)
-        measured = np.array([record.context.get(name, np.nan) for name in self.space.pose_names])
-        zero = self.zero
-        if zero is None:
-            zero = _zero_of(pose, measured)
-        after = replace(self, total=total, wanted=wanted, pose=_corrected(pose, measured, zero), zero=zero)
+        summed = moved(self.pose, state[:3] * seconds)
+        measured = np.where(_is_known(pose), pose, np.nan)
+        zero = _zero_of(self.zero, summed, measured)
+        after = replace(self, total=total, wanted=wanted, pose=_corrected(summed, measured, zero), zero=zero)
         if not target[0]:
             return after
         # What it was too slow is forgotten: who makes up for it at the limits of a gait makes the robot fall.
@@ -97,10 +102,15 @@ def turned(angle: Array | float, x: Array | float, y: Array | float) -> tuple[An
     return cos * x - sin * y, sin * x + cos * y
 
 
-def _zero_of(pose: Array, measured: Array) -> Array:
-    """The measured pose at `NOWHERE`, from that at another pose; NaN where it is not measured."""
-    turn = measured[2] - pose[2]
-    return np.array([*(measured[:2] - turned(turn, *pose[:2])), turn])
+def _is_known(values: Array) -> NDArray[np.bool_]:
+    """Which values are measurements."""
+    return np.abs(values) < LEAST_UNKNOWN
+
+
+def _zero_of(zero: Array, pose: Array, measured: Array) -> Array:
+    """The measured pose at `NOWHERE`, of which what was not known follows from that at another pose."""
+    turn = zero[2] if np.isfinite(zero[2]) else measured[2] - pose[2]
+    return np.where(np.isfinite(zero), zero, [*(measured[:2] - turned(turn, *pose[:2])), turn])
 
 
 def _corrected(pose: Array, measured: Array, zero: Array) -> Array:

@@ -3,8 +3,6 @@
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from math import inf, isfinite
-from statistics import fmean
 from time import perf_counter
 from typing import Protocol, Self, final
 
@@ -15,10 +13,10 @@ from stepgap.base.errors import StepGapError
 from stepgap.base.ranges import format_value
 from stepgap.control.cautious_controller import CautiousController, CautiousPlan
 from stepgap.control.command_table import CommandTable, build_table
+from stepgap.control.following import Following
 from stepgap.control.reach import reach_from
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ALL_RULES, ControlSettings
-from stepgap.control.shortfall import Shortfall
 from stepgap.experiment.exploration import exploration_plan, goals_of
 from stepgap.learning.alarm import Alarm
 from stepgap.learning.corrected_map import CorrectedMap
@@ -39,8 +37,6 @@ NO_PLAN = (
 )
 """What is said of a step whose plan has no prediction, without a full stop."""
 
-MADE_UP = 0.4  # Largest difference of a target by which errors before are made up for [half ranges]
-SURPRISES = 2  # Number of steps whose predictions are looked at for `control.surprise`
 MISSED = 0.1  # Part of half a range of use by which a plan misses a distance that may be out of reach
 
 
@@ -93,24 +89,18 @@ class DeploymentController:
     Attributes:
         learner: State of knowledge.
         settings: Settings of step control.
+        following: How the robot followed its commands so far.
         table: Table of the commands of the first map, if the settings want one.
-        farthest: Largest distance of a command from the state that is allowed; None for any. Shape (m,).
-        surprise: As of the settings; infinite before the first redeployment, whose map is wrong.
         command: Command of the step before, from which the search for the next one starts; None before the first.
         calibration: Calibration of the standard deviations of its plans; None before the first step.
-        misses: Mean squares of the errors of the predictions of its last two steps [half ranges²].
-        shortfall: What its steps fell short of their targets, if it is made up for; None before the first step.
     """
 
     learner: AdaptiveMap
-    settings: ControlSettings = ALL_RULES
+    settings: ControlSettings
+    following: Following
     table: CommandTable | None = None
-    farthest: Array | None = None
-    surprise: float = inf
     command: Array | None = None
     calibration: IntervalCalibration | None = None
-    misses: tuple[float, ...] = ()
-    shortfall: Shortfall | None = None
 
     @classmethod
     def start(cls, learner: AdaptiveMap, settings: ControlSettings = ALL_RULES) -> Self:
@@ -121,12 +111,9 @@ class DeploymentController:
             settings: Settings of step control.
         """
         table = build_table(learner.step_map(), settings.table) if settings.table else None
-        walks = learner.nominal.space.planar_seconds
-        distance = learner.farthest if walks else np.array(inf)
-        if not np.isfinite(distance).all():
-            return cls(learner, settings, table)
-        farthest = (1 + settings.widening) * distance if isfinite(settings.widening) else None
-        return cls(learner, settings, table, farthest, settings.surprise)
+        space = learner.nominal.space
+        farthest = learner.farthest if space.planar_seconds else None
+        return cls(learner, settings, Following.start(space, settings, farthest), table)
 
     @property
     def step_controller(self) -> CautiousController:
@@ -147,26 +134,13 @@ class DeploymentController:
         Raises:
             ResidualError: The learned residual has no finite prediction of the step.
         """
-        ahead = np.asarray(ahead)[: self.settings.horizon - 1]
-        if self.shortfall is not None:
-            most = MADE_UP * self.learner.nominal.space.state_scale
-            more = np.clip(self.shortfall.behind / self.settings.make_up, -most, most)
-            target = target + more
-            ahead = ahead + more
-        if self._is_surprised:
-            space = self.learner.nominal.space
-            told = np.where(np.isfinite(target), target, state)[: len(space.command)]
-            return self.predicted_plan(state, np.clip(told, space.command_lower, space.command_upper))
-        controller = self.step_controller
-        if self.farthest is not None:
-            now = state[: len(self.farthest)]
-            controller = replace(controller, around=(now - self.farthest, now + self.farthest))
-        return self.calibrated(state, tracking_plan(controller, state, target, self.command, ahead))
-
-    @property
-    def _is_surprised(self) -> bool:
-        """Whether the robot does not follow, so that it is told its target."""
-        return len(self.misses) == SURPRISES and fmean(self.misses) > self.surprise**2
+        following = self.following
+        later = np.asarray(ahead)[: self.settings.horizon - 1]
+        target, *later = following.wanted(np.array([target, *later]))
+        if (told := following.told(state, target)) is not None:
+            return self.predicted_plan(state, told)
+        controller = replace(self.step_controller, around=following.around(state))
+        return self.calibrated(state, tracking_plan(controller, state, target, self.command, later))
 
     def calibrated(self, state: Array, plan: CautiousPlan) -> CautiousPlan:
         """Returns a plan of the next step with the calibrated standard deviation of its prediction."""
@@ -191,25 +165,15 @@ class DeploymentController:
 
     def after(self, logged: LoggedStep) -> Self:
         """Returns the controller after a step that was executed."""
+        record = logged.record
+        pose = np.array([record.context.get(name, np.nan) for name in StepSpace.pose_names])
         return replace(
             self,
             learner=self.learner.after(logged),
-            command=logged.record.command,
+            command=record.command,
             calibration=self._calibration_after(logged),
-            misses=(*self.misses, self._miss(logged))[-SURPRISES:],
-            shortfall=self._shortfall_after(logged),
+            following=self.following.after(logged.target, logged.predicted, record.next_state, pose),
         )
-
-    def _miss(self, logged: LoggedStep) -> float:
-        """Mean square of the error of a prediction [half ranges²]; zero if it is not known."""
-        away = (logged.record.next_state - logged.predicted) / self.learner.nominal.space.state_scale
-        return float(np.mean(np.nan_to_num(away) ** 2))
-
-    def _shortfall_after(self, logged: LoggedStep) -> Shortfall | None:
-        if not self.settings.make_up:
-            return None
-        before = self.shortfall or Shortfall.start(self.learner.nominal.space)
-        return before.after(logged.target, logged.record)
 
     def _calibration_after(self, logged: LoggedStep) -> IntervalCalibration | None:
         record = logged.record

@@ -201,7 +201,7 @@ def _execute(
     observer.on_execution()
     exploration = 0 if iteration else setup.learning.exploration
     if exploration and setup.priors and learner.beliefs:
-        controller = DeploymentController(learner, setup.control).step_controller
+        controller = DeploymentController.start(learner, replace(setup.control, table=0)).step_controller
         worths = worth_of_steps(controller, learner.conditioned_residual, setup.reference, exploration)
         observer.on_exploration(worths)
         exploration = worthwhile(worths)
