@@ -161,4 +161,4 @@ def test_the_header_says_what_is_tracked_and_limited(pitching: PortableControlle
     assert "pitch [rad], range of use -0.4 to 0.4, not tracked" in header
     assert "height [m], range of use 0.52 to 0.64\n" in header
     assert "weight 0.25" in c_source(with_weights(pitching, 1, 0.25, 0, 0), "controller").header
-    assert "by at most 0.1 of its range" in header
+    assert "by at most 0.1 of their range" in header

@@ -209,8 +209,8 @@ def test_what_is_not_a_number_never_becomes_a_command(bad: float, compile_in: Ca
 
 def test_it_is_clean_for_the_sanitizers(tmp_path: Path) -> None:
     controller = learned("gp_on_linear", failing=True)
-    rules = replace(controller.settings, horizon=3, largest_change=0.5)
-    source = c_source(replace(controller, settings=rules), "controller")
+    rules = replace(controller.settings, horizon=3, largest_change=0.5, surprise=0.3, make_up=3)
+    source = c_source(replace(controller, settings=rules, farthest=np.array([8.0, 9.0])), "controller")
     (tmp_path / "controller.c").write_text(source.code)
     (tmp_path / "controller.h").write_text(source.header)
     (tmp_path / "main.c").write_text(MAIN)
@@ -258,7 +258,8 @@ int main(void)
         planned += controller_plan_ahead(&filter, state, ahead, i % 5, previous, yaw, before, predicted, std) == 0;
         planned += controller_plan(&filter, state, target, NULL, yaw, command, predicted, std) == 0;
         if (!(command[0] >= -30 && command[0] <= 30 && command[1] >= -20 && command[1] <= 20)) return 1;
-        controller_filter_update(&filter, state, command, next, yaw);
+        double pose[3] = {number(-9, 9), number(-9, 9), number(-9, 9)};
+        controller_filter_update_at(&filter, state, command, next, yaw, i % 2 ? pose : NULL);
         if (rand() % 20 == 0) controller_filter_restart(&filter);
         controller_jacobian(&filter, state, command, yaw, jacobian, std_gradient);
     }

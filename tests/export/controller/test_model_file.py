@@ -167,9 +167,9 @@ def refusal(file: Path) -> str:
 
 @pytest.mark.parametrize(("text", "message"), [
     ("", "Expecting value"), ("[]", "format must be"), ("{", "not a model file"), ('{"format": "x"}', "format must be"),
-    ('{"format": "StepGap model", "schema": 5}', "schema must be 4, not 5"), ("[" * 100_000, "not a model file"),
-    ('{"format": "StepGap model", "schema": 3}', "schema is 3, that of a former version, and not 4"),
-    ('{"format": "StepGap model", "schema": 4}', "not a model file"),
+    ('{"format": "StepGap model", "schema": 6}', "schema must be 5, not 6"), ("[" * 100_000, "not a model file"),
+    ('{"format": "StepGap model", "schema": 4}', "schema is 4, that of a former version, and not 5"),
+    ('{"format": "StepGap model", "schema": 5}', "not a model file"),
 ])  # fmt: skip
 def test_another_file_is_refused(text: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "other.json"

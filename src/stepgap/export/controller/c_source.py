@@ -17,7 +17,17 @@ from numpy.typing import ArrayLike
 
 from stepgap.base.errors import InputError
 from stepgap.base.versions import versions_here
-from stepgap.control import bounded_search, cautious_controller, command_before, gauss_newton, goal, horizon
+from stepgap.control import (
+    bounded_search,
+    cautious_controller,
+    command_before,
+    following,
+    gauss_newton,
+    goal,
+    horizon,
+    shortfall,
+    wrapped_map,
+)
 from stepgap.control.box_points import box_points, composite_design, irrational_steps
 from stepgap.export.controller.model_document import model_document
 from stepgap.export.controller.passport import passport_lines
@@ -29,7 +39,10 @@ from stepgap.learning import beliefs, believed
 from stepgap.learning.belief import Belief, Kind
 from stepgap.step import Quantity, StepStatus
 
-MODULES: Final = (gauss_newton, bounded_search, cautious_controller, command_before, goal, horizon, beliefs, believed)
+MODULES: Final = (
+    gauss_newton, bounded_search, cautious_controller, command_before, following, goal, horizon, shortfall, wrapped_map,
+    beliefs, believed,
+)  # fmt: skip
 """Modules whose constants are those of the C code, under the same names."""
 
 _WORDS = (
@@ -110,7 +123,7 @@ def _header(controller: PortableController, sizes: Mapping[str, Any]) -> str:
         f"{quantity.name} {std:.3g} {quantity.unit}"
         for quantity, std in zip(space.state, controller.map.noise_std, strict=True)
     )
-    change = f"; it differs from `guess` by at most {settings.largest_change:g} of its range"
+    change = f"; planned ones differ from `guess` by at most {settings.largest_change:g} of their range"
     notes = [*controller.approximations, *controller.notes]
     fields = {
         "title": "A step controller that was learned by StepGap: the command with which the next state is a target.",
@@ -126,6 +139,7 @@ def _header(controller: PortableController, sizes: Mapping[str, Any]) -> str:
         "approximations": "\n".join(f"   - {_in_comment(note)}" for note in notes) or "   none",
         "features": sizes["FEATURES"],
         "beliefs": sizes["BELIEFS"],
+        "surprises": following.SURPRISES,
         "recent": beliefs.RECENT,
         "compared": beliefs.PROBES + beliefs.RECENT,
         "changed": KINDS.index("changed"),
@@ -160,7 +174,7 @@ def _memory(controller: PortableController, sizes: Mapping[str, Any]) -> int:
     k = sizes["WEIGHTS"]
     rows = beliefs.PROBES + beliefs.RECENT
     moments = n * (k + k * (k + 1) // 2)
-    numbers = sizes["BELIEFS"] * (moments + 2 * n * (1 + rows) + 2) + moments + beliefs.RECENT * k
+    numbers = sizes["BELIEFS"] * (moments + 2 * n * (1 + rows) + 2) + moments + beliefs.RECENT * k + 3 * n + 11
     return -(-(numbers * 8 + 12 * sizes["BELIEFS"]) // 1000)
 
 
@@ -222,7 +236,11 @@ def _sizes(
     degrees = document["nominal"].get("degrees", [[1]])
     return {
         **{name.upper(): float(value) if isinstance(value, float) else int(value)
-           for name, value in document["control"].items()},
+           for name, value in document["control"].items() if isinstance(value, int | float)},
+        "SURPRISE": document["control"]["surprise"] or 0.0,
+        "LIMITED": int(controller.farthest is not None),
+        "PLANAR": int(controller.space.planar_seconds > 0),
+        "PLANAR_SECONDS": float(controller.space.planar_seconds),
         "FEATURES": count,
         "WEIGHTS": count + 2 + n + m,
         "BELIEFS": 1 if known_beliefs is None else max(len(known_beliefs.beliefs), beliefs.MOST) + beliefs.YOUNG + 3,
@@ -258,6 +276,7 @@ def _space(controller: PortableController) -> list[str]:
         _array("command_lower", space.command_lower),
         _array("command_upper", space.command_upper),
         _array("error_scale", np.where(space.tracked, space.error_scale, 0.0)),
+        _array("farthest", [] if controller.farthest is None else controller.farthest),
         _array("irrational_steps", irrational_steps(len(space.command))),
         _array("failures", failures),
         f"static const int failure_count = {len(failures)};",

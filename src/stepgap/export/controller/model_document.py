@@ -6,7 +6,7 @@ docs/model_file.md has its keys and formulas. What is exported to ONNX and CasAD
 import json
 from collections.abc import Mapping
 from importlib.metadata import version
-from math import nan
+from math import isfinite, nan
 from typing import Any, Final
 
 import numpy as np
@@ -32,7 +32,7 @@ from stepgap.robots.nominal_maps.surrogate_map import NEIGHBOURS, SurrogateMap, 
 from stepgap.step import Quantity, StepMap, StepStatus
 
 FORMAT: Final = "StepGap model"  # Value of the key `format`
-MODEL_SCHEMA: Final = 4  # Number of the format; it grows with every change that a reader must know of
+MODEL_SCHEMA: Final = 5  # Number of the format; it grows with every change that a reader must know of
 
 CONSTANTS: Final = (
     "PERIODIC_STD", "HAZARD", "RETURN_HAZARD", "FIRST_HAZARD", "WRONG", "WRONG_WIDTH", "WRONG_FREEDOM", "SUSPECT",
@@ -61,6 +61,7 @@ def model_document(controller: PortableController) -> dict[str, Any]:
         "state": [{**_quantity(quantity), "weight": quantity.weight} for quantity in controller.space.state],
         "command": [_quantity(quantity) for quantity in controller.space.command],
         **({"lagged": True} if controller.space.is_lagged else {}),
+        **({"planar_seconds": controller.space.planar_seconds} if controller.space.planar_seconds else {}),
         "nominal": _nominal(controller.nominal),
         "residual": {
             "kind": residual.kind,
@@ -74,6 +75,9 @@ def model_document(controller: PortableController) -> dict[str, Any]:
             "evaluations": settings.evaluations,
             "horizon": settings.horizon,
             "largest_change": settings.largest_change,
+            "farthest": None if controller.farthest is None else controller.farthest.tolist(),
+            "surprise": settings.surprise if isfinite(settings.surprise) else None,
+            "make_up": settings.make_up,
             "caution": CAUTION,
             "risk": RISK,
             "failure_radius": FAILURE_RADIUS,

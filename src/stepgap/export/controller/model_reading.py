@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from math import inf
 from pathlib import Path
 from typing import Any, Final
 
@@ -64,7 +65,9 @@ def read_portable(path: Path) -> PortableController:
 
 def _controller(saved: Mapping[str, Any]) -> PortableController:
     is_lagged = "lagged" in saved and boolean(saved, "lagged")
-    space = StepSpace(_quantities(saved, "state"), _quantities(saved, "command"), is_lagged=is_lagged)
+    seconds = number(saved, "planar_seconds") if "planar_seconds" in saved else 0.0
+    groups = _quantities(saved, "state"), _quantities(saved, "command")
+    space = StepSpace(*groups, is_lagged=is_lagged, planar_seconds=seconds)
     control = as_object(saved["control"], "control")
     beliefs = None if saved["beliefs"] is None else as_object(saved["beliefs"], "beliefs")
     return PortableController(
@@ -79,7 +82,10 @@ def _controller(saved: Mapping[str, Any]) -> PortableController:
             evaluations=integer(control, "evaluations"),
             horizon=integer(control, "horizon"),
             largest_change=number(control, "largest_change"),
+            surprise=inf if control["surprise"] is None else number(control, "surprise"),
+            make_up=integer(control, "make_up", 0),
         ),
+        farthest=None if control["farthest"] is None else _sized(control, "farthest", len(space.command)),
         steps=None if beliefs is None else _steps(space, as_object(beliefs["steps"], "beliefs.steps")),
         notes=tuple(map(str, (*saved["approximations"], *saved["notes"]))),
         passport=_passport(saved.get("passport", {})),

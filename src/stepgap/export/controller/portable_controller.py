@@ -15,13 +15,14 @@ controller has to compute.
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import isfinite, nan
+from math import nan
 from typing import Any, final
 
 import numpy as np
 
 from stepgap.base.errors import InputError
 from stepgap.control.cautious_controller import CautiousController
+from stepgap.control.following import Following
 from stepgap.control.settings import ControlSettings
 from stepgap.experiment.run import Run
 from stepgap.export.controller.passport import passport_of
@@ -68,7 +69,9 @@ class PortableController:
         residual: The fitted residual, a function of state and command.
         beliefs: What is believed of its remaining error; None if nothing is learned during a deployment.
         failures: Points (state, command) of steps that failed; shape (k, n + m).
-        settings: Settings of step control, without a table.
+        settings: Settings of step control, without a table; `surprise` is that of this deployment, and `farthest` says
+            what follows from `widening`.
+        farthest: As of `Following`.
         steps: The steps that the beliefs were learned from, for a comparison of robots; none for a fitted residual,
             which has its own.
         approximations: Sentences on what was replaced, and by how much it differs.
@@ -81,6 +84,7 @@ class PortableController:
     beliefs: Beliefs | None
     failures: Array
     settings: ControlSettings
+    farthest: Array | None = None
     steps: Observations | None = None
     approximations: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -174,13 +178,15 @@ def portable_form(
         _portable_regression(regression, name, scale, points)
         for regression, name, scale in zip(residual.regressions, space.state_names, space.state_scale, strict=True)
     ]
+    following = Following.start(space, control, learner.farthest if space.planar_seconds else None)
     own_steps = beliefs is not None and residual.kind == "none"
     return PortableController(
         nominal,
         replace(residual, regressions=tuple(regression for regression, _ in replacements)),
         beliefs,
         learner.failures,
-        replace(control, table=0),
+        replace(control, table=0, surprise=following.surprise),
+        following.farthest,
         observe(learner.known.planned(), learner.nominal) if own_steps else None,
         approximations=(*replaced, *(loss for _, loss in replacements if loss)),
         notes=_notes(space, control, learner),
@@ -221,10 +227,8 @@ def _notes(space: StepSpace, control: ControlSettings, learner: Learner) -> tupl
             "control.horizon: with one target, each command is chosen for its own step; C has ..._plan_ahead, and "
             "Python the argument ahead"
         )
-    if control.make_up:
-        notes.append("control.make_up: no errors are made up for; add their sum, over so many steps, to the target")
-    if isfinite(control.widening):
-        notes.append("control.widening: commands have their bounds and largest_change alone")
+    if control.make_up and space.planar_seconds:
+        notes.append("control.make_up: the FMU has no input for a pose; it keeps the sum of the velocities")
     if control.table:
         notes.append("control.table: the commands are solved for, not taken from a table")
     if learner.settings.online and learner.beliefs is None and learner.settings.residual != "none":

@@ -12,9 +12,11 @@ from typing import Any, Final, NamedTuple, cast, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stepgap.control.cautious_controller import CautiousController
+from stepgap.control.cautious_controller import CautiousController, CautiousPlan
+from stepgap.control.following import Following
 from stepgap.control.goal import Targets
 from stepgap.control.settings import ControlSettings
+from stepgap.control.shortfall import Shortfall
 from stepgap.control.step_controller import StepController, as_vector, checked_target
 from stepgap.control.wrapped_map import BudgetedMap, CommandChange, EvaluationBudget
 from stepgap.export.controller.formulas import INVERSE, nominal_state, regression, scaled_point
@@ -64,6 +66,10 @@ class StepFilter:
         names = ("cautious", "viability", "avoid_failures", "evaluations", "horizon", "largest_change")
         self._settings = ControlSettings(**{name: control[name] for name in names})
         self._beliefs = None if beliefs is None else beliefs_from_dict(beliefs, self._residual.sizes)
+        farthest = None if control["farthest"] is None else np.array(control["farthest"])
+        surprise = np.inf if control["surprise"] is None else control["surprise"]
+        self._start = Following(Shortfall.start(self.space), control["make_up"], surprise, farthest)
+        self.forget_way()
 
     @property
     def space(self) -> StepSpace:
@@ -77,8 +83,14 @@ class StepFilter:
 
     def restart(self) -> None:
         """Begins another deployment with what was learned; the robot may have changed meanwhile."""
+        self.forget_way()
         if self._beliefs is not None:
             self._beliefs = self._beliefs.redeployed()
+
+    def forget_way(self) -> None:
+        """How the robot followed so far no longer counts, as where something else has moved it meanwhile."""
+        self._following = self._start
+        self._target = self._predicted = np.full(len(self.space.state), np.nan)
 
     def plan(
         self,
@@ -108,32 +120,61 @@ class StepFilter:
         later = np.reshape(np.asarray(ahead, float), (-1, n))[: self._settings.horizon - 1]
         finite = before is None or bool(np.isfinite(before).all())
         usable = finite and not np.isinf(target).any() and not np.isinf(later).any()
+        measured = bool(np.isfinite(state).all())
+        around = self._following.around(state) if measured else None
         status = UNCORRECTED if usable else StepStatus.INVALID
-        if status == UNCORRECTED and np.isfinite(state).all():
+        plan = None
+        if usable and measured:
             residual = cast("Residual", self._residual)
             beliefs = self._beliefs
             if beliefs is not None and before is not None and self.space.is_lagged:
                 beliefs = beliefs.with_command_before(self.space.point_of(before))
             step_map = planning_map(self._nominal, residual, beliefs, phase, np.zeros(0))
-            controller = CautiousController(step_map, self._nominal, self._failures, self._settings, previous=before)
+            controller = CautiousController(
+                step_map, self._nominal, self._failures, self._settings, previous=before, around=around
+            )
             try:
-                plan = controller(state, target, before, later)
-                return FilterPlan(int(StepStatus.OK), plan.command, plan.predicted, plan.std)
+                plan = self._planned(controller, state, np.array([target, *later]))
+                status = StepStatus.OK
             except StepFailed as failure:
                 status = failure.status
-        unknown = np.full(n, np.nan)
-        return FilterPlan(int(status), self._uncorrected(target, before if finite else None), unknown, unknown)
+        if plan is None:
+            unknown = np.full(n, np.nan)
+            plan = CautiousPlan(self._uncorrected(target, before if finite else None, around), unknown, unknown)
+        self._target, self._predicted = target, plan.predicted
+        return FilterPlan(int(status), plan.command, plan.predicted, plan.std)
+
+    def _planned(self, controller: CautiousController, state: Array, targets: Array) -> CautiousPlan:
+        """The plan for targets (1 + k, n); raises StepFailed."""
+        target, *later = self._following.wanted(targets)
+        told = self._following.told(state, target)
+        if told is None:
+            return controller(state, target, controller.previous, later)
+        return CautiousPlan(told, controller.step_map(state, told), controller.step_std(state, told))
 
     def update(
-        self, state: ArrayLike | None, command: ArrayLike, next_state: ArrayLike | None, phase: float = np.nan
+        self,
+        state: ArrayLike | None,
+        command: ArrayLike,
+        next_state: ArrayLike | None,
+        phase: float = np.nan,
+        pose: ArrayLike = (np.nan, np.nan, np.nan),
+        part: float = 1.0,
+        *,
+        learns: bool = True,
     ) -> int:
-        """Learns from a step that was made; without both states, nothing is known of the step before the next one.
+        """Learns from a step that was made, and how it followed the latest plan.
+
+        Without both states, nothing is known of the step before the next one.
 
         Args:
             state: As measured at the section where it started; shape (n,). None if it is unknown.
             command: As planned; shape (m,).
             next_state: As measured where it ended; shape (n,). None if it is unknown.
             phase: Phase at which it started, as for `plan`.
+            pose: Place [m] and heading [rad] where it ended, from any zero, NaN where not measured; shape (3,).
+            part: Part of its duration after which another plan ended it.
+            learns: Whether beliefs change.
 
         Returns:
             0 if it learned; else the status of the step on the nominal map, `INVALID` where a number is not finite.
@@ -143,9 +184,13 @@ class StepFilter:
             as_vector("state", unknown if values is None else values, len(unknown)) for values in (state, next_state)
         )
         command = as_vector("command", command, len(self.space.command))
+        predicted = self._predicted if np.isfinite(start).all() else unknown
+        pose = as_vector("pose", pose, len(StepSpace.pose_names))
+        self._following = self._following.after(self._target, predicted, end, pose, part)
+        self._target = self._predicted = unknown
         record = StepRecord(start, command, command, end, StepStatus.OK)
         expected, status = self._nominal.evaluate(start, command)
-        if self._beliefs is not None:
+        if self._beliefs is not None and learns:
             residual = cast("Residual", self._residual)
             error = end - expected
             self._beliefs, learned = believed_after(self._beliefs, self._nominal, residual, record, error, phase)
@@ -153,10 +198,10 @@ class StepFilter:
             learned = bool(np.isfinite(end).all())
         return int(StepStatus.OK if learned else status or StepStatus.INVALID)
 
-    def _uncorrected(self, target: Array, previous: Array | None) -> Array:
+    def _uncorrected(self, target: Array, previous: Array | None, around: tuple[Array, Array] | None) -> Array:
         """Command of the nominal map at the target as the state; else the previous one, or the middle of the bounds."""
         space = self.space
-        change = CommandChange(self._settings.largest_change, previous)
+        change = CommandChange(self._settings.largest_change, previous, around)
         start = space.command_centre if previous is None else previous
         nominal = BudgetedMap(self._nominal, EvaluationBudget(self._settings.evaluations // 2))
         try:
@@ -179,7 +224,8 @@ class FormulaMap(StepMap):
     def __init__(self, model: Mapping[str, Any]):
         state = [replace(_quantity(quantity), weight=float(quantity["weight"])) for quantity in model["state"]]
         command = tuple(map(_quantity, model["command"]))
-        self._space = StepSpace(tuple(state), command, is_lagged=bool(model.get("lagged")))
+        seconds = float(model.get("planar_seconds", 0.0))
+        self._space = StepSpace(tuple(state), command, is_lagged=bool(model.get("lagged")), planar_seconds=seconds)
         self._nominal = _arrays(model["nominal"])
 
     @property
