@@ -93,6 +93,21 @@ def test_wrong_odometry_gives_the_plain_command_within_a_step_and_is_said(
     assert ("log", f"not corrected: {reason}") in after
 
 
+def test_a_heading_is_kept_with_the_pose_of_the_odometry(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is learned of the turning is wrong by some mrad/s, which add up; with `make_up` they do not."""
+    turning = list[float]()
+    for number, seconds in enumerate((0.0, 2.0)):
+        home = tmp_path / str(number)
+        home.mkdir()
+        ros = f"--ros-args -p learns:=false -p make_up:={seconds}"
+        rows, _ = moved(folder, home, monkeypatch, *ros.split())
+        turning.append(abs(0.8 * rows[-1, 3] + DRIFT[2]))
+    assert turning[0] > 0.004
+    assert turning[1] < 0.001
+
+
 def test_a_parameter_turns_it_off_and_limits_hold(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,6 +1,7 @@
 """The correction on the robot: whatever is wrong with the odometry, the command is the plain one within a step."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,13 +22,17 @@ class Doubling:
     def __init__(self) -> None:
         self.plans: list[tuple[Array, Array, Array | None]] = []
         self.updates: list[Any] = []
+        self.forgotten = 0
 
     def plan(self, state: Array, target: Array, before: Array | None) -> SimpleNamespace:
         self.plans.append((state, target, before))
         return SimpleNamespace(status=0, command=np.clip(2 * np.nan_to_num(target), -0.8, 0.8))
 
-    def update(self, state: Array | None, command: Array, next_state: Array | None) -> None:
-        self.updates.append((state, command, next_state))
+    def update(self, state: Array | None, command: Array, next_state: Array | None, **how: Any) -> None:
+        self.updates.append((state, command, next_state, how))
+
+    def forget_way(self) -> None:
+        self.forgotten += 1
 
 
 def walked(
@@ -91,7 +96,8 @@ def test_a_new_velocity_is_planned_for_at_once_and_a_changing_one_not_in_every_t
     controller, _, said = walked(3.0, asked=lambda time: (0.4, 0.0, 0.0) if time < 2.1 else (0.0, 0.0, 0.0))
     at_change = next(row for row in said if row[0] >= 2.1 - 1e-9)
     assert at_change[1] == 0.0
-    assert any(update[0] is None and update[2] is None for update in controller.updates), "a step was cut short"
+    (cut,) = (update[3]["part"] for update in controller.updates if update[0] is None and update[2] is not None)
+    assert 0 < cut < 1, "a step was cut short"
     joystick, _, moving = walked(3.0, asked=lambda time: (0.1 * time, 0.0, 0.0))
     assert len(joystick.plans) <= 1 + 3 / SETTINGS.again
     commands = np.array([row[1] for row in moving if row[0] > 1])
@@ -115,3 +121,22 @@ def test_a_robot_that_stands_at_zero_is_told_zero_and_a_velocity_without_correct
     assert next(row[2] for row in said if 1 < row[0] < 1.9) == (0.8, 0.2, 0.0)
     assert np.isnan(controller.plans[-1][1][1])
     assert said[-1][1:] == (0.0, (0.0, 0.0, 0.0), "the command is zero, at which this robot stands")
+
+
+def test_how_a_step_is_followed_is_told_with_its_part_and_the_pose() -> None:
+    """Also where nothing is learned; what was before a time without commands does not count."""
+    controller = Doubling()
+    found, pose = VelocityFilter(controller, replace(SETTINGS, learns=False)), (1.0, 2.0, 0.3)
+    for tick in range(60):
+        found.odometry(tick * TICK, (0.3, 0.0, 0.1 + 1e-6 * tick), pose)
+        found.command(tick * TICK, ASKED)
+    assert [round(update[3]["part"], 6) for update in controller.updates] == [1.0]
+    assert controller.updates[0][0] is not None
+    assert controller.updates[0][3]["pose"] == pose
+    assert not controller.updates[0][3]["learns"]
+    for tick in range(60, 200):
+        found.odometry(tick * TICK, (0.3, 0.0, 0.1 + 1e-6 * tick), pose)
+    forgotten = controller.forgotten
+    found.command(4.0, ASKED)
+    assert (len(controller.updates), controller.forgotten) == (1, forgotten + 1)
+    assert not found.reason

@@ -15,7 +15,7 @@ from stepgap.base.versions import versions_here
 from stepgap.cure.cure_page import HOLD_SECONDS, UNITS, cure_page
 from stepgap.cure.drive import AXIS_NAMES
 from stepgap.cure.habits import Habit, commands_to_drive, stands_at_zero
-from stepgap.cure.lesson import MOST_CHANGE, Lesson
+from stepgap.cure.lesson import MOST_CHANGE, MOST_SURPRISE, Lesson
 from stepgap.export.controller.c_source import c_source
 from stepgap.export.controller.model_document import model_text
 from stepgap.export.controller.passport import checked_robot_name, passport_lines
@@ -142,6 +142,7 @@ def _defaults(lesson: Lesson) -> str:
         "frozen": (numbers["frozen"], "nor such that repeats the same numbers for longer [s]"),
         "zero": (numbers["zero"], "whether the command zero is passed on: the robot stands then"),
         "learns": (True, "whether it goes on learning"),
+        "make_up": (0.0, "time in which heading and place beside the way are made up for [s]; 0: they are not"),
         "in_world": (lesson.drive.is_turned, "whether the velocities of the odometry are in the frame of the world"),
     }
     for name, limit in zip(AXIS_NAMES, numbers["limits"], strict=True):
@@ -166,6 +167,7 @@ def _experiment(lesson: Lesson) -> str:
         "",
         "[control]",
         toml_line("largest_change", MOST_CHANGE),
+        toml_line("surprise", MOST_SURPRISE),
     ]
     lines += ["", "[walk]", *(toml_line(key, getattr(walk, key)) for key in ("seconds", "time_constant"))]
     for name in AXIS_NAMES:

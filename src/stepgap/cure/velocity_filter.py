@@ -68,16 +68,18 @@ class VelocityFilter:
         self._target = np.full(3, np.nan)
         self._start: np.ndarray | None = None
         self._planned = np.zeros(3)
+        self._pose: Any = (math.nan, math.nan, math.nan)  # of the latest sample
         self._moved = False  # whether another command than the planned one was sent in this step
         self.reason = "no odometry yet"
         self.is_on = True
 
-    def odometry(self, time: float, velocity: Any) -> None:
+    def odometry(self, time: float, velocity: Any, pose: Any = (math.nan, math.nan, math.nan)) -> None:
         """Takes a sample of the velocity in the frame of the robot.
 
         Args:
             time: Of the sample, by the clock of `command` [s].
             velocity: Forward, to the left [m/s], turning to the left [rad/s].
+            pose: Place [m] and heading [rad], from any zero, NaN where they are not measured.
         """
         values = np.asarray(velocity, float)
         if values.shape != (3,) or not np.isfinite(values).all() or not math.isfinite(time):
@@ -94,6 +96,7 @@ class VelocityFilter:
             if (values != last).any() or not values.any():
                 self._same_since = time
         self._samples.append((time, values))
+        self._pose = pose
         while self._samples[0][0] < time - 3 * self._settings.seconds:
             self._samples.popleft()
 
@@ -114,6 +117,8 @@ class VelocityFilter:
         if self.reason:
             self._leave_step()
             return self._send(time, wanted)
+        if time > self._begin + 2 * self._settings.seconds:
+            self._leave_step()  # nobody asked for a while
         changed = (wanted != self._target).any()
         ended = time >= self._begin + self._settings.seconds - 1e-9
         if ended or (changed and time >= self._begin + self._settings.again - 1e-9):
@@ -149,11 +154,11 @@ class VelocityFilter:
     def _plan(self, time: float, wanted: np.ndarray, is_whole: bool) -> None:
         """Ends the present step, and begins another one."""
         state = self._mean(time)
-        if self._settings.learns and self._start is not None:
-            if is_whole:
-                self._controller.update(self._start, self._planned, state)
-            else:
-                self._controller.update(None, self._planned, None)  # a step that was cut short says nothing
+        if self._start is not None:
+            start = self._start if is_whole else None  # from a step that was cut short nothing is learned
+            part = (time - self._begin) / self._settings.seconds
+            how = {"pose": self._pose, "part": part, "learns": self._settings.learns}
+            self._controller.update(start, self._planned, state, **how)
         before = self._mean_sent(time)
         target = np.where(self._settings.axes, wanted, np.nan)
         plan = self._controller.plan(state, target, before)
@@ -168,8 +173,10 @@ class VelocityFilter:
         self._planned = np.array(plan.command, float)
 
     def _leave_step(self) -> None:
-        if self._settings.learns and self._start is not None:
-            self._controller.update(None, self._planned, None)
+        if self._start is not None:
+            self._controller.forget_way()
+            if self._settings.learns:
+                self._controller.update(None, self._planned, None)
         self._start = None
         self._begin = -math.inf
         self._target = np.full(3, np.nan)
