@@ -64,13 +64,11 @@ class LocalFit:
 
     def value_std(self, time: float, noise_std: float) -> float:
         """Standard error of `value`, given the standard deviation of the samples."""
-        basis = self._basis(time)
-        return noise_std * float(np.sqrt(basis @ self.inverse @ basis))
+        return self._std(self._basis(time), noise_std)
 
     def rate_std(self, time: float, noise_std: float) -> float:
         """Standard error of `rate`."""
-        basis = self._rate_basis(time)
-        return noise_std * float(np.sqrt(basis @ self.inverse @ basis))
+        return self._std(self._rate_basis(time), noise_std)
 
     @property
     def top(self) -> float:
@@ -81,6 +79,9 @@ class LocalFit:
     def top_std(self, noise_std: float) -> float:
         """Standard error of `top`, to first order: that of the rate there by the acceleration."""
         return self.rate_std(self.top, noise_std) / abs(self.acceleration)
+
+    def _std(self, basis: Array, noise_std: float) -> float:
+        return noise_std * float(np.sqrt(basis @ self.inverse @ basis))
 
     def _basis(self, time: float) -> Array:
         s = (time - self.centre) / self.scale

@@ -154,17 +154,8 @@ def extract_from(
     plans = read_plans(plan, log, settings) if plan else None
     _check_factors(settings, log, plans)
     # Sections: where a step ends and the next one begins.
-    held = None
-    if find:
-        boundaries = find(log)
-    elif settings.every:
-        held = _held(log, plans, settings)
-        boundaries = _regular(held, log, settings)
-    else:
-        boundaries = find_sections(log, settings)
-    boundaries = sorted(boundaries, key=lambda section: section.time)
-    if len(boundaries) < 2:
-        raise RecordError(f"{log.source}: {len(boundaries)} sections; at least two are needed")
+    held = _held(log, plans, settings) if settings.every and not find else None
+    boundaries = _boundaries(log, settings, held, find)
     sections = section_states(log, boundaries, settings)
     # Commands, targets and predictions of the steps between them.
     parts: dict[str, list[StepValues]] = {}
@@ -197,6 +188,20 @@ def extract_from(
         signals=signals,
         lag=_lag(held, log, settings) if held and settings.command else np.nan,
     )
+
+
+def _boundaries(
+    log: SignalLog, settings: SectionSettings, held: HeldCommands | None, find: SectionFunction | None
+) -> list[FoundSection]:
+    """The sections in the order of their times."""
+    if find:
+        sections = find(log)
+    else:
+        sections = _regular(held, log, settings) if held else find_sections(log, settings)
+    ordered = sorted(sections, key=lambda section: section.time)
+    if len(ordered) < 2:
+        raise RecordError(f"{log.source}: {len(ordered)} sections; at least two are needed")
+    return ordered
 
 
 def _lag(held: HeldCommands, log: SignalLog, settings: SectionSettings) -> float:
@@ -288,8 +293,7 @@ def _faults(
 
 
 def _largest_gap(signal: Signal, begin: float, end: float) -> float:
-    part = signal.between(begin, end)
-    return float(np.diff([begin, *part.time.tolist(), end]).max())
+    return float(np.diff([begin, *signal.between(begin, end).time.tolist(), end]).max())
 
 
 def _yaw(log: SignalLog, settings: SectionSettings, times: Array) -> Array | None:

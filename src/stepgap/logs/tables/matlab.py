@@ -97,10 +97,7 @@ def _arrays_of(content: bytes, path: Path, unread: dict[str, str]) -> Iterator[t
         for element in _elements(content, _HEADER_5, len(content), order):
             _check_matrix(content, element, order)
     for name, shape, _ in whosmat(BytesIO(content)):
-        size = 1.0
-        for length in shape:
-            size *= length
-        check_size(f"{path}, {name}", size)
+        check_size(f"{path}, {name}", prod(map(float, shape)))
         if not name.startswith("__"):
             with leaving_out(name, unread):
                 value = loadmat(BytesIO(content), variable_names=[name], simplify_cells=True)[name]
