@@ -17,9 +17,8 @@ MOST_WRONG = 3  # Number of readings in a row with a wrong torque, after which t
 TORQUE_SHARE = 0.15
 """Part of the largest command by which a torque may differ, in addition to the tolerance: the accuracy of a drive."""
 
-
-LOST_SHARE, LOST_OVER = 0.3, 50.0
-"""Part of the ticks without an answer from which a device counts as absent, and number of ticks of the mean."""
+LOST_SHARE = 0.3  # Part of the ticks without an answer from which a device counts as absent
+LOST_OVER = 50.0  # Number of ticks over which this part is a mean
 
 
 class Losses:

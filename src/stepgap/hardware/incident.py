@@ -64,11 +64,7 @@ class Incident:
 
 
 def read_incident(path: Path, seconds: float) -> Incident:
-    """Reads the incident in a log.
-
-    Args:
-        path: The log.
-        seconds: Time before the incident that is shown [s].
+    """Reads the incident in a log, of which some seconds before it are shown.
 
     Raises:
         TickLogError: The file is not the log of a rig, or it has no ticks.
@@ -100,13 +96,13 @@ def utc_of(incident: Incident, time: float) -> str:
 
 def namers_of(incident: Incident) -> dict[str, Callable[[int], str]]:
     """For each field whose numbers have names, the function that gives them; status words are decoded."""
-    found: dict[str, Callable[[int], str]] = {
+    namers: dict[str, Callable[[int], str]] = {
         field: _described_word for field, unit in incident.ticks.units.items() if unit == STATUSWORD_UNIT
     }
     names = {"state": {state.value: state.name for state in RigState}, **incident.description.meaning.names}
     for field in incident.ticks.units.keys() & names:
-        found[field] = lambda number, texts=names[field]: texts.get(number, str(number))
-    return {field: found[field] for field in incident.ticks.units if field in found}
+        namers[field] = lambda number, texts=names[field]: texts.get(number, str(number))
+    return {field: namers[field] for field in incident.ticks.units if field in namers}
 
 
 def _described_word(word: int) -> str:
@@ -118,16 +114,16 @@ def _described_word(word: int) -> str:
 def changes_of(incident: Incident) -> list[Occurrence]:
     """Changes of states, names, reasons and status words, and the events, in the order of their times."""
     shown = incident.shown
-    found = list[Occurrence]()
+    changes = list[Occurrence]()
     for field, name in namers_of(incident).items():
-        found += _renamed(shown, field, name)
+        changes += _renamed(shown, field, name)
     for field, names in incident.description.meaning.bits.items():
-        found += _first_bits(shown, field, names) if field in shown.units else []
-    found += [
+        changes += _first_bits(shown, field, names) if field in shown.units else []
+    changes += [
         Occurrence(event.time, f"message: {event.text}") for event in incident.events if event.time >= incident.begin
     ]
-    found += _lateness(incident)
-    return sorted(found, key=lambda change: change.time)
+    changes += _lateness(incident)
+    return sorted(changes, key=lambda change: change.time)
 
 
 def bit_numbers(ticks: TickTable, field: str) -> np.ndarray:
@@ -136,9 +132,9 @@ def bit_numbers(ticks: TickTable, field: str) -> np.ndarray:
 
 
 def _renamed(ticks: TickTable, field: str, name: Callable[[int], str]) -> list[Occurrence]:
-    known = np.isfinite(ticks[field])
-    time = ticks["time"][known]
-    texts = [name(int(value)) for value in ticks[field][known]]
+    has_value = np.isfinite(ticks[field])
+    time = ticks["time"][has_value]
+    texts = [name(int(value)) for value in ticks[field][has_value]]
     return [
         Occurrence(float(time[i]), f"{field}: {texts[i - 1]} → {texts[i]}")
         for i in range(1, len(texts))
@@ -202,7 +198,7 @@ class Margin:
 
 def margins_of(incident: Incident) -> list[Margin]:
     """Fields with limits, the nearest to its limit first."""
-    found = list[Margin]()
+    margins = list[Margin]()
     shown = incident.shown
     before = shown["time"] <= incident.time
     for field, limits in incident.description.meaning.ranges.items():
@@ -211,8 +207,8 @@ def margins_of(incident: Incident) -> list[Margin]:
             values = values[np.isfinite(values)]
             if len(values):
                 unit = incident.ticks.units[field]
-                found.append(Margin(field, unit, float(values.min()), float(values.max()), limits))
-    return sorted(found, key=lambda margin: -margin.used)
+                margins.append(Margin(field, unit, float(values.min()), float(values.max()), limits))
+    return sorted(margins, key=lambda margin: -margin.used)
 
 
 def torque_fields(ticks: TickTable) -> list[str]:

@@ -18,12 +18,7 @@ NEAR = 0.5  # Part of a limit from which on it is drawn
 
 
 def incident_picture(incident: Incident, form: str) -> bytes:
-    """Draws the incident.
-
-    Args:
-        incident: The incident.
-        form: File format: pdf, png or svg.
-    """
+    """Draws the incident as pdf, png or svg."""
     shown = incident.shown
     namers = namers_of(incident)
     bits = incident.description.meaning.bits
@@ -65,10 +60,10 @@ def _by_unit(ticks: TickTable, fields: list[str]) -> list[list[str]]:
 
 
 def _draw_names(panel: Any, time: Array, ticks: TickTable, field: str, name: Callable[[int], str]) -> None:
-    known = np.isfinite(ticks[field])
-    texts = [name(int(number)) for number in ticks[field][known]]
-    rows = list(dict.fromkeys(name(int(number)) for number in np.unique(ticks[field][known])))
-    panel.step(time[known], [rows.index(text) for text in texts], where="post", color=BLACK)
+    has_value = np.isfinite(ticks[field])
+    texts = [name(int(number)) for number in ticks[field][has_value]]
+    rows = list(dict.fromkeys(name(int(number)) for number in np.unique(ticks[field][has_value])))
+    panel.step(time[has_value], [rows.index(text) for text in texts], where="post", color=BLACK)
     panel.set_yticks(range(len(rows)), [plain(text) for text in rows], fontsize=7)
     panel.set_ylabel(plain(field), rotation=0, ha="right", va="center")
     panel.set_ylim(-0.4, max(0.4, len(rows) - 0.6))
@@ -76,12 +71,12 @@ def _draw_names(panel: Any, time: Array, ticks: TickTable, field: str, name: Cal
 
 def _draw_bits(panel: Any, time: Array, ticks: TickTable, field: str, names: Mapping[int, str]) -> None:
     values = bit_numbers(ticks, field)
-    found = [(bit, name) for bit, name in names.items() if bit and (values & bit).any()]
-    for row, (bit, _) in enumerate(found):
+    raised = [(bit, name) for bit, name in names.items() if bit and (values & bit).any()]
+    for row, (bit, _) in enumerate(raised):
         at = time[(values & bit) > 0]
         panel.plot(at, np.full(len(at), row), color=BLUE, linestyle="", marker="|", markersize=7)
-    panel.set_yticks(range(len(found)), [plain(name.lower().replace("_", " ")) for _, name in found], fontsize=7)
-    panel.set_ylim(-0.6, max(0.6, len(found) - 0.4))
+    panel.set_yticks(range(len(raised)), [plain(name.lower().replace("_", " ")) for _, name in raised], fontsize=7)
+    panel.set_ylim(-0.6, max(0.6, len(raised) - 0.4))
     panel.set_ylabel(plain(field), rotation=0, ha="right", va="center")
 
 
@@ -93,11 +88,11 @@ def _draw_fields(panel: Any, incident: Incident, fields: list[str]) -> None:
     for number, field in enumerate(fields):
         values = shown[field]
         colour = CURVES[number % len(CURVES)]
-        known = values[np.isfinite(values)]
-        offset = known[0] if unit == "counts" and len(known) else 0.0
+        measured = values[np.isfinite(values)]
+        offset = measured[0] if unit == "counts" and len(measured) else 0.0
         panel.plot(time, values - offset, color=colour, linewidth=0.9, label=plain(field))
         for limit in incident.description.meaning.ranges.get(field, ()):
-            if np.isfinite(limit) and limit and (known / limit >= NEAR).any():
+            if np.isfinite(limit) and limit and (measured / limit >= NEAR).any():
                 panel.axhline(limit, color=colour, linewidth=0.7, linestyle=":")
     panel.set_ylabel(plain(f"[{'counts from start' if unit == 'counts' else unit or 'number'}]"))
     panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=7)

@@ -52,13 +52,12 @@ def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds
     else:
         mark = fingerprint(rig_file)
         make_rig = partial(load_rig, plant or ETHERCAT, rig_file, robot)
-        found = make_rig()
+        own_rig = make_rig()
         setup = limp_setup(make_rig, control)
-        findings = found.findings()
+        findings = own_rig.findings()
         _refuse_contradictions(rig_file, mark, findings)
-        tick = found.sensor_model.tick
-        clocks = found.clock_limits
-        result = measure(setup, tick, found.limits or limits, seconds, clocks)
+        tick = own_rig.sensor_model.tick
+        result = measure(setup, tick, own_rig.limits or limits, seconds, own_rig.clock_limits)
         result = with_watchdog(with_findings(result, findings), make_rig)
         file = write_check(rig_file, mark, result)
         print(describe(result, bus=True))
@@ -206,14 +205,14 @@ def incident(log: Path, /, *, seconds: Seconds = 1.0, out: Path | None = None) -
     form = format_by_name(picture)
     check_new(picture, "--out")
     try:
-        found = read_incident(log, seconds)
+        event = read_incident(log, seconds)
     except TickLogError as error:
         raise InputError(str(error)) from None
-    print(describe_incident(found))
+    print(describe_incident(event))
     with own_style():
         from stepgap.hardware.incident_figure import incident_picture
 
-        write_new(picture, "--out", incident_picture(found, form))
+        write_new(picture, "--out", incident_picture(event, form))
 
 
 def esi(file: Path, /, *, product: Name | None = None) -> None:
@@ -286,13 +285,10 @@ def _refuse_contradictions(rig_file: Path, mark: "Mapping[str, str]", findings: 
     """Prints what contradicts the settings, before anything is connected, and ends with exit code 1; else returns."""
     from stepgap.hardware.commissioning.check import write_refusal
 
-    contradictions = [each.text for each in findings if each.is_error]
+    contradictions = [finding.text for finding in findings if finding.is_error]
     if contradictions:
-        for text in contradictions:
-            print(f"error   {text}")
-        for each in findings:
-            if not each.is_error:
-                print(f"remark  {each.text}")
+        for finding in sorted(findings, key=lambda finding: not finding.is_error):
+            print(f"{'error   ' if finding.is_error else 'remark  '}{finding.text}")
         print(f"result  not passed: {rig_file.name} contradicts ESI files of the devices; nothing was measured")
         print(write_refusal(rig_file, mark, contradictions))
         sys.exit(1)

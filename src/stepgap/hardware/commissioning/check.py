@@ -70,18 +70,18 @@ class ClockCheck:
         if not self.ticks:
             return ["no frame reported its time on the reference clock"]
         limits = self.limits
-        found = []
+        faults = []
         if self.p99_9 > limits.usual:
-            found.append(
+            faults.append(
                 f"99.9 % of the frames were within {_micro(self.p99_9)} of their times on the reference clock, "
                 f"but must be within {_micro(limits.usual)} (dc.usual): {_LATE}"
             )
         if self.outside > limits.outside:
-            found.append(
+            faults.append(
                 f"{self.outside} frames in a row were outside of the window of {_micro(limits.window)}, "
                 f"at most {limits.outside} are allowed (dc.outside): {_LATE}"
             )
-        found += [
+        faults += [
             f"the clock of {slave} differed by {_micro(difference)} from the reference clock, at most "
             f"{_micro(limits.difference)} are allowed (dc.difference): {_APART}"
             for slave, difference in self.differences.items()
@@ -89,16 +89,16 @@ class ClockCheck:
         ]
         silent = [slave for slave, difference in self.differences.items() if difference is None]
         if silent:
-            found.append(
+            faults.append(
                 f"{', '.join(silent)} never reported the difference of its clock (0x092C): measure for longer "
                 "(--seconds), or check reply_timeout"
             )
-        return found
+        return faults
 
     def describe(self) -> str:
         """The result in one line."""
-        known = [difference for difference in self.differences.values() if difference is not None]
-        apart = f"within {_micro(max(known))}" if known else "unknown"
+        measured = [difference for difference in self.differences.values() if difference is not None]
+        apart = f"within {_micro(max(measured))}" if measured else "unknown"
         return (
             f"frames within {_micro(self.p99_9)} of their times (99.9 %), {_micro(self.worst)} at most, at most "
             f"{self.outside} in a row outside of the window; jitter {_micro(self.jitter)} (99.9 %); "
@@ -107,12 +107,7 @@ class ClockCheck:
 
 
 def clock_check(ticks: TickTable, limits: ClockLimits | None) -> ClockCheck | None:
-    """Computes how frames and clocks followed the reference clock; None without distributed clocks.
-
-    Args:
-        ticks: Ticks of a rig that logs `CLOCK_OFFSET`.
-        limits: What is allowed; None without distributed clocks.
-    """
+    """Computes how frames and clocks followed the reference clock; None without distributed clocks and their limits."""
     if limits is None or CLOCK_OFFSET not in ticks.units:
         return None
     settled = replace(ticks, rows=ticks.rows[min(UNSETTLED, len(ticks) // 2) :])
@@ -141,8 +136,8 @@ def clock_check(ticks: TickTable, limits: ClockLimits | None) -> ClockCheck | No
 
 def _largest(differences: Array) -> float | None:
     """Largest absolute difference; None if none is known."""
-    known = np.abs(differences[np.isfinite(differences)])
-    return float(known.max()) if len(known) else None
+    amounts = np.abs(differences[np.isfinite(differences)])
+    return float(amounts.max()) if len(amounts) else None
 
 
 def _micro(time: float) -> str:
@@ -231,22 +226,22 @@ class Check:
     def failures(self) -> list[str]:
         """Describes what is not within the limits; empty if the check is passed."""
         timing = self.timing
-        found = list(self.contradictions)
+        faults = list(self.contradictions)
         if timing.missed_in_a_row > self.late_ticks:
-            found.append(f"{timing.missed_in_a_row} ticks in a row were missed, at most {self.late_ticks} are allowed")
+            faults.append(f"{timing.missed_in_a_row} ticks in a row were missed, at most {self.late_ticks} are allowed")
         if timing.punctual < PUNCTUAL:
-            found.append(
+            faults.append(
                 f"{100 * timing.punctual:.2f} % of the ticks began within half a tick, "
                 f"at least {100 * PUNCTUAL:g} % are required"
             )
         if self.fault:
-            found.append(self.fault)
+            faults.append(self.fault)
         if self.clock:
-            found += self.clock.failures()
+            faults += self.clock.failures()
         if not self.simulated:
-            found += [refusal for refusal in NEEDED_FOR_TORQUE if refusal in self.refused]
-            found += [self.watchdog_fault] if self.watchdog_fault else _slow_watchdogs(self.watchdog)
-        return found
+            faults += [refusal for refusal in NEEDED_FOR_TORQUE if refusal in self.refused]
+            faults += [self.watchdog_fault] if self.watchdog_fault else _slow_watchdogs(self.watchdog)
+        return faults
 
 
 def _slow_watchdogs(watchdog: WatchdogTimes | None) -> list[str]:
@@ -291,18 +286,13 @@ def _longest(missed: Sequence[int]) -> int:
 
 
 def measure(
-    setup: RealtimeSetup,
-    tick: float,
-    limits: RigLimits,
-    seconds: float,
-    clock_limits: ClockLimits | None = None,
+    setup: RealtimeSetup, tick: float, limits: RigLimits, seconds: float, clock_limits: ClockLimits | None = None
 ) -> Check:
     """Measures a rig without torque.
 
     Args:
         setup: Setup of that rig.
         tick: Its tick [s].
-        limits: Its limits.
         seconds: Duration, rounded to ticks [s].
         clock_limits: Those of its reference clock; None without one.
 
@@ -310,20 +300,17 @@ def measure(
         RigFault: There was no tick at all.
     """
     ticks = ticks_of(setup, round(seconds / tick))
-    timing = timing_of(ticks.table["late"], tick)
-    clock = clock_check(ticks.table, clock_limits)
     last = dict(zip(ticks.table.units, ticks.table.rows[-1].tolist(), strict=True))
-    drives = describe_devices(setup.make_rig(), last)
     return Check(
-        tick,
-        limits.late_ticks,
-        limits.simulated,
-        timing,
-        ticks.lost_frames,
-        ticks.refused,
-        ticks.fault,
-        clock=clock,
-        drives=drives,
+        tick=tick,
+        late_ticks=limits.late_ticks,
+        simulated=limits.simulated,
+        timing=timing_of(ticks.table["late"], tick),
+        lost_frames=ticks.lost_frames,
+        refused=ticks.refused,
+        fault=ticks.fault,
+        clock=clock_check(ticks.table, clock_limits),
+        drives=describe_devices(setup.make_rig(), last),
     )
 
 
@@ -332,7 +319,6 @@ def with_watchdog(check: Check, make_rig: Callable[[], Rig]) -> Check:
 
     Args:
         check: The result so far; if it has a fault, the rig is left alone.
-        make_rig: Creates the rig.
     """
     if check.fault:
         return check
@@ -343,22 +329,22 @@ def with_watchdog(check: Check, make_rig: Callable[[], Rig]) -> Check:
         try:
             with make_rig() as rig:
                 remarks = rig.remarks
-                found = rig.watchdog_times()
+                times = rig.watchdog_times()
                 if findings is None:
                     findings = rig.findings()  # which takes time: when frames have ended
         except RigFault as fault:
             return replace(check, watchdog_fault=str(fault))
-        if found and (shortest is None or _longest_time(found) < _longest_time(shortest)):
-            shortest = found
-        if not _slow_watchdogs(found):
+        if times and (shortest is None or _longest_time(times) < _longest_time(shortest)):
+            shortest = times
+        if not _slow_watchdogs(times):
             break
     return with_findings(replace(check, remarks=remarks, watchdog=shortest), findings or ())
 
 
 def with_findings(check: Check, findings: Sequence[Finding]) -> Check:
     """Adds what documents of the devices say: contradictions are failures, doubts are remarks."""
-    doubts = tuple(each.text for each in findings if not each.is_error)
-    contradictions = tuple(each.text for each in findings if each.is_error)
+    doubts = tuple(finding.text for finding in findings if not finding.is_error)
+    contradictions = tuple(finding.text for finding in findings if finding.is_error)
     return replace(check, remarks=(*check.remarks, *doubts), contradictions=contradictions)
 
 
@@ -370,7 +356,6 @@ def describe(check: Check, bus: bool) -> str:
     """Formats a table of the result, the rule, and remedies.
 
     Args:
-        check: The result.
         bus: Whether a bus was measured, not only the machine.
     """
     timing = check.timing
@@ -401,10 +386,8 @@ def describe(check: Check, bus: bool) -> str:
         "result": "  passed" if not failures else f"  not passed: {'; '.join(failures)}",
     }
     lines = [f"{name:19} {text}" for name, text in rows.items()]
-    if failures:
-        lines.append(_ADVICE)
-    if failures and bus and (check.fault or check.lost_frames):
-        lines.append(BUS_ADVICE)
+    lines += [_ADVICE] if failures else []
+    lines += [BUS_ADVICE] if failures and bus and (check.fault or check.lost_frames) else []
     return "\n".join(lines)
 
 
@@ -418,12 +401,7 @@ def _describe_watchdog(check: Check) -> str:
 
 
 def write_check(rig_file: Path, mark: Mapping[str, str], check: Check) -> Path:
-    """Writes the result next to the settings and returns its path.
-
-    Args:
-        rig_file: File of the settings.
-        mark: Their `fingerprint` when they were read.
-        check: The result.
+    """Writes the result next to the settings, with their `fingerprint` when they were read, and returns its path.
 
     Raises:
         InputError: It cannot be written.
@@ -433,12 +411,7 @@ def write_check(rig_file: Path, mark: Mapping[str, str], check: Check) -> Path:
 
 
 def write_refusal(rig_file: Path, mark: Mapping[str, str], contradictions: Sequence[str]) -> Path:
-    """Writes that settings have not passed, because they contradict documents; returns the path.
-
-    Args:
-        rig_file: File of the settings.
-        mark: Their `fingerprint` when they were read.
-        contradictions: What the documents say.
+    """Writes, as `write_check` does, that settings have not passed, because they contradict documents.
 
     Raises:
         InputError: It cannot be written.

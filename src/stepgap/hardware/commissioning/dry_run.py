@@ -67,7 +67,6 @@ def dry_run(make_rig: Callable[[], Rig], robot_control: RobotControl, seconds: f
 
     Args:
         make_rig: Creates its rig; it must be possible to pickle it.
-        robot_control: Computes the torques that are displayed.
         seconds: Duration, rounded to ticks [s]; None until Ctrl-C.
 
     Raises:

@@ -25,7 +25,6 @@ class LimpRig(WrappedRig):
     """Reads a rig and always writes zero torque; after its warning a limp robot is switched off.
 
     Args:
-        rig: The rig to read.
         limits: Limits that stop it: those of lost frames, but neither those of pose nor of speed.
     """
 
@@ -126,10 +125,7 @@ class LastTick(TickSink):
 
 @contextmanager
 def limp_robot(setup: RealtimeSetup) -> Iterator[Callable[[], Mapping[str, float]]]:
-    """Runs a limp robot within the block; yields a function that returns its last tick.
-
-    Args:
-        setup: Setup from `limp_setup`.
+    """Runs a limp robot, set up by `limp_setup`, within the block; yields a function that returns its last tick.
 
     Raises:
         RigFault: The rig failed.
@@ -147,12 +143,7 @@ def limp_robot(setup: RealtimeSetup) -> Iterator[Callable[[], Mapping[str, float
 
 
 def describe_devices(rig: Rig, fields: Mapping[str, float]) -> dict[str, str]:
-    """Describes what the rig itself judges: temperatures, bus voltages and the state of inputs of its drives.
-
-    Args:
-        rig: The rig.
-        fields: Fields of a tick by name.
-    """
+    """Describes what the rig itself judges in a tick: temperatures, bus voltages and states of inputs of its drives."""
     names = rig.diagnostic_names
     units = rig.diagnostic_units
     judged = {name: fields[name] for name in units if name in fields and name in {*names, *rig.diagnostic_ranges}}

@@ -40,7 +40,6 @@ def write_proof(rig_file: Path, verb: str, mark: Mapping[str, str], content: Map
     """Writes a result next to the settings and returns its path.
 
     Args:
-        rig_file: File of the settings.
         verb: Verb of `stepgap rig` that found it.
         mark: `fingerprint` of the settings when they were read.
         content: The result; its `passed` states whether it permits torque.
@@ -68,8 +67,8 @@ def proven(rig_file: Path, verb: str) -> dict[str, Any]:
     file = proof_file(rig_file, verb)
     remedy = f"run `stepgap rig {verb} {rig_file}` first"
     mark = fingerprint(rig_file)
-    found = _read(file)
-    if not found:
+    result = _read(file)
+    if not result:
         raise InputError(f"{file}: there is no result of a {verb}; {remedy}")
     reasons = {
         "settings_sha256": f"the settings have changed since the {verb}",
@@ -78,13 +77,13 @@ def proven(rig_file: Path, verb: str) -> dict[str, Any]:
         "user": f"the {verb} was done by another user, who may have other privileges",
     }
     for key, reason in reasons.items():
-        if found.get(key) != mark[key]:
+        if result.get(key) != mark[key]:
             raise InputError(f"{file}: {reason}; {remedy}")
-    if found.get("passed") is not True:
+    if result.get("passed") is not True:
         raise InputError(f"{file}: the {verb} was not passed; remove the cause, then {remedy}")
-    if not _is_recent(found.get("date")):
+    if not _is_recent(result.get("date")):
         raise InputError(f"{file}: the {verb} is older than {LONGEST_AGE.days} days; {remedy}")
-    return found
+    return result
 
 
 def _is_recent(date: object) -> bool:

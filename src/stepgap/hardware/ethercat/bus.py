@@ -38,25 +38,25 @@ def claimed(interface: str) -> socket.socket:
 
 def open_sockets() -> set[int]:
     """Descriptors of this process that are sockets; pysoem does not report which one it opened."""
-    found = set()
+    descriptors = set()
     for link in Path("/proc/self/fd").iterdir():
         try:
             if str(link.readlink()).startswith("socket:"):
-                found.add(int(link.name))
+                descriptors.add(int(link.name))
         except FileNotFoundError:  # the descriptor that lists the folder
             continue
-    return found
+    return descriptors
 
 
-_ASSIGN_OUTPUTS, _ASSIGN_INPUTS = 0x1C12, 0x1C13  # Objects that hold the PDOs of sync managers 2 and 3
+_ASSIGN_OUTPUTS = 0x1C12  # Object that holds the PDOs of sync manager 2
+_ASSIGN_INPUTS = 0x1C13  # The same for sync manager 3
 STATE_TIMEOUT = 2.0  # Timeout of a change of the slaves' states [s]
 REPLY_TIMEOUT = 100_000  # Timeout of a frame during bring-up [µs]; SOEM's 2,000 are too short when the computer is busy
 
-REQUEST_TIMEOUT, REQUEST_TIMEOUT_IN_OP = 700_000, 20_000
-"""Time in which a mailbox must take a request of an SDO transfer [µs], during bring-up and afterwards.
+REQUEST_TIMEOUT = 700_000  # Time in which a mailbox must take a request of an SDO transfer during bring-up [µs]
 
-The second is SOEM's; a busy computer can lose all frames of such a time, and the transfer with them.
-"""
+REQUEST_TIMEOUT_IN_OP = 20_000
+"""The same afterwards, as of SOEM; a busy computer can lose all frames of such a time, and the transfer with them."""
 
 SEARCH_TIME = 1.0
 """Time during which missing slaves are searched for [s]; on a busy computer the frame of a search may be late."""
@@ -64,10 +64,12 @@ SEARCH_TIME = 1.0
 LEAST_WAIT = 50  # Time for which a reply is looked for even if its frame was sent long ago [µs]
 MOST_SEARCHES = 3  # Number of searches of which each found enough slaves, but not the expected ones
 
-WATCHDOG_ATTEMPTS, WATCHDOG_PAUSE = 5, 0.1
-"""Number of attempts to set a watchdog, since pysoem waits only 4 ms for its registers, and the time between them [s].
+WATCHDOG_ATTEMPTS = 5  # Number of attempts to set a watchdog, since pysoem waits only 4 ms for its registers
 
-More attempts, or faster ones, would be a risk: SOEM has 16 frame numbers, so that it takes the late reply to a frame
+WATCHDOG_PAUSE = 0.1
+"""Time between two attempts [s].
+
+More of them, or faster ones, would be a risk: SOEM has 16 frame numbers, so that it takes the late reply to a frame
 for the reply to the 16th frame after it.
 """
 
@@ -79,10 +81,6 @@ class Bus:
     """The slaves of a `BusSettings` behind pysoem.
 
     Every mismatch between settings and bus raises `RigFault` with one line that names the slave.
-
-    Args:
-        settings: The expected bus.
-        host: The computer's clock.
     """
 
     def __init__(self, settings: BusSettings, host: HostTime = COMPUTER):
@@ -158,13 +156,13 @@ class Bus:
         Unexpected ones are, too, but less often: on a busy computer the answer with an identity may be lost.
         """
         until = monotonic() + SEARCH_TIME
-        wanted = self._settings.slaves
+        wanted = [(slave.vendor, slave.product) for slave in self._settings.slaves]
         strange = 0
         while True:
             count = master.config_init()
-            found = [(device.man, device.id) for device in master.slaves[: max(0, count)]]
+            identities = [(device.man, device.id) for device in master.slaves[: max(0, count)]]
             strange += count >= len(wanted)
-            if found == [(slave.vendor, slave.product) for slave in wanted] or strange == MOST_SEARCHES:
+            if identities == wanted or strange == MOST_SEARCHES:
                 return count
             if monotonic() > until:
                 return count
@@ -284,8 +282,8 @@ class Bus:
 
     def _check_identities(self, count: int) -> None:
         wanted = self._settings.slaves
-        found = self._master.slaves[: max(0, count)]
-        for number, (slave, device) in enumerate(zip(wanted, found, strict=False)):
+        devices = self._master.slaves[: max(0, count)]
+        for number, (slave, device) in enumerate(zip(wanted, devices, strict=False)):
             if (device.man, device.id) != (slave.vendor, slave.product):
                 raise RigFault(
                     f"{self.label(number)} must be {_identity(slave.vendor, slave.product)}, "
@@ -295,13 +293,13 @@ class Bus:
                 raise RigFault(
                     f"{self.label(number)} must be revision 0x{slave.revision:08X}, but there is 0x{device.rev:08X}"
                 )
-        if len(found) < len(wanted):
-            raise RigFault(f"{self.label(len(found))} is missing: {len(found)} of {len(wanted)} slaves answer")
-        if len(found) > len(wanted):
-            device = found[len(wanted)]
+        if len(devices) < len(wanted):
+            raise RigFault(f"{self.label(len(devices))} is missing: {len(devices)} of {len(wanted)} slaves answer")
+        if len(devices) > len(wanted):
+            device = devices[len(wanted)]
             raise RigFault(
                 f"slave {len(wanted) + 1}, {_identity(device.man, device.id)}, is not in the settings: "
-                f"{len(found)} slaves answer instead of {len(wanted)}"
+                f"{len(devices)} slaves answer instead of {len(wanted)}"
             )
 
     def _set_watchdog(self, number: int) -> None:
@@ -320,12 +318,12 @@ class Bus:
         except soem.ConfigMapError:
             raise RigFault(f"the process data cannot be mapped: {self._states(soem.SAFEOP_STATE)}") from None
         for number, device in enumerate(master.slaves):
-            found = (len(device.output), len(device.input))
+            sizes = (len(device.output), len(device.input))
             wanted = (self._outputs[number].size, self._inputs[number].size)
-            if found != wanted:
+            if sizes != wanted:
                 raise RigFault(
                     f"{self.label(number)} must exchange {wanted[0]} bytes out and {wanted[1]} in, "
-                    f"but exchanges {found[0]} and {found[1]}"
+                    f"but exchanges {sizes[0]} and {sizes[1]}"
                 )
             device.output = bytes(wanted[0])
         if master.state_check(soem.SAFEOP_STATE, round(STATE_TIMEOUT * 1e6)) != soem.SAFEOP_STATE:
@@ -351,12 +349,12 @@ class Bus:
     def _states(self, wanted: int) -> str:
         """The slaves that are not in the wanted state, and the reasons."""
         self._master.read_state()
-        found = [
+        states = [
             f"{self.label(number)} {self._al_state(device)}"
             for number, device in enumerate(self._master.slaves)
             if device.state != wanted
         ]
-        return "; ".join(found) or "every slave is in the right state now"
+        return "; ".join(states) or "every slave is in the right state now"
 
     def _al_state(self, device: Any) -> str:
         """Describes state and status code of a slave."""
@@ -381,7 +379,8 @@ class Bus:
 
     def _limit_waiting(self, reply: int, request: int) -> None:
         timeouts = self._soem.settings.timeouts
-        timeouts.ret, timeouts.tx_mailbox = reply, request
+        timeouts.ret = reply
+        timeouts.tx_mailbox = request
 
     def _block(self, blocking: bool) -> None:
         """Whether reading the sockets waits in the kernel."""

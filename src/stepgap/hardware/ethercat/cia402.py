@@ -4,8 +4,9 @@ from enum import Enum, auto
 
 STATUSWORD_UNIT = "CiA 402"  # Unit of a logged field whose number is a status word
 
-WARNING, INTERNAL_LIMIT, FOLLOWS_COMMAND = 0x0080, 0x0800, 0x1000
-"""Bits of a status word: the drive warns; a limit inside the drive acts; the drive follows the command value."""
+WARNING = 0x0080  # Bit of a status word: the drive warns
+INTERNAL_LIMIT = 0x0800  # Bit of a status word: a limit inside the drive acts
+FOLLOWS_COMMAND = 0x1000  # Bit of a status word: the drive follows the command value
 
 CYCLIC_TORQUE = 10  # Mode of operation: cyclic synchronous torque
 
@@ -47,7 +48,12 @@ MASKED_STATES = {
 }
 """State by statusword under a mask."""
 
-DISABLE_VOLTAGE, SHUTDOWN, _SWITCH_ON, ENABLE, RESET = 0x00, 0x06, 0x07, 0x0F, 0x80  # Controlwords
+# Controlwords.
+DISABLE_VOLTAGE = 0x00
+SHUTDOWN = 0x06
+_SWITCH_ON = 0x07
+ENABLE = 0x0F
+RESET = 0x80
 
 CONTROLWORDS = {
     (State.SWITCH_ON_DISABLED, Wanted.ENABLED): SHUTDOWN,

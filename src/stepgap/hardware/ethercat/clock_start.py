@@ -13,20 +13,18 @@ LOCK_TIME = 5.0  # Longest time in which frames and clocks must be synchronised 
 SYNCHRONOUS = 10_000  # Largest difference of a slave's clock from the reference clock before OP [ns]
 _ATTEMPTS = 5  # Number of attempts to activate SYNC0, since a reply may be late on a busy computer
 
-_ACTIVATION, _START, _CYCLE, _DIFFERENCE = 0x0981, 0x0990, 0x09A0, 0x092C
-"""Registers of a slave controller: of SYNC0, and the mean difference of its clock from the reference clock."""
+# Registers of a slave controller: the mean difference of its clock from the reference clock, and those of SYNC0.
+_DIFFERENCE = 0x092C
+_ACTIVATION = 0x0981
+_START = 0x0990
+_CYCLE = 0x09A0
 
 _U32 = Struct("<I")
 _U64 = Struct("<Q")
 
 
 def start_clocks(master: Any, settings: BusSettings, label: Callable[[int], str]) -> None:
-    """Measures delays, sets the offsets of all clocks and activates SYNC0, in PREOP.
-
-    Args:
-        master: The master, of pysoem.
-        settings: The bus.
-        label: Name of a slave for messages.
+    """Measures delays, sets the offsets of all clocks and activates SYNC0, in PREOP, by the master of pysoem.
 
     Raises:
         RigFault: There is no distributed clock, or a slave does not take over its SYNC0.
@@ -39,20 +37,9 @@ def start_clocks(master: Any, settings: BusSettings, label: Callable[[int], str]
 
 
 def synchronise(
-    master: Any,
-    settings: BusSettings,
-    label: Callable[[int], str],
-    steering: Steering,
-    exchange: Callable[[], None],
+    master: Any, settings: BusSettings, label: Callable[[int], str], steering: Steering, exchange: Callable[[], None]
 ) -> None:
     """Exchanges frames in SAFEOP until they, and the slaves' clocks, agree with the reference clock.
-
-    Args:
-        master: The master, of pysoem.
-        settings: The bus.
-        label: Name of a slave for messages.
-        steering: Steers the frames.
-        exchange: Sends a frame and receives it.
 
     Raises:
         RigFault: They do not agree within `LOCK_TIME`.
@@ -76,18 +63,14 @@ def _activate(device: Any, slave: Slave, cycle: float) -> bool:
     for _ in range(_ATTEMPTS):
         device.dc_sync(True, period, shift, **sync1)
         start = _register(device, _START, _U64.size)
-        found = _register(device, _ACTIVATION, 1), _register(device, _CYCLE, _U32.size)
-        if found == (slave.assign_activate >> 8, period) and start is not None and start % period == shift:
+        registers = _register(device, _ACTIVATION, 1), _register(device, _CYCLE, _U32.size)
+        if registers == (slave.assign_activate >> 8, period) and start is not None and start % period == shift:
             return True
     return False
 
 
 def clock_difference(device: Any) -> float | None:
-    """Mean difference of a slave's clock from the reference clock [s], positive if ahead; None without an answer.
-
-    Args:
-        device: The slave, of pysoem.
-    """
+    """Mean difference of a slave's clock from the reference clock [s], positive if ahead; None without an answer."""
     word = _register(device, _DIFFERENCE, _U32.size)
     if word is None:
         return None
@@ -96,14 +79,14 @@ def clock_difference(device: Any) -> float | None:
 
 def _deviating(master: Any, settings: BusSettings, label: Callable[[int], str]) -> list[str]:
     """Describes the slaves whose clocks differ from the reference clock."""
-    found = {
+    words = {
         number: _register(master.slaves[number], _DIFFERENCE, _U32.size)
         for number, slave in enumerate(settings.slaves)
         if slave.assign_activate
     }
     return [
         f"the clock of {label(number)} " + ("does not answer" if word is None else f"differs by {_amount(word)} ns")
-        for number, word in found.items()
+        for number, word in words.items()
         if word is None or _amount(word) > SYNCHRONOUS
     ]
 

@@ -12,14 +12,15 @@ from stepgap.base.ranges import require
 from stepgap.hardware.bus_rig import COMPUTER, HostTime
 from stepgap.rigs.rig import ClockLimits
 
-SYNC0_ONLY, SYNC0_AND_SYNC1 = 0x0300, 0x0700  # Values of *AssignActivate* of an ESI file: which signals a slave needs
+SYNC0_ONLY = 0x0300  # *AssignActivate* of an ESI file for a slave that needs this signal
+SYNC0_AND_SYNC1 = 0x0700  # The same for both signals
 LOCKED_FRAMES = 50  # Number of consecutive frames within the window until the frames count as synchronised
 _PHASE_GAIN = 0.05  # Share of an offset by which the next frame is shifted
 _RATE_GAIN = _PHASE_GAIN**2 / 4  # Share of an offset by which the interval changes: critical damping with `_PHASE_GAIN`
 _LARGEST_OFFSET = 0.01  # Offset that counts at most [cycles], so that a late tick hardly shifts the ticks after it
 
-_SETTLING, _LARGEST_FIRST_OFFSET = 100, 0.1
-"""Number of corrections after the first one in which more counts: by the work of a tick, frames are later than then."""
+_SETTLING = 100  # Number of corrections after the first one in which more counts:
+_LARGEST_FIRST_OFFSET = 0.1  # by the work of a tick, frames are later than in the first one [cycles]
 
 _LARGEST_RATE = 1e-3  # Largest change of the interval between two frames [cycles]; clocks differ by less than 1e-4
 
@@ -63,7 +64,6 @@ class Steering:
     Args:
         cycle: Time between two frames [s].
         settings: Limits of the frames.
-        host: The computer's clock.
     """
 
     def __init__(self, cycle: float, settings: DcSettings, host: HostTime = COMPUTER):
@@ -113,9 +113,10 @@ class Steering:
         self.offset = 1e-9 * offset_from_grid(time, round(1e9 * self._cycle))
         self._fresh = True
         outside = abs(self.offset) > self._settings.window * self._cycle
-        self._outside, self._inside = (self._outside + 1, 0) if outside else (0, self._inside + 1)
-        farthest, most = (0.0, 0) if self._tick_begins else (self.farthest, self.outside)
-        self.farthest, self.outside = max(farthest, self.offset, key=abs), max(most, self._outside)
+        self._outside = self._outside + 1 if outside else 0
+        self._inside = 0 if outside else self._inside + 1
+        self.farthest = self.offset if self._tick_begins else max(self.farthest, self.offset, key=abs)
+        self.outside = self._outside if self._tick_begins else max(self.outside, self._outside)
         self._tick_begins = self._tick_ends
         self._tick_ends = False
 

@@ -7,11 +7,13 @@ from math import inf, isfinite
 from stepgap.base.ranges import require
 from stepgap.hardware.ethercat.pdo import SIGNED_VALUES, Entry
 
-TEMPERATURE, BUS_VOLTAGE, DIGITAL_INPUTS = "temperature", "bus_voltage", "digital_inputs"
-"""Names of the values in the PDOs."""
+# Names of the values in the PDOs.
+TEMPERATURE = "temperature"
+BUS_VOLTAGE = "bus_voltage"
+DIGITAL_INPUTS = "digital_inputs"
 
-TEMPERATURES, VOLTAGES = (-40.0, 200.0), (0.0, 1000.0)
-"""Ranges of plausible temperatures [°C] and voltages of a bus [V]; limits must lie within them."""
+TEMPERATURES = (-40.0, 200.0)  # Range of plausible temperatures [°C], within which limits must lie
+VOLTAGES = (0.0, 1000.0)  # Range of plausible voltages of a bus [V], likewise
 
 _MOST_BITS = 32
 
@@ -88,13 +90,7 @@ class DriveLimits:
             require(getattr(self, name) in (0, 1), name, getattr(self, name), "be 0 or 1")
 
     def require_values(self, table: str, slave: str, entries: Mapping[str, Entry]) -> None:
-        """Raises ValueError if a key needs a value that the drive does not send, or that cannot reach its limit.
-
-        Args:
-            table: Name of the motor's table.
-            slave: Name of the drive.
-            entries: Entries of its inputs by name.
-        """
+        """Raises ValueError if a key needs a value that the drive does not send, or that cannot reach its limit."""
         for field in fields(DriveLimits):
             wanted = _NEEDS.get(field.name, "")
             value = getattr(self, field.name)
@@ -116,15 +112,10 @@ class DriveLimits:
         """Name, largest number and unit of each finite limit."""
         limits = [(name, getattr(self, name), self.temperature_unit) for name in _TEMPERATURE_LIMITS]
         limits += [(BUS_VOLTAGE, max(self.bus_voltage), self.bus_voltage_unit)] if self.bus_voltage else []
-        return [each for each in limits if each[1] < inf]
+        return [limit for limit in limits if limit[1] < inf]
 
     def remarks(self, label: str, mapped: Mapping[str, object]) -> list[str]:
-        """What a drive reports without a limit, one line each.
-
-        Args:
-            label: Name of the drive.
-            mapped: Values in its PDOs.
-        """
+        """What a drive, of which these values are mapped, reports without a limit, one line each."""
         limits = (
             (TEMPERATURE, self.temperature_limit < inf, "temperature_limit is not set"),
             (BUS_VOLTAGE, bool(self.bus_voltage), "bus_voltage has no limits"),

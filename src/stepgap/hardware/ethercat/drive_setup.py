@@ -51,14 +51,14 @@ def secure_reactions(bus: Objects, number: int) -> list[str]:
     remarks = []
     for reaction in REACTIONS:
         try:
-            found = bus.read_object(number, reaction.index, _INT16)
+            code = bus.read_object(number, reaction.index, _INT16)
         except MissingObject:
             remarks.append(
                 f"{bus.label(number)} lacks object 0x{reaction.index:04X}: what it does {reaction.name} "
                 "is the setting of its factory"
             )
             continue
-        if found not in reaction.without_torque:
+        if code not in reaction.without_torque:
             write_startup(bus, number, StartupObject(reaction.index, 0, "INT16", reaction.without_torque[0]))
     return remarks
 

@@ -136,13 +136,7 @@ def _words(reported: ReportedValue) -> str:
 
 
 def reported_values(limits: DriveLimits, entries: Mapping[str, Entry], cycle: float) -> list[ReportedValue]:
-    """Temperature and bus voltage, as far as a drive sends them.
-
-    Args:
-        limits: Limits of the drive.
-        entries: Entries of its inputs by name.
-        cycle: Time between two readings [s].
-    """
+    """Temperature and bus voltage, as far as a drive sends them; arguments as of `DriveWatch`."""
     pair = limits.bus_voltage
     wanted = (
         ReportedValue(
@@ -206,10 +200,7 @@ class SafetyInput:
 class Obedience:
     """Whether a drive still follows its commands, by its torque, its status word and the changes of its values.
 
-    Args:
-        limits: Its limits.
-        entries: Entries of its inputs by name.
-        cycle: Time between two readings [s].
+    Arguments as of `DriveWatch`.
     """
 
     def __init__(self, limits: DriveLimits, entries: Mapping[str, Entry], cycle: float):
@@ -249,9 +240,9 @@ class Obedience:
         if self._same >= MOST_SAME:
             return f"none of its values changes any more although its commands do: it hangs; {ONLY_STO}"
         if self._judges_torque and self._torque.reading(values["torque"]):
-            found = values["torque"]
+            torque = values["torque"]
             sent = self._torque.commanded
-            return f"its torque is {found}, commanded were {sent} (1/1000 of the rated torque); {ONLY_STO}"
+            return f"its torque is {torque}, commanded were {sent} (1/1000 of the rated torque); {ONLY_STO}"
         return ""
 
     @property
@@ -265,7 +256,6 @@ class DriveWatch:
 
     Args:
         label: Name of the drive for messages.
-        limits: Its limits.
         entries: Entries of its inputs by name.
         cycle: Time between two readings [s].
     """
@@ -279,18 +269,18 @@ class DriveWatch:
             SafetyInput.of("sto", "STO input", limits.sto_bits, limits.sto_open),
             SafetyInput.of("enable", "enable input", limits.enable_bits, limits.enable_open),
         )
-        self._inputs = [each for each in inputs if each.mask]
+        self._inputs = [watched for watched in inputs if watched.mask]
         self._raw = [name for name in MOTION_UNITS if name in entries]
         self._raw += [DIGITAL_INPUTS] if DIGITAL_INPUTS in entries else []
         self.units = {
             **{name: MOTION_UNITS.get(name, "") for name in self._raw},
             **{reported.name: reported.unit for reported in self._reported},
-            **{each.name: "" for each in self._inputs},
+            **{watched.name: "" for watched in self._inputs},
         }
         """Logged values with their units."""
         self.ranges = {reported.name: reported.limits for reported in self._reported}
         """Limits of logged values; infinite if there is none."""
-        self.names = {each.name: INPUT_STATES for each in self._inputs}
+        self.names = {watched.name: INPUT_STATES for watched in self._inputs}
         """Names of the numbers of logged values."""
         self.values: tuple[float, ...] = (nan,) * len(self.units)
         """Logged values in the last reading."""
@@ -313,7 +303,7 @@ class DriveWatch:
             self._tracks[index] = track = with_value(reported, self._tracks[index], reported.value(raw))
             excess = excess_of(reported, track) or excess
             numbers.append(raw * reported.scale)
-        opened = [float(each.is_open(values[DIGITAL_INPUTS])) for each in self._inputs]
+        opened = [float(watched.is_open(values[DIGITAL_INPUTS])) for watched in self._inputs]
         self.values = (*numbers, *opened)
         if any(opened):
             return self.open_inputs(values)
@@ -330,13 +320,13 @@ class DriveWatch:
 
     def describe(self, values: Mapping[str, int]) -> str:
         """Describes temperature and bus voltage in the inputs of a frame; empty if the drive reports neither."""
-        return ", ".join(f"{values[each.name] * each.scale:.1f} {each.unit}" for each in self._reported)
+        return ", ".join(f"{values[reported.name] * reported.scale:.1f} {reported.unit}" for reported in self._reported)
 
     @property
     def warning(self) -> str:
         """Why the robot should land, or an empty text."""
-        found = (*map(warning_of, self._reported, self._tracks), self._obedience.warning)
-        return next((f"{self._label}: {text}" for text in found if text), "")
+        texts = (*map(warning_of, self._reported, self._tracks), self._obedience.warning)
+        return next((f"{self._label}: {text}" for text in texts if text), "")
 
 
 _T = TypeVar("_T")
@@ -352,8 +342,6 @@ class WatchedDrives:
     """Watches what the drives report beside their motion.
 
     Args:
-        settings: The robot's bus.
-        label: Gives the name of a slave for messages.
         inputs: Gives the inputs of a slave from the last good frame.
     """
 
@@ -373,21 +361,12 @@ class WatchedDrives:
         """Why messages cannot name an open STO input; empty if they can."""
         if self.hint:
             self.remarks.insert(0, self.hint)
-
-    @property
-    def units(self) -> dict[str, str]:
+        self.units = self._of_all(lambda watch: watch.units)
         """Logged values with their units."""
-        return self._of_all(lambda watch: watch.units)
-
-    @property
-    def ranges(self) -> dict[str, tuple[float, float]]:
+        self.ranges = self._of_all(lambda watch: watch.ranges)
         """Limits of logged values; infinite where there is none."""
-        return self._of_all(lambda watch: watch.ranges)
-
-    @property
-    def names(self) -> dict[str, Mapping[int, str]]:
+        self.names = self._of_all(lambda watch: watch.names)
         """Names of the numbers of logged values."""
-        return self._of_all(lambda watch: watch.names)
 
     @property
     def values(self) -> tuple[float, ...]:
@@ -417,13 +396,13 @@ class WatchedDrives:
 
     def open_inputs(self) -> str:
         """Names the STO and enable inputs that are open in the last good frame; empty if none is."""
-        found = [watch.open_inputs(self._inputs(drive)) for drive, watch in self._watches.values()]
-        return "; ".join(filter(None, found))
+        reports = [watch.open_inputs(self._inputs(drive)) for drive, watch in self._watches.values()]
+        return "; ".join(filter(None, reports))
 
     def describe(self, number: int) -> str:
         """Describes temperature and bus voltage of a drive in the last good frame; empty if it reports neither."""
-        found = [watch.describe(self._inputs(drive)) for drive, watch in self._watches.values() if drive == number]
-        return ", ".join(filter(None, found))
+        reports = [watch.describe(self._inputs(drive)) for drive, watch in self._watches.values() if drive == number]
+        return ", ".join(filter(None, reports))
 
     def _of_all(self, values: Callable[[DriveWatch], Mapping[str, _T]]) -> dict[str, _T]:
         """Values of all watches, with the names of the motors before theirs."""

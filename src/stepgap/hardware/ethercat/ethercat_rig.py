@@ -64,7 +64,6 @@ class EthercatRig(BusRig):
 
     Args:
         settings: The robot's bus, with its limit of lost frames.
-        sensor_model: Timing of the sensors and conversion of their counts.
         host: The computer's clock, by which frames follow the reference clock of the bus.
         folder: Folder to which the names of ESI files are relative.
     """
@@ -100,11 +99,10 @@ class EthercatRig(BusRig):
         Each only if the drive sends it. With distributed clocks also how much too late a frame passed the reference
         clock, the last correction, and how far the clocks of the slaves with SYNC0, numbered from 1, are ahead of it.
         """
-        units = self._watched.units
-        if self._bus.steering:
-            units |= CLOCK_DIAGNOSTICS
-            units |= {f"slave_{number + 1}_{CLOCK_DIFFERENCE}": "s" for number in self._differences}
-        return units
+        if not self._bus.steering:
+            return self._watched.units
+        differences = {f"slave_{number + 1}_{CLOCK_DIFFERENCE}": "s" for number in self._differences}
+        return {**self._watched.units, **CLOCK_DIAGNOSTICS, **differences}
 
     @property
     def diagnostic_ranges(self) -> Mapping[str, tuple[float, float]]:
@@ -153,13 +151,13 @@ class EthercatRig(BusRig):
         """
         slaves = self._settings.slaves
         files = {name: read_esi(self._folder / name) for name in sorted({slave.esi for slave in slaves} - {""})}
-        findings = []
+        findings = list[Finding]()
         for number, slave in enumerate(slaves):
             if slave.esi:
-                pdos, revision = self._settings.pdo_set(slave), self._bus.revision(number)
                 label = f"{self._bus.label(number)}, {slave.esi}"
-                for finding in compare_with_esi(slave, pdos, files[slave.esi], STATE_TIMEOUT, revision):
-                    findings.append(replace(finding, text=f"{label}: {finding.text}"))
+                pdos = self._settings.pdo_set(slave)
+                said = compare_with_esi(slave, pdos, files[slave.esi], STATE_TIMEOUT, self._bus.revision(number))
+                findings += [replace(finding, text=f"{label}: {finding.text}") for finding in said]
         return tuple(findings)
 
     def connect(self) -> None:
@@ -326,8 +324,8 @@ class EthercatRig(BusRig):
         """Reads how far the clock of one slave is ahead, each in turn, between two checks of the states."""
         if self._differences and not self._losses.in_a_row and self._good_frames % STATES_EVERY == STATES_EVERY // 2:
             number = next(self._next_clock)
-            found = self._bus.clock_difference(number)
-            self._differences[number] = self._differences[number] if found is None else found
+            difference = self._bus.clock_difference(number)
+            self._differences[number] = self._differences[number] if difference is None else difference
 
     def _command(self, drive: int, units: int, controlword: int) -> None:
         self._bus.set_outputs(drive, {"target_torque": units, "controlword": controlword, "mode": CYCLIC_TORQUE})
@@ -348,7 +346,7 @@ class EthercatRig(BusRig):
         """Reports state, mode and error of all drives, and slaves that have left OP; too slow for a tick."""
         reports = [self._report_of(drive) for drive in self._drives]
         left = self._bus.state_report() if self._bus.out_of_operation() else ""
-        return "; ".join([*reports, *filter(None, [self._bus.emergencies(), left])])
+        return "; ".join(filter(None, [*reports, self._bus.emergencies(), left]))
 
     def _report_of(self, drive: int) -> str:
         values = self._bus.inputs(drive)

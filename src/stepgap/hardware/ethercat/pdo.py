@@ -173,7 +173,6 @@ def configure_pdos(bus: Objects, number: int, assignment: int, pdos: tuple[Pdo, 
 
     Args:
         bus: Access to the slave, in PREOP.
-        number: Number of the slave.
         assignment: Object of the sync manager, 0x1C12 or 0x1C13.
         pdos: The PDOs in their order.
 
@@ -211,17 +210,17 @@ def mapping_fault(bus: Objects, number: int, pdos: tuple[Pdo, ...]) -> str:
         What differs; empty if nothing does.
     """
     packing = Packing(pdos)
-    found = dict[int, tuple[int, int, int]]()
+    mapped = dict[int, tuple[int, int, int]]()
     bit = 0
     for pdo in pdos:
         for subindex in range(1, bus.read_object(number, pdo.index, _U8) + 1):
             word = bus.read_object(number, pdo.index, _U32, subindex)
             bits = word & 0xFF
-            found[bit] = (word >> 16, word >> 8 & 0xFF, bits)
+            mapped[bit] = (word >> 16, word >> 8 & 0xFF, bits)
             bit += bits
     for entry, at in packing.mapping.values():
-        if entry.index and found.get(at) != (entry.index, entry.subindex, entry.bits):
-            there = "0x{:04X}:{:02X}:{}".format(*found[at]) if at in found else "none"
+        if entry.index and mapped.get(at) != (entry.index, entry.subindex, entry.bits):
+            there = "0x{:04X}:{:02X}:{}".format(*mapped[at]) if at in mapped else "none"
             return f"{bus.label(number)} must map {entry} at byte {at // 8}, but there is {there}"
     if bit != 8 * packing.size:
         indices = ", ".join(f"0x{pdo.index:04X}" for pdo in pdos)

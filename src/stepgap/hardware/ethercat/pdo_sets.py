@@ -33,13 +33,7 @@ _ELMO = PdoSet(  # firmware 1.1.15 added the padding
 
 _EPOS4 = PdoSet(
     outputs=(
-        _pdo(
-            0x1602,
-            "0x6071:00:16 target_torque",
-            "0x60B2:00:16",
-            "0x6040:00:16 controlword",
-            "0x6060:00:8 mode",
-        ),
+        _pdo(0x1602, "0x6071:00:16 target_torque", "0x60B2:00:16", "0x6040:00:16 controlword", "0x6060:00:8 mode"),
     ),
     inputs=(
         _pdo(

@@ -98,7 +98,7 @@ class Slave:
         require(bool(self.name.strip()) and self.name.isprintable(), "name", self.name, "be a string of one line")
         for name in ("vendor", "product", "revision"):
             require(0 <= getattr(self, name) < 2**32, name, getattr(self, name), "lie between 0 and 2³²")
-        require_objects("startup", self.startup)
+        require_objects(self.startup)
         activate = self.assign_activate
         shift = self.sync0_shift
         rule = "be 0x0300 (SYNC0), 0x0700 (SYNC0 and SYNC1) or 0 (none)"
@@ -288,7 +288,7 @@ class BusSettings(BusTiming):
         """Refuses names that are not distinct, and unknown sets of PDOs."""
         names = [slave.name for slave in self.slaves]
         require(len(set(names)) == len(names), "slaves", names, "have names that differ")
-        written = [each.name for each in self.pdo_sets]
+        written = [pdo_set.name for pdo_set in self.pdo_sets]
         require(len(set(written)) == len(written), "pdo_sets", written, "have names that differ")
         sets = self._sets()
         for number, slave in enumerate(self.slaves, start=1):

@@ -13,11 +13,10 @@ LONGEST_CONTRADICTION = 8
 The velocity of a drive is filtered, so that it follows some readings later.
 """
 
-LARGEST_REST, LEAST_MOVEMENT = 1.0, 5.0
-"""Movements in a reading, by position or velocity, up to which a motor stands still, and from which it moves [counts].
+LARGEST_REST = 1.0  # Movement in a reading, by position or velocity, up to which a motor stands still [counts]
 
-Between them they cannot contradict each other, whatever the delay of the velocity.
-"""
+LEAST_MOVEMENT = 5.0
+"""Movement from which it moves; between both they cannot contradict each other, whatever the delay of the velocity."""
 
 
 class SensorDoubt(Enum):
@@ -43,7 +42,6 @@ def with_position(track: PositionTrack, position: int, velocity: float) -> Posit
     """Track with a reading: the position must not stand still while the velocity moves, or the reverse.
 
     Args:
-        track: Track before.
         position: Position [counts].
         velocity: Movement in the time of a reading by the velocity of the drive [counts].
     """

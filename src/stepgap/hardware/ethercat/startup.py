@@ -93,16 +93,16 @@ def is_reserved(index: int) -> bool:
     return any(low <= index <= high for low, high in _RESERVED)
 
 
-def require_objects(name: str, texts: tuple[str, ...]) -> None:
+def require_objects(texts: tuple[str, ...]) -> None:
     """Raises ValueError unless each text describes an object, and none describes the same one again."""
     parsed = []
     for text in texts:
         try:
             parsed.append(StartupObject.parse(text))
         except ValueError as error:
-            raise ValueError(f"{name} = {format_value(text)}, but it must be an object: {error}") from None
-    addresses = [(each.index, each.subindex) for each in parsed]
-    require(len(set(addresses)) == len(addresses), name, list(texts), "name each object once")
+            raise ValueError(f"startup = {format_value(text)}, but it must be an object: {error}") from None
+    addresses = [(startup.index, startup.subindex) for startup in parsed]
+    require(len(set(addresses)) == len(addresses), "startup", list(texts), "name each object once")
 
 
 def write_startup(bus: Objects, number: int, wanted: StartupObject) -> None:
@@ -113,9 +113,9 @@ def write_startup(bus: Objects, number: int, wanted: StartupObject) -> None:
     """
     layout = LAYOUTS[wanted.kind]
     bus.write_object(number, wanted.index, layout, wanted.value, wanted.subindex)
-    found = bus.read_object(number, wanted.index, layout, wanted.subindex)
-    if layout.pack(found) != layout.pack(wanted.value):
+    answer = bus.read_object(number, wanted.index, layout, wanted.subindex)
+    if layout.pack(answer) != layout.pack(wanted.value):
         raise RigFault(
-            f"{bus.label(number)}: object 0x{wanted.index:04X}:{wanted.subindex:02X} is {found:g} "
+            f"{bus.label(number)}: object 0x{wanted.index:04X}:{wanted.subindex:02X} is {answer:g} "
             f"after {wanted.value:g} was written"
         )

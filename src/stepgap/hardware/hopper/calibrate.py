@@ -154,15 +154,10 @@ def replaced_zeros(text: str, zeros: Mapping[str, int]) -> str:
 
 
 def write_calibrated(rig_file: Path, out: Path, settings: RigSettings) -> None:
-    """Writes a copy of a rig.toml, with its comments, that differs only in the zeros.
-
-    Args:
-        rig_file: File to copy.
-        out: New file, which must not exist.
-        settings: Settings with the new zeros.
+    """Writes a copy of a rig.toml, with its comments, that differs only in the zeros, which are those of `settings`.
 
     Raises:
-        InputError: The file cannot be written, or the zeros cannot be inserted.
+        InputError: The file exists or cannot be written, or the zeros cannot be inserted.
     """
     zeros = {table: getattr(settings, table).zero for table in SENSORS}
     try:

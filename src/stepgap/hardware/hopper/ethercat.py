@@ -36,19 +36,13 @@ class RigSettings(HopperRigSettings, BusSettings):
     def __post_init__(self) -> None:
         HopperRigSettings.__post_init__(self)
         BusSettings.__post_init__(self)
-        require(self.motor_2.slave != self.motor_1.slave, "motor_2.slave", self.motor_2.slave, "differ from motor 1's")
-        require(
-            self.boom_vertical.slave != self.boom_horizontal.slave,
-            "boom_vertical.slave",
-            self.boom_vertical.slave,
-            "differ from the horizontal angle's",
-        )
-        require(
-            self.motor_2.link_counts == self.motor_1.link_counts,
-            "motor_2.counts_per_turn",
-            self.motor_2.counts_per_turn,
-            f"give with its gear the {self.motor_1.link_counts:g} counts per turn of motor 1",
-        )
+        drive = self.motor_2.slave
+        pitch = self.boom_vertical.slave
+        counts = self.motor_2.counts_per_turn
+        require(drive != self.motor_1.slave, "motor_2.slave", drive, "differ from motor 1's")
+        require(pitch != self.boom_horizontal.slave, "boom_vertical.slave", pitch, "differ from the horizontal angle's")
+        rule = f"give with its gear the {self.motor_1.link_counts:g} counts per turn of motor 1"
+        require(self.motor_2.link_counts == self.motor_1.link_counts, "motor_2.counts_per_turn", counts, rule)
 
     @property
     def timing(self) -> SensorModel:
@@ -71,13 +65,7 @@ def read_rig_settings(path: Path) -> RigSettings:
 
 
 def hopper_on_ethercat(settings: RigSettings, robot: RobotParameters, folder: Path = Path()) -> EthercatRig:
-    """Rig of these settings, not yet connected; its sensor model uses the robot's boom length.
-
-    Args:
-        settings: The settings.
-        robot: The robot.
-        folder: Folder to which the names of ESI files in the settings are relative.
-    """
+    """Rig of these settings, not yet connected; names of ESI files in them are relative to a folder."""
     return EthercatRig(settings, settings.sensor_model(robot.boom_length), COMPUTER, folder)
 
 

@@ -66,13 +66,7 @@ class JogControl(HopControl):
         self._angles = deque[tuple[float, float]](maxlen=1 + round(1 / (FREQUENCY * sensor_model.tick)))
 
     def tick(
-        self,
-        time: float,
-        reading: Reading,
-        order: Order,
-        applied: Torques,
-        health: Health = HEALTHY,
-        age: float = 0.0,
+        self, time: float, reading: Reading, order: Order, applied: Torques, health: Health = HEALTHY, age: float = 0.0
     ) -> tuple[Torques, int]:
         """Computes a tick; only an order to step gives torque."""
         tries = order.mode == Mode.STEP and not self._ended

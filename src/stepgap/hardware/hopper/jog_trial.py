@@ -167,29 +167,27 @@ def _oscillation(time: Array, signal: Array) -> tuple[float, float]:
     since = time - time.mean()
     angle = tau * FREQUENCY * time
     columns = [since**power for power in range(4)] + [np.sin(angle), np.cos(angle)]
-    found = np.linalg.lstsq(np.column_stack(columns), signal, rcond=None)[0]
-    return float(found[4]), float(found[5])
+    amplitudes = np.linalg.lstsq(np.column_stack(columns), signal, rcond=None)[0]
+    return float(amplitudes[4]), float(amplitudes[5])
 
 
 def hand_failure(motor: int, turned: tuple[float, float]) -> str:
     """What is wrong if a person turned the link of a motor forward by 45°; empty if nothing is.
 
-    Args:
-        motor: Number of the motor.
-        turned: Angles by which the links of motor 1 and 2 turned, by their encoders [rad].
+    The links of motor 1 and 2 `turned` by these angles, by their encoders [rad].
     """
     own = turned[motor - 1]
     other = turned[2 - motor]
     if abs(own - QUARTER) <= HAND_ERROR:
         return ""
-    found = f"motor {motor}: its encoder measured {degrees(own):+.1f}° instead of +45° ± 15°"
+    fault = f"motor {motor}: its encoder measured {degrees(own):+.1f}° instead of +45° ± 15°"
     if abs(abs(other) - QUARTER) <= HAND_ERROR and abs(own) < HAND_ERROR:
-        return f"{found}, that of motor {3 - motor} {degrees(other):+.1f}°: the two are exchanged"
+        return f"{fault}, that of motor {3 - motor} {degrees(other):+.1f}°: the two are exchanged"
     if abs(own) < radians(1.0):
-        return f"{found}: it is not connected, or stands still"
+        return f"{fault}: it is not connected, or stands still"
     if abs(own + QUARTER) <= HAND_ERROR:
-        return f"{found}: its sign is wrong"
-    return f"{found}: check counts_per_turn and gear"
+        return f"{fault}: its sign is wrong"
+    return f"{fault}: check counts_per_turn and gear"
 
 
 MOTORS = (1, 2)
@@ -201,7 +199,6 @@ def try_motors(make_rig: Callable[[], Rig], control: HopperControl, simulated: b
 
     Args:
         make_rig: Creates the rig; it must be possible to pickle it.
-        control: Control with which the robot will hop.
         simulated: Whether the robot is a simulation, of which nobody can turn a link by hand.
         settings: Text of the file that describes the rig.
 
@@ -211,16 +208,16 @@ def try_motors(make_rig: Callable[[], Rig], control: HopperControl, simulated: b
     findings = list[dict[str, Any]]()
     failures = list[str]()
     for motor in MOTORS:
-        found: dict[str, Any] = {"motor": motor}
+        result: dict[str, Any] = {"motor": motor}
         if not simulated:
-            found["by_hand"] = turned = _turn_by_hand(make_rig, control, motor)
+            result["by_hand"] = turned = _turn_by_hand(make_rig, control, motor)
             if failure := hand_failure(motor, turned):
                 failures.append(failure)
                 print(f"motor {motor}  not passed: {failure}")
-                return {"passed": False, "failures": failures, "motors": [*findings, found]}
-        found |= _try_motor(make_rig, control, motor, simulated, settings)
-        findings.append(found)
-        failures += [found["failure"]] if found["failure"] else []
+                return {"passed": False, "failures": failures, "motors": [*findings, result]}
+        result |= _try_motor(make_rig, control, motor, simulated, settings)
+        findings.append(result)
+        failures += [result["failure"]] if result["failure"] else []
         if failures:
             break
     return {"passed": not failures, "failures": failures, "motors": findings}

@@ -70,13 +70,10 @@ def emulated_settings(
     Args:
         sensor_model: Sensor model of the twin behind the ring.
         robot: Robot whose torque limit the motors have, as far as the drives allow.
-        ring: Settings of the ring.
-        interface: Network interface that the master opens.
         ground: Ground on which the twin hops, whose changes the limits allow.
     """
     rated = ring.rated_torque / 1000
     most = min(robot.torque_limit, rated * ring.largest_torque / 1000)
-
     drive = Motor(
         slave="drive_1",
         counts_per_turn=sensor_model.motor_counts,
@@ -126,13 +123,7 @@ def _slaves(ring: RingSettings) -> tuple[Slave, ...]:
 
 
 def _limits(torque: float, jitter: float, ground: float) -> SafetyLimits:
-    """Complete limits, which a hopping twin never reaches: it cannot break.
-
-    Args:
-        torque: Largest torque [N·m].
-        jitter: As `SafetyLimits.sample_jitter`.
-        ground: As `SafetyLimits.ground_height` [m].
-    """
+    """Complete limits, which a hopping twin never reaches: it cannot break."""
     return SafetyLimits(
         torque=torque,
         torque_step=2 * torque,
@@ -167,7 +158,6 @@ class RingRig(WrappedRig):
 
     Args:
         make_machine: Makes the machine that the drives move, in that process; must be picklable.
-        ring: Settings of the ring and of the way it passes frames.
         settings: Settings of the master.
         robot: Robot whose boom length the sensor model uses.
     """

@@ -31,7 +31,6 @@ class DirectRing(Rig):
     Torques and contact force are in the ring's counts, and the drives are enabled in a tick without torque.
 
     Args:
-        twin: The simulated robot.
         ring: Scales of torque and force.
         settings: Settings that the master of such a ring would use.
     """

@@ -6,12 +6,7 @@ from stepgap.robots.hopper.tick.sensors import HopperReading, HopperSensorModel
 
 
 class StillRig(Rig):
-    """Returns the same reading at every tick and accepts any torque.
-
-    Args:
-        sensor_model: Timing of the sensors and conversion of their counts.
-        reading: The counts.
-    """
+    """Returns the same reading, in counts, at every tick and accepts any torque."""
 
     def __init__(self, sensor_model: SensorModel, reading: Reading):
         self._sensor_model = sensor_model

@@ -31,36 +31,32 @@ def _subframes(data: bytes) -> Iterator[moteus.Subframe]:
 
 def registers_of(data: bytes) -> Registers | None:
     """Decodes the registers of a frame; None if it is not a reply."""
-    found = {}
+    registers = {}
     try:
         for part in _subframes(data):
             if isinstance(part, moteus.RegisterSubframe):
                 if part.type != moteus.SubframeType.RESPONSE:
                     return None
-                found[part.register] = moteus.scale_register(part.register, part.resolution, part.value)
+                registers[part.register] = moteus.scale_register(part.register, part.resolution, part.value)
     except (StructError, RuntimeError, ValueError):
         return None
-    return found or None
+    return registers or None
 
 
 def stream_of(data: bytes) -> bytes | None:
     """Text of the diagnostic channel in a frame, empty if there is none now; None if it is not a reply."""
-    found = None
+    text = None
     try:
         for part in _subframes(data):
             if isinstance(part, moteus.StreamSubframe) and part.type == moteus.SubframeType.STREAM_SERVER_TO_CLIENT:
-                found = (found or b"") + bytes(part.data)
+                text = (text or b"") + bytes(part.data)
     except (StructError, RuntimeError, ValueError):
         return None
-    return found
+    return text
 
 
 class CanBus:
-    """A CAN-FD bus with moteus controllers on it.
-
-    Args:
-        interface: Interface of python-can.
-        channel: Channel of that interface.
+    """A CAN-FD bus, by an interface of python-can and its channel, with moteus controllers on it.
 
     Raises:
         RigFault: It cannot be opened.

@@ -10,13 +10,7 @@ from moteus import Mode, Register
 
 from stepgap.hardware.bus_rig import COMPUTER, BusRig, HostTime, TorqueWatch
 from stepgap.hardware.moteus.can_bus import CanBus, Registers, registers_of
-from stepgap.hardware.moteus.moteus_settings import (
-    AuxEncoder,
-    AuxForce,
-    CanDevice,
-    CanSettings,
-    Controller,
-)
+from stepgap.hardware.moteus.moteus_settings import AuxEncoder, AuxForce, CanDevice, CanSettings, Controller
 from stepgap.hardware.moteus.watchdog import check_timeout, measure_watchdogs, watchdog_query
 from stepgap.rigs.rig import Reading, RigFault, SensorModel, Torques, WatchdogTimes
 
@@ -26,11 +20,7 @@ TORQUE_READINGS = 5  # Number of readings over which delay and lag of a torque e
 
 
 class CommandedTorques:
-    """Compares reported torques with the commands, and counts readings at a limit.
-
-    Args:
-        motors: The controllers with motors.
-    """
+    """Compares the torques that controllers report with the commands, and counts readings at a limit."""
 
     def __init__(self, motors: Sequence[Controller]):
         self._motors = motors
@@ -65,8 +55,8 @@ class CommandedTorques:
     @property
     def warning(self) -> str:
         """The controller that has been at a limit for `MOST_LIMITED` readings in a row; empty without one."""
-        found = [number for number, count in self._limited.items() if count >= MOST_LIMITED]
-        return f"controller {found[0]} is at one of its limits (fault 96 to 103)" if found else ""
+        numbers = [number for number, count in self._limited.items() if count >= MOST_LIMITED]
+        return f"controller {numbers[0]} is at one of its limits (fault 96 to 103)" if numbers else ""
 
 
 POSITION_COUNTS = 2**16  # Counts per turn in which moteus stores the position of its output
@@ -118,7 +108,6 @@ class MoteusRig(BusRig):
 
     Args:
         settings: The robot's bus, with its limit of lost frames.
-        sensor_model: Timing of the sensors and conversion of their counts.
         host: The computer's clock, with which watchdogs are measured.
     """
 
@@ -171,7 +160,8 @@ class MoteusRig(BusRig):
         self._bus = CanBus(self._settings.interface, self._settings.channel)
         try:
             self._check_controllers(self._bus)
-            self._remarks = [text for each in self._controllers.values() for text in check_timeout(self._bus, each)]
+            checks = [check_timeout(self._bus, controller) for controller in self._controllers.values()]
+            self._remarks = [remark for remarks in checks for remark in remarks]
             self._get_ready(self._bus)
         except RigFault:
             self.close()
@@ -278,16 +268,15 @@ class MoteusRig(BusRig):
 
     def _ask(self, bus: CanBus, query: moteus.QueryResolution | None = None) -> dict[int, Registers]:
         """Queries the controllers; returns the answers that arrive in time."""
-        self._send(bus, {number: each.make_query(query) for number, each in self._controllers.items()})
+        self._send(bus, {number: controller.make_query(query) for number, controller in self._controllers.items()})
         return bus.receive(self._controllers, self._settings.reply_timeout, registers_of)
 
     def _command(self, bus: CanBus, torques: Torques) -> None:
         """Sends a torque to each controller [N·m], without a reply."""
         frames = {}
         for motor, torque in zip(self._motors, torques, strict=True):
-            frames[motor.id] = self._controllers[motor.id].make_position(
-                **motor.torque_command(torque), watchdog_timeout=self._settings.watchdog, query=False
-            )
+            command = motor.torque_command(torque) | {"watchdog_timeout": self._settings.watchdog}
+            frames[motor.id] = self._controllers[motor.id].make_position(**command, query=False)
         self._send(bus, frames)
 
     def _send(self, bus: CanBus, frames: Mapping[int, moteus.Command]) -> None:
@@ -328,7 +317,7 @@ class MoteusRig(BusRig):
     def _stop(self, bus: CanBus) -> None:
         for _ in range(_LAST_FRAMES):
             with suppress(RigFault):  # then their watchdogs stop them
-                bus.send({number: each.make_stop() for number, each in self._controllers.items()})
+                bus.send({number: controller.make_stop() for number, controller in self._controllers.items()})
 
     def _absent(self, replies: Mapping[int, Registers]) -> str:
         return " and ".join(f"controller {number}" for number in self._controllers if number not in replies)

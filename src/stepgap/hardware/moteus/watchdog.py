@@ -34,7 +34,6 @@ def check_timeout(bus: CanBus, controller: moteus.Controller, timeout: float = C
     """Ensures that a controller switches torque off after a timeout; returns remarks about its configuration.
 
     Args:
-        bus: The bus.
         controller: Encoder of its frames.
         timeout: Timeout of each value [s].
 
@@ -112,11 +111,7 @@ def watchdog_query() -> moteus.QueryResolution:
 
 
 def measure_watchdogs(
-    ask: Callable[[], Mapping[int, Registers]],
-    numbers: Collection[int],
-    setting: float,
-    pause: float,
-    host: HostTime,
+    ask: Callable[[], Mapping[int, Registers]], numbers: Collection[int], setting: float, pause: float, host: HostTime
 ) -> WatchdogTimes:
     """Measures when controllers report the mode *timeout* without torque, after a last command that was just sent.
 
@@ -125,7 +120,6 @@ def measure_watchdogs(
         numbers: Identifiers of all controllers.
         setting: Time of the watchdog in the last command [s].
         pause: Time between two queries [s].
-        host: The computer's clock.
 
     Raises:
         RigFault: A controller keeps its mode or torque for twice this time, has taken over another time, or stops for

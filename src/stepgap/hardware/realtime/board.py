@@ -36,15 +36,14 @@ class Field(IntEnum):
     STATUS = 7
     TICKS = 8
     MISSED_TICKS = 9
-    WORST_LATENESS = 10
-    PRESSES = 11
-    MESSAGE_LENGTH = 12
-    CONTEXT = 13
-    TOUCHDOWN_NUMBER = 14
-    COMMAND_VERSION = 15
-    TOUCHDOWN_VERSION = 16
-    LOST_FRAMES = 17
-    EVIDENCE_LENGTH = 18
+    PRESSES = 10
+    MESSAGE_LENGTH = 11
+    CONTEXT = 12
+    TOUCHDOWN_NUMBER = 13
+    COMMAND_VERSION = 14
+    TOUCHDOWN_VERSION = 15
+    LOST_FRAMES = 16
+    EVIDENCE_LENGTH = 17
 
 
 class Request(IntEnum):
@@ -129,7 +128,8 @@ class Board:
         """Creates a board, everything zero: no request, OFF, no command; arguments as of the class."""
         length = len(Field) + states + 3 * commands + 2 * context + LONGEST_EVIDENCE
         board = cls(created_memory(8 * length + LONGEST_MESSAGE), states, commands, context)
-        board._words[Field.STATES], board._words[Field.COMMANDS] = states, commands
+        board._words[Field.STATES] = states
+        board._words[Field.COMMANDS] = commands
         board._words[Field.CONTEXT] = context
         for number in (Field.COMMAND_NUMBER, Field.STEP_NUMBER, Field.TOUCHDOWN_NUMBER):
             board._words[number] = -1
@@ -201,8 +201,8 @@ class Board:
             return None
         state, command, lost = (np.array(numbers[part].tolist()) for part in (self._state, self._acted, self._lost))
         context = tuple(numbers[self._context].tolist())
-        found = StepEnd(FinishedStep(state, command, lost, context), StepStatus(words[Field.STATUS]))
-        return found if words[Field.STEP_NUMBER] == number else None
+        end = StepEnd(FinishedStep(state, command, lost, context), StepStatus(words[Field.STATUS]))
+        return end if words[Field.STEP_NUMBER] == number else None
 
     @property
     def evidence(self) -> tuple[float, ...]:
@@ -222,19 +222,10 @@ class Board:
         for word, value in zip(range(part.start, part.stop), values, strict=True):
             self._numbers[word] = value
 
-    def count_tick(self, late: float, missed: int) -> None:
-        """Counts a tick with its delay [s], and the ticks that were missed before it."""
-        words = self._words
-        numbers = self._numbers
-        words[Field.TICKS] += 1
-        words[Field.MISSED_TICKS] += missed
-        if late > numbers[Field.WORST_LATENESS]:
-            numbers[Field.WORST_LATENESS] = late
-
-    @property
-    def worst_lateness(self) -> float:
-        """Largest delay of a tick so far [s]."""
-        return self._numbers[Field.WORST_LATENESS]
+    def count_tick(self, missed: int) -> None:
+        """Counts a tick, and the ticks that were missed before it."""
+        self._words[Field.TICKS] += 1
+        self._words[Field.MISSED_TICKS] += missed
 
     @property
     def message(self) -> str:

@@ -32,11 +32,7 @@ _LOOK_EVERY = 0.05  # Longest time for which the end of the block is not noticed
 
 @contextmanager
 def hold_key(request: str, board: Board) -> Iterator[None]:
-    """Waits until a person holds the space bar, and counts its presses on the board until the block ends.
-
-    Args:
-        request: What the person is asked for.
-        board: Where the presses are counted.
+    """Waits until a person, who is shown the request, holds the space bar, and counts its presses on the board.
 
     Raises:
         RigFault: There is no terminal, or it was closed.
@@ -78,7 +74,6 @@ def supervised(loop: LoopSettings, request: str, simulated: bool) -> tuple[LoopS
     Args:
         loop: Settings for a real robot.
         request: What a person is asked for, as `RobotControl.consent_request`.
-        simulated: Whether the robot is a simulation.
     """
     return (replace(loop, release_time=inf), press_enter) if simulated else (loop, partial(hold_key, request))
 
@@ -117,12 +112,12 @@ def _await_hold(terminal: int) -> None:
     last = 0.0
     while presses < NEEDED_PRESSES:
         select.select([terminal], [], [])
-        found = _read(terminal)
+        typed = _read(terminal)
         now = monotonic()
-        if not found:
+        if not typed:
             raise RigFault("the terminal was closed, so no torque was given")
-        if KEY in found:
-            presses = presses + found.count(KEY) if now - last <= LONGEST_REPEAT else 1
+        if KEY in typed:
+            presses = presses + typed.count(KEY) if now - last <= LONGEST_REPEAT else 1
             last = now
 
 
@@ -130,10 +125,10 @@ def _count_presses(terminal: int, board: Board, over: Event) -> None:
     """Counts presses on the board until the block is over or the terminal is closed."""
     while not over.is_set():
         if select.select([terminal], [], [], _LOOK_EVERY)[0]:
-            found = _read(terminal)
-            if not found:
+            typed = _read(terminal)
+            if not typed:
                 return
-            board.presses += found.count(KEY)
+            board.presses += typed.count(KEY)
 
 
 def _read(terminal: int) -> bytes:

@@ -107,11 +107,9 @@ class ControlLoop:
 
     Args:
         rig: The rig, connected.
-        control: Tick control of the robot.
         space: Step space with the bounds of the command.
         board: Gives requests and commands, and takes the results of steps.
         log: Takes the row of every tick: the fields of the control, the rig's diagnostics, and those in `LOOP_UNITS`.
-        settings: Durations and limits.
         alive: Returns whether the learning process is alive.
     """
 
@@ -186,7 +184,7 @@ class ControlLoop:
     def tick(self, late: float = 0.0) -> bool:
         """Runs one tick that began late by a time [s]; returns False when the robot is off."""
         missed = int(late / self._tick_time)
-        self._board.count_tick(late, missed)
+        self._board.count_tick(missed)
         time = self._clock.begin(late)
         try:
             reading = self._read()

@@ -21,7 +21,6 @@ ISOLATED = Path("/sys/devices/system/cpu/isolated")
 LATENCY = Path("/dev/cpu_dma_latency")
 """Device that keeps the processor from sleep states that end later than a time, as long as it is open."""
 
-
 NO_PRIORITY = "real-time scheduling (SCHED_FIFO) is refused: it needs root, CAP_SYS_NICE or an rtprio limit"
 NO_LOCKED_MEMORY = "locked memory (mlockall) is refused: it needs root, CAP_IPC_LOCK or a memlock limit"
 
@@ -63,10 +62,6 @@ def ask_for_realtime(isolated: Path = ISOLATED, latency: Path = LATENCY) -> list
 
     It gets SCHED_FIFO, locked memory, the last isolated core if there are any, and a processor that does not sleep
     deeply as long as the process lives; the garbage collector is disabled.
-
-    Args:
-        isolated: File with the isolated cores.
-        latency: Device for the latency of the processor.
     """
     gc.collect()
     gc.freeze()

@@ -38,11 +38,7 @@ class RealtimeSetup:
         return {**self.robot_control.units, **self.make_rig().diagnostic_units, **LOOP_UNITS}
 
     def described(self, settings: str = "") -> LogDescription:
-        """Description of a log that is opened now.
-
-        Args:
-            settings: Text of the file that describes the rig.
-        """
+        """Description of a log that is opened now, with the text of the file that describes the rig."""
         rig = self.make_rig()
         of_rig = FieldMeaning(names=rig.diagnostic_names, ranges=rig.diagnostic_ranges)
         return LogDescription.here(settings, self.robot_control.meaning(rig).joined(of_rig).joined(LOOP_MEANING))
@@ -52,9 +48,6 @@ def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str, parent: 
     """Connects the rig and runs ticks on the wall clock until it is off; messages are on the board.
 
     Args:
-        setup: Setup of the process.
-        board_name: Name of the board to attach to.
-        ring_name: Name of the ring that takes the ticks.
         parent: Id of the process that started this one, which is its parent as long as it is alive.
     """
     board = Board.attach(board_name)

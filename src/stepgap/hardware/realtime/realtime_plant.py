@@ -47,12 +47,7 @@ class RealtimePlant(Plant):
     """
 
     def __init__(
-        self,
-        setup: RealtimeSetup,
-        logs: Path,
-        consent: Consent,
-        settings: str = "",
-        kept: KeptEvidence | None = None,
+        self, setup: RealtimeSetup, logs: Path, consent: Consent, settings: str = "", kept: KeptEvidence | None = None
     ):
         self._setup = setup
         self._logs = logs
@@ -116,10 +111,6 @@ class RealtimePlant(Plant):
     def _next(self, command: Array, at_touchdown: AtTouchdown | None) -> StepRecord:
         """Takes a step; after a fall, a fault or a safety stop the record has no next state, and the robot lands.
 
-        Args:
-            command: Command, which is limited to the bounds; shape (m,).
-            at_touchdown: Chooses another one at touchdown.
-
         Raises:
             RigFault: The log of ticks cannot be written.
         """
@@ -140,11 +131,11 @@ class RealtimePlant(Plant):
 
         def look() -> None:
             nonlocal asked
-            found = None if asked or at_touchdown is None else session.board.touchdown(self._step)
-            if at_touchdown and found is not None:
+            quantities = None if asked or at_touchdown is None else session.board.touchdown(self._step)
+            if at_touchdown and quantities is not None:
                 asked = True
-                self._context = found
-                touchdown = Touchdown(space.start(before, found), space.named_context(found))
+                self._context = quantities
+                touchdown = Touchdown(space.start(before, quantities), space.named_context(quantities))
                 session.board.post_command(self._step, commands.replace(at_touchdown, touchdown).tolist())
 
         step, status = self._await_step(session, look)
@@ -157,7 +148,8 @@ class RealtimePlant(Plant):
     def stop(self) -> None:
         """Lands the robot and switches torque off."""
         if self._session:
-            self._session, session = None, self._session
+            session = self._session
+            self._session = None
             try:
                 session.close()
             finally:

@@ -29,10 +29,6 @@ class TickWatch:
 
     The time is the sum of what the observer has waited between its looks, not that of a clock: a pause of the observer
     itself, as when the whole computer sleeps, is not a silence of the process.
-
-    Args:
-        board: Counts the ticks of the process.
-        settings: Contains the longest times without a tick.
     """
 
     def __init__(self, board: Board, settings: LoopSettings):
@@ -42,11 +38,7 @@ class TickWatch:
         self._silence = 0.0
 
     def silent(self, waited: float) -> str:
-        """Describes a silence that is too long; empty if it is not.
-
-        Args:
-            waited: Time since the last look [s].
-        """
+        """Describes a silence that is too long, after a time since the last look [s]; empty if it is not."""
         ticks = self._board.ticks
         self._silence = 0.0 if ticks != self._ticks else self._silence + waited
         self._ticks = ticks

@@ -88,8 +88,6 @@ class SlaveClock:
 
     Args:
         memory: Memory of the slave controller.
-        time: True time of the ring.
-        error: Error of the rate.
         delay: Time of a frame from the first slave to this one [ns].
     """
 
@@ -174,7 +172,8 @@ class Sync0:
     @classmethod
     def of(cls, memory: bytearray) -> "Sync0":
         """Reads the registers of a slave controller."""
-        (start,), (cycle,) = unpack_from("<Q", memory, reg.DC_START), unpack_from("<I", memory, reg.DC_CYCLE_0)
+        (start,) = unpack_from("<Q", memory, reg.DC_START)
+        (cycle,) = unpack_from("<I", memory, reg.DC_CYCLE_0)
         return cls(memory[reg.DC_ACTIVATION] & reg.DC_SYNC0_ACTIVE == reg.DC_SYNC0_ACTIVE, start, cycle)
 
     def events(self, time: int) -> int:

@@ -44,7 +44,6 @@ class EmulatedDevice:
 
     Args:
         name: Its name in this ring.
-        identity: Its identity.
         dictionary: Its objects; without one it has neither mailbox nor process data.
     """
 

@@ -10,18 +10,17 @@ from stepgap.hardware.ethercat.pdo import Pdo
 DEVICE_TYPE = 0x1000
 DEVICE_NAME = 0x1008
 IDENTITY = 0x1018
-SYNC_MANAGER_TYPES, ASSIGN_OUTPUTS, ASSIGN_INPUTS = 0x1C00, 0x1C12, 0x1C13
-"""Communication area (ETG.1000.6): kinds of the sync managers, PDOs in them."""
+SYNC_MANAGER_TYPES = 0x1C00
+ASSIGN_OUTPUTS = 0x1C12
+ASSIGN_INPUTS = 0x1C13
+"""Communication area (ETG.1000.6): device, kinds of the sync managers, PDOs in them."""
 
-MOST_PDOS, MOST_PARTS = 8, 16  # Largest number of PDOs in a sync manager, and of entries in a PDO
+MOST_PDOS = 8  # Largest number of PDOs in a sync manager
+MOST_PARTS = 16  # Largest number of entries in a PDO
 
 
 class Abort(StepGapError):
-    """Refusal of an SDO request.
-
-    Args:
-        code: Abort code (ETG.1000.6, SDO abort codes).
-    """
+    """Refusal of an SDO request, with a code (ETG.1000.6, SDO abort codes)."""
 
     UNKNOWN_COMMAND = 0x05040001
     TOO_LONG = 0x06070010
@@ -103,10 +102,8 @@ class Dictionary:
     Args:
         identity: Objects 0x1008 and 0x1018.
         objects: The application's entries by index and subindex.
-        outputs: PDOs that may be assigned to sync manager 2.
-        inputs: PDOs that may be assigned to sync manager 3.
-        assigned_outputs: Output PDOs assigned initially.
-        assigned_inputs: Input PDOs assigned initially.
+        outputs: PDOs that may be assigned to sync manager 2; `assigned_outputs` are initially.
+        inputs: PDOs that may be assigned to sync manager 3; `assigned_inputs` are initially.
         check: Raises `Abort` if a number must not be written to an index.
         mappable: Whether the contents of PDOs may be written while they are not assigned.
     """
@@ -149,8 +146,6 @@ class Dictionary:
         """Sets an entry from its bytes.
 
         Args:
-            index: Index of the object.
-            subindex: Subindex of the entry.
             data: Value, little-endian, as long as the entry.
             may_assign: Whether the slave is in a state where PDOs may be assigned (PREOP).
 
@@ -218,8 +213,7 @@ class Dictionary:
     def _find(self, index: int, subindex: int) -> ObjectEntry:
         entry = self._entries.get((index, subindex))
         if entry is None:
-            known = (index, 0) in self._entries
-            raise Abort(Abort.NO_SUBINDEX if known else Abort.NO_OBJECT)
+            raise Abort(Abort.NO_SUBINDEX if (index, 0) in self._entries else Abort.NO_OBJECT)
         return entry
 
 

@@ -35,13 +35,13 @@ class DriveLayout:
     assigned_inputs: tuple[int, ...]
     mappable: bool = True
 
-    def idle_objects(self, known: Mapping[tuple[int, int], ObjectEntry]) -> dict[tuple[int, int], ObjectEntry]:
+    def idle_objects(self, implemented: Mapping[tuple[int, int], ObjectEntry]) -> dict[tuple[int, int], ObjectEntry]:
         """Objects in these PDOs that the drive does not implement: they remain 0, or as the master sets them."""
         return {
             (entry.index, entry.subindex): ObjectEntry(0, entry.bits)
             for pdo in (*self.outputs, *self.inputs)
             for entry in pdo.entries
-            if entry.index and (entry.index, entry.subindex) not in known
+            if entry.index and (entry.index, entry.subindex) not in implemented
         }
 
 
@@ -88,8 +88,6 @@ def next_stage(
     """State after a time.
 
     Args:
-        settings: Parameters of the power stage.
-        stage: State before.
         time: The time [s].
         load: Torque, as a fraction of the rated one.
         power: Power that the motor takes from the bus, negative if it is driven [W].
@@ -130,20 +128,28 @@ The temperature [0.1 °C, INTEGER16] is an object of this emulator, since the pr
 
 CYCLIC_SYNCHRONOUS_TORQUE = 10
 
-COMMUNICATION_LOST, SPEED_RUN_AWAY = 0x8130, 0x8400
-"""Error codes (CiA 402-2, error codes): no process data while enabled; the machine left its bounds."""
+# Error codes (CiA 402-2, error codes): no process data while enabled; the machine left its bounds.
+COMMUNICATION_LOST = 0x8130
+SPEED_RUN_AWAY = 0x8400
 
 GENERIC_ERROR = 0x01  # Bit of the error register (CiA 301)
 ELMO_GOLD = Identity("Gold drive", 0x0000009A, 0x00030924, 0x00010420)  # Identity of Elmo's Gold drives
 
-STO_CLOSED, ENABLE_CLOSED = 0x3_0000, 0x4_0000
-"""Bits of the digital inputs: both channels of the STO input, and the enable input; 1 where they are closed."""
+# Bits of the digital inputs: both channels of the STO input, and the enable input; 1 where they are closed.
+STO_CLOSED = 0x3_0000
+ENABLE_CLOSED = 0x4_0000
 
-_SWITCH_ON, VOLTAGE, NO_QUICK_STOP, _ENABLE, FAULT_RESET = 0x01, 0x02, 0x04, 0x08, 0x80
-"""Bits of the controlword (CiA 402-2, object 0x6040)."""
+# Bits of the controlword (CiA 402-2, object 0x6040).
+_SWITCH_ON = 0x01
+VOLTAGE = 0x02
+NO_QUICK_STOP = 0x04
+_ENABLE = 0x08
+FAULT_RESET = 0x80
 
-VOLTAGE_ENABLED, REMOTE, FOLLOWS = 0x0010, 0x0200, 0x1000
-"""Bits of the statusword besides the state: voltage enabled, remote, drive follows the command value."""
+# Bits of the statusword besides the state: voltage enabled, remote, drive follows the command value.
+VOLTAGE_ENABLED = 0x0010
+REMOTE = 0x0200
+FOLLOWS = 0x1000
 
 
 class DriveState(IntEnum):
@@ -160,10 +166,7 @@ class DriveState(IntEnum):
 def next_drive_state(state: DriveState, controlword: int, before: int) -> DriveState:
     """Next state for a controlword (CiA 402-2, device control state machine); at most one transition upwards.
 
-    Args:
-        state: Present state.
-        controlword: New controlword.
-        before: Previous controlword, since a fault is reset by a rising edge.
+    The controlword `before` counts, too, since a fault is reset by a rising edge.
     """
     if state is DriveState.FAULT:
         rises = controlword & ~before & FAULT_RESET
@@ -216,14 +219,12 @@ class Drive(EmulatedDevice):
 
     Args:
         name: Its name in the ring.
-        settings: Its parameters.
         counts: Selects its motor's encoder counts from a reading.
     """
 
     def __init__(self, name: str, settings: DriveSettings, counts: Callable[[Reading], float]):
         self._settings = settings
         self._counts = counts
-        self._position = self._velocity = self._status = self._error = ObjectEntry(0, 0)  # replaced by power_on
         self._true_counts = 0
         self._closed = STO_CLOSED | ENABLE_CLOSED
         self._heating = self._fed = 0.0
@@ -238,47 +239,9 @@ class Drive(EmulatedDevice):
     def power_on(self) -> None:
         """Resets the drive: switch-on disabled, no torque, PDOs as after power-up."""
         settings = self._settings
-        self._control = ObjectEntry(0, 16, writable=True)
-        self._status = ObjectEntry(DriveState.SWITCH_ON_DISABLED, 16)
-        self._mode = ObjectEntry(0, 8, True, True)
-        self._mode_display = ObjectEntry(0, 8, True)
-        self._target = ObjectEntry(0, 16, True, True)
-        self._torque = ObjectEntry(0, 16, True)
-        self._position = ObjectEntry(0, 32, True)
-        self._velocity = ObjectEntry(0, 32, True)
-        self._largest = ObjectEntry(settings.largest_torque, 16, writable=True)
-        self._error = ObjectEntry(0, 16)
-        self._register = ObjectEntry(0, 8)
-        cold = PowerStage(settings.power.ambient, settings.power.voltage)
-        self._stage = cold
-        self._temperature = ObjectEntry(0, 16, True)
-        self._voltage = ObjectEntry(0, 32)
-        self._inputs = ObjectEntry(self._closed, 32)
-        self._abort = ObjectEntry(settings.abort_connection, 16, True, True)
-        options = {index: ObjectEntry(settings.ramps, 16, True, True) for index in OPTION_CODES}
-        entries = {
-            ABORT_CONNECTION: self._abort,
-            **options,
-            CONTROLWORD: self._control,
-            STATUSWORD: self._status,
-            MODE: self._mode,
-            MODE_DISPLAY: self._mode_display,
-            POSITION: self._position,
-            VELOCITY: self._velocity,
-            TARGET_TORQUE: self._target,
-            _LARGEST_TORQUE: self._largest,
-            _RATED_TORQUE: ObjectEntry(settings.rated_torque, 32),
-            TORQUE: self._torque,
-            _ERROR_CODE: self._error,
-            ERROR_REGISTER: self._register,
-            DRIVE_TEMPERATURE: self._temperature,
-            DC_LINK_VOLTAGE: self._voltage,
-            DRIVE_INPUTS: self._inputs,
-            SUPPORTED_MODES: ObjectEntry(1 << CYCLIC_SYNCHRONOUS_TORQUE - 1, 32),
-        }
-        objects = {(index, 0): entry for index, entry in entries.items()}
         layout = settings.layout
-        self._objects = entries
+        self._objects = _objects_after_power_up(settings)
+        objects = {(index, 0): entry for index, entry in self._objects.items()}
         self.dictionary = Dictionary(
             settings.identity,
             {**objects, **layout.idle_objects(objects)},
@@ -289,6 +252,7 @@ class Drive(EmulatedDevice):
             _check,
             layout.mappable,
         )
+        self._stage = PowerStage(settings.power.ambient, settings.power.voltage)
         self.state = DriveState.SWITCH_ON_DISABLED
         self.torque = 0.0
         self._before = 0
@@ -303,35 +267,40 @@ class Drive(EmulatedDevice):
     def update(self, operational: bool) -> None:
         """Updates the state, then the torque; an enabled drive without process data trips."""
         if operational:
-            self.state = next_drive_state(self.state, self._control.value, self._before)
-            self._before = self._control.value
+            controlword = self._objects[CONTROLWORD].value
+            self.state = next_drive_state(self.state, controlword, self._before)
+            self._before = controlword
         elif self.state in (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP):
             self._lose_connection()
         elif self.state is not DriveState.FAULT:
             self.state = DriveState.SWITCH_ON_DISABLED
         if self._closed != STO_CLOSED | ENABLE_CLOSED and self.state is not DriveState.FAULT:
             self.state = DriveState.SWITCH_ON_DISABLED
-        if self.state is not DriveState.FAULT and self._error.value:
-            self._error.value = self._register.value = 0
-            self.messages.append(emergency(0, 0))  # the error is reset
-        if self._mode.value in (0, CYCLIC_SYNCHRONOUS_TORQUE):
-            self._mode_display.value = self._mode.value
+        if self.state is not DriveState.FAULT and self._objects[_ERROR_CODE].value:
+            self._report_error(0, 0)  # it is reset
+        if self._objects[MODE].value in (0, CYCLIC_SYNCHRONOUS_TORQUE):
+            self._objects[MODE_DISPLAY].value = self._objects[MODE].value
         self._act()
 
     def _lose_connection(self) -> None:
         """Acts as the option code 0x6007 demands, after which a drive may continue with its last torque."""
-        if self._abort.value == 1:
+        option = self._objects[ABORT_CONNECTION].value
+        if option == 1:
             self.trip(COMMUNICATION_LOST)
-        elif self._abort.value in (2, 3):
+        elif option in (2, 3):
             self.state = DriveState.SWITCH_ON_DISABLED
 
     def trip(self, code: int) -> None:
         """Enters the fault state: torque off, emergency sent, latched until reset; the first fault is kept."""
         if self.state is not DriveState.FAULT:
             self.state = DriveState.FAULT
-            self._error.value, self._register.value = code, GENERIC_ERROR
-            self.messages.append(emergency(code, GENERIC_ERROR))
+            self._report_error(code, GENERIC_ERROR)
         self._act()
+
+    def _report_error(self, code: int, register: int) -> None:
+        self._objects[_ERROR_CODE].value = code
+        self._objects[ERROR_REGISTER].value = register
+        self.messages.append(emergency(code, register))
 
     def begin(self, fault: Fault) -> None:
         """Begins one of `DRIVE_FAULTS`."""
@@ -352,13 +321,13 @@ class Drive(EmulatedDevice):
                 self._stuck[fault["index"]] = present if value is None else value
             case "wrong torque":
                 self._wrong = fault
-                self._kept = self._torque.value
+                self._kept = self._objects[TORQUE].value
             case "status bits":
                 self._raised |= fault["raised"]
                 self._cleared |= fault["cleared"]
             case "delayed":
                 length = fault["torque"] + 1
-                self._late_torque = deque([self._torque.value] * length, length)
+                self._late_torque = deque([self._objects[TORQUE].value] * length, length)
                 length = fault["counts"] + 1
                 self._late_counts = deque([self._true_counts] * length, length)
 
@@ -367,9 +336,11 @@ class Drive(EmulatedDevice):
         self._late_counts.append(round(self._counts(reading)))
         counts = self._late_counts[0]
         shown = self.error.shown(counts)
-        moved = counts - self._true_counts if self.error.true_velocity else shown - self._position.value
-        self._velocity.value = round(moved / self._settings.period)
-        self._position.value, self._true_counts = shown, counts
+        position = self._objects[POSITION]
+        moved = counts - self._true_counts if self.error.true_velocity else shown - position.value
+        self._objects[VELOCITY].value = round(moved / self._settings.period)
+        position.value = shown
+        self._true_counts = counts
         self._measure(moved / self._settings.counts_per_turn * tau)
 
     def _measure(self, turned: float) -> None:
@@ -377,26 +348,51 @@ class Drive(EmulatedDevice):
         settings = self._settings
         period = self._settings.period
         taken = self.torque * turned / period - self._fed
-        self._stage = next_stage(settings.power, self._stage, period, self._torque.value / 1000, taken, self._heating)
-        self._temperature.value = round(10 * self._stage.temperature)
-        self._voltage.value = round(1000 * self._stage.voltage)
-        self._inputs.value = self._closed
+        load = self._objects[TORQUE].value / 1000
+        self._stage = next_stage(settings.power, self._stage, period, load, taken, self._heating)
+        self._objects[DRIVE_TEMPERATURE].value = round(10 * self._stage.temperature)
+        self._objects[DC_LINK_VOLTAGE].value = round(1000 * self._stage.voltage)
+        self._objects[DRIVE_INPUTS].value = self._closed
         for index, value in self._stuck.items():
             self._objects[index].value = value
 
     def _act(self) -> None:
-        follows = self.state is DriveState.OPERATION_ENABLED and self._mode_display.value == CYCLIC_SYNCHRONOUS_TORQUE
-        limit = self._largest.value
-        self._late_torque.append(min(max(self._target.value, -limit), limit) if follows else 0)
+        follows = self.is_enabled and self._objects[MODE_DISPLAY].value == CYCLIC_SYNCHRONOUS_TORQUE
+        limit = self._objects[_LARGEST_TORQUE].value
+        self._late_torque.append(min(max(self._objects[TARGET_TORQUE].value, -limit), limit) if follows else 0)
         commanded = given = self._late_torque[0] if follows else 0
         if follows and self._wrong:
             wrong = self._wrong
             given = self._kept if wrong["is_kept"] else round(wrong["factor"] * commanded) + wrong["offset"]
             commanded = given if wrong["is_reported"] else commanded
-        self._torque.value = commanded
+        self._objects[TORQUE].value = commanded
         self.torque = given * self._settings.rated_torque * (self._settings.rated_torque_unit / 1000)
         status = self.state | VOLTAGE_ENABLED | REMOTE | (FOLLOWS if follows else 0)
-        self._status.value = (status | self._raised) & ~self._cleared
+        self._objects[STATUSWORD].value = (status | self._raised) & ~self._cleared
+
+
+def _objects_after_power_up(settings: DriveSettings) -> dict[int, ObjectEntry]:
+    """The objects of a drive, by index."""
+    return {
+        ABORT_CONNECTION: ObjectEntry(settings.abort_connection, 16, True, True),
+        **{index: ObjectEntry(settings.ramps, 16, True, True) for index in OPTION_CODES},
+        CONTROLWORD: ObjectEntry(0, 16, writable=True),
+        STATUSWORD: ObjectEntry(DriveState.SWITCH_ON_DISABLED, 16),
+        MODE: ObjectEntry(0, 8, True, True),
+        MODE_DISPLAY: ObjectEntry(0, 8, True),
+        POSITION: ObjectEntry(0, 32, True),
+        VELOCITY: ObjectEntry(0, 32, True),
+        TARGET_TORQUE: ObjectEntry(0, 16, True, True),
+        _LARGEST_TORQUE: ObjectEntry(settings.largest_torque, 16, writable=True),
+        _RATED_TORQUE: ObjectEntry(settings.rated_torque, 32),
+        TORQUE: ObjectEntry(0, 16, True),
+        _ERROR_CODE: ObjectEntry(0, 16),
+        ERROR_REGISTER: ObjectEntry(0, 8),
+        DRIVE_TEMPERATURE: ObjectEntry(0, 16, True),
+        DC_LINK_VOLTAGE: ObjectEntry(0, 32),
+        DRIVE_INPUTS: ObjectEntry(0, 32),
+        SUPPORTED_MODES: ObjectEntry(1 << CYCLIC_SYNCHRONOUS_TORQUE - 1, 32),
+    }
 
 
 def _check(index: int, value: int) -> None:

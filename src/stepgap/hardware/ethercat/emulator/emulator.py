@@ -70,7 +70,6 @@ def run_emulator(
     Args:
         interface: Name of the end that a master opens.
         machine: Machine that the drives move.
-        settings: Settings of the ring.
         report: Called once, when the ring is ready, with a line that names its interface.
         stop: Ends the ring when it becomes readable or is closed on the other side.
         now: Time of the slaves' clocks [ns]; by default that of the ticks in lock-step, otherwise the wall clock.
@@ -92,17 +91,13 @@ def run_emulator(
 
 @contextmanager
 def emulated(
-    interface: str,
-    make_machine: Callable[[], Machine],
-    settings: RingSettings,
-    now: Callable[[], int] | None = None,
+    interface: str, make_machine: Callable[[], Machine], settings: RingSettings, now: Callable[[], int] | None = None
 ) -> Iterator[None]:
     """Runs the ring in a separate process, which ends with the block, and also when this process dies.
 
     Args:
         interface: Name of the end that the master opens.
         make_machine: Creates the machine that the drives move, in that process; it must be possible to pickle it.
-        settings: Settings of the ring.
         now: Time of the slaves' clocks as for `run_emulator`, such as a `ComputedTime`; must be picklable.
 
     Raises:

@@ -116,7 +116,6 @@ def encode(frame: Frame, received: bytes = b"") -> bytes:
     """Encodes an Ethernet frame, padded to the least length.
 
     Args:
-        frame: The frame.
         received: What the frame was decoded from, if it is passed on: its length, and all bytes that belong to no
             datagram, remain, as with slave controllers.
     """

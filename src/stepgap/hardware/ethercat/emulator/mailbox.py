@@ -19,11 +19,7 @@ def mailbox_area(memory: bytearray, number: int) -> tuple[int, int, bool]:
 
 
 class OutgoingMail:
-    """Messages from a slave to the master, one after the other in the outgoing mailbox.
-
-    Args:
-        memory: Memory of the slave controller.
-    """
+    """Messages from a slave to the master, one after the other in the outgoing mailbox of its memory."""
 
     def __init__(self, memory: bytearray):
         self._memory = memory
@@ -68,23 +64,35 @@ class OutgoingMail:
         self._memory[_MANAGER + 5] |= reg.MAILBOX_FULL
 
 
-MAILBOX_ERROR, COE = 0, 3  # Mailbox types (ETG.1000.4, mailbox header)
+# Mailbox types (ETG.1000.4, mailbox header).
+MAILBOX_ERROR = 0
+COE = 3
 
-EMERGENCY, SDO_REQUEST, SDO_RESPONSE, PDO_REQUEST, SDO_INFORMATION = 1, 2, 3, 7, 8
-"""CoE services (ETG.1000.6, CoE header). An abort is a request, also from a slave."""
+# CoE services (ETG.1000.6, CoE header). An abort is a request, also from a slave.
+EMERGENCY = 1
+SDO_REQUEST = 2
+SDO_RESPONSE = 3
+PDO_REQUEST = 7
+SDO_INFORMATION = 8
 
+# Commands in the SDO command byte, their mask, and flags (ETG.1000.6, SDO services).
 UPLOAD = 0x40
 DOWNLOAD = 0x20
 DOWNLOADED = 0x60
 ABORT = 0x80
-COMMAND_MASK, EXPEDITED, SIZE_GIVEN, COMPLETE = 0xE0, 0x02, 0x01, 0x10
-"""Command and flags in the SDO command byte (ETG.1000.6, SDO services)."""
+COMMAND_MASK = 0xE0
+EXPEDITED = 0x02
+SIZE_GIVEN = 0x01
+COMPLETE = 0x10
 
 INFORMATION_ERROR = 7
 """Operation code of the answer that refuses a request for information on objects (ETG.1000.6, SDO information)."""
 
-UNSUPPORTED_PROTOCOL, UNSUPPORTED_SERVICE, INVALID_HEADER, TOO_SHORT = 0x0002, 0x0004, 0x0005, 0x0006
-"""Details of a mailbox error: type or service not supported, wrong header, too short for its service (ETG.1000.4)."""
+# Details of a mailbox error: type or service not supported, wrong header, too short for its service (ETG.1000.4).
+UNSUPPORTED_PROTOCOL = 0x0002
+UNSUPPORTED_SERVICE = 0x0004
+INVALID_HEADER = 0x0005
+TOO_SHORT = 0x0006
 
 _HEADER = Struct("<HHBB")
 _SDO = Struct("<HBHB")
@@ -95,7 +103,6 @@ def answer(dictionary: Dictionary, request: bytes, may_assign: bool, room: int) 
     """Answers a mailbox message.
 
     Args:
-        dictionary: Dictionary that is read and written.
         request: Mailbox message of a master; it may contain arbitrary bytes.
         may_assign: Whether PDOs may be assigned in the present state.
         room: Longest answer [bytes]; longer objects are refused, since segments are not supported.
@@ -141,15 +148,9 @@ def _served(
     raise Abort(Abort.UNKNOWN_COMMAND)
 
 
-def emergency(code: int, register: int, detail: bytes = b"") -> bytes:
-    """Encodes an emergency message (ETG.1000.6, emergency service).
-
-    Args:
-        code: Error code, as in object 0x603F.
-        register: Error register, as in object 0x1001.
-        detail: Up to five bytes that the vendor defines.
-    """
-    return _message(COE, pack("<HHB", EMERGENCY << 12, code, register) + detail[:5].ljust(5, b"\0"))
+def emergency(code: int, register: int) -> bytes:
+    """Encodes an emergency message (ETG.1000.6, emergency service): error code (0x603F) and error register (0x1001)."""
+    return _message(COE, pack("<HHB5x", EMERGENCY << 12, code, register))
 
 
 def _uploaded(value: bytes, room: int) -> tuple[int, bytes]:

@@ -2,38 +2,61 @@
 
 from enum import IntEnum
 
-TYPE, FMMU_COUNT, ESC_FEATURES = 0x0000, 0x0004, 0x0008
-"""Type of the slave controller, numbers of its parts from 0x0004 on, and features (§6.1.1)."""
+# Type of the slave controller, numbers of its parts from 0x0004 on, and features (§6.1.1).
+TYPE = 0x0000
+FMMU_COUNT = 0x0004
+ESC_FEATURES = 0x0008
 
+# Data link: DL_STATUS contains which ports are linked, open or looped back, and so the topology (§6.1.4).
 STATION_ADDRESS = 0x0010
-DL_CONTROL, DL_STATUS = 0x0100, 0x0110
-"""Data link: DL_STATUS contains which ports are linked, open or looped back, and so the topology (§6.1.4)."""
+DL_CONTROL = 0x0100
+DL_STATUS = 0x0110
 
-AL_CONTROL, AL_STATUS, AL_STATUS_CODE = 0x0120, 0x0130, 0x0134
-"""Application layer: requested state, present state, reason of a refusal (ETG.1000.6 §5.3)."""
+# Application layer: requested state, present state, reason of a refusal (ETG.1000.6 §5.3).
+AL_CONTROL = 0x0120
+AL_STATUS = 0x0130
+AL_STATUS_CODE = 0x0134
 
 PDI_CONTROL = 0x0140
 INTERRUPT_MASK = 0x0200
 ERROR_COUNTERS = 0x0300
 
-WATCHDOG_DIVIDER, WATCHDOG_TIME, WATCHDOG_STATUS, WATCHDOG_COUNTER = 0x0400, 0x0420, 0x0440, 0x0442
-"""Watchdog of process data: its time has the unit (divider + 2) · 40 ns; status bit 0 is 0 once it expired (§6.3)."""
-
+# Watchdog of process data: its time has the unit (divider + 2) · 40 ns; status bit 0 is 0 once it expired (§6.3).
+WATCHDOG_DIVIDER = 0x0400
 PDI_WATCHDOG_TIME = 0x0410
-EEPROM_CONFIGURATION, EEPROM_CONTROL, EEPROM_ADDRESS, EEPROM_DATA = 0x0500, 0x0502, 0x0504, 0x0508
-"""Slave information interface (§6.4): write address and command, read the data."""
+WATCHDOG_TIME = 0x0420
+WATCHDOG_STATUS = 0x0440
+WATCHDOG_COUNTER = 0x0442
 
-EEPROM_READ, EEPROM_COMMANDS, EEPROM_COMMAND_ERROR, EEPROM_READS_8_BYTES = 0x0100, 0x0700, 0x2000, 0x0040
-"""The command that reads, all commands; bits of the state: the command was refused, a read gives 8 bytes."""
+# Slave information interface (§6.4): write address and command, read the data.
+EEPROM_CONFIGURATION = 0x0500
+EEPROM_CONTROL = 0x0502
+EEPROM_ADDRESS = 0x0504
+EEPROM_DATA = 0x0508
 
-FMMU, FMMU_SIZE, FMMU_SLOTS = 0x0600, 16, 4  # Fieldbus memory management units (§6.6): logical address → memory
+# Its command that reads, and all commands; bits of its state: the command was refused, a read gives 8 bytes.
+EEPROM_READ = 0x0100
+EEPROM_COMMANDS = 0x0700
+EEPROM_COMMAND_ERROR = 0x2000
+EEPROM_READS_8_BYTES = 0x0040
 
-SYNC_MANAGER, SYNC_MANAGER_SIZE, SYNC_MANAGER_SLOTS = 0x0800, 8, 4
-"""Sync managers (§6.7): 0 mailbox in, 1 mailbox out, 2 outputs, 3 inputs."""
+# Fieldbus memory management units (§6.6): logical address → memory.
+FMMU = 0x0600
+FMMU_SIZE = 16
+FMMU_SLOTS = 4
 
-MAILBOX_FULL, SYNC_MANAGER_ENABLED, WATCHDOG_TRIGGER, REPEAT = 0x08, 0x01, 0x40, 0x02
-"""Bits of a sync manager's status, activation, control, and again activation and its echo."""
+# Sync managers (§6.7): 0 mailbox in, 1 mailbox out, 2 outputs, 3 inputs.
+SYNC_MANAGER = 0x0800
+SYNC_MANAGER_SIZE = 8
+SYNC_MANAGER_SLOTS = 4
 
+# Bits of a sync manager's status, activation, control, and again activation and its echo.
+MAILBOX_FULL = 0x08
+SYNC_MANAGER_ENABLED = 0x01
+WATCHDOG_TRIGGER = 0x40
+REPEAT = 0x02
+
+# Distributed clocks (§6.8): receive times of the ports, system time, its parts and their control; then SYNC0.
 DC_RECEIVE_TIME = 0x0900
 DC_SYSTEM_TIME = 0x0910
 DC_RECEIVE_TIME_UNIT = 0x0918
@@ -41,9 +64,10 @@ DC_OFFSET = 0x0920
 DC_DELAY = 0x0928
 DC_DIFFERENCE = 0x092C
 DC_SPEED_COUNTER = 0x0930
-DC_ACTIVATION, DC_START, DC_CYCLE_0, DC_END = 0x0981, 0x0990, 0x09A0, 0x09A8
-"""Distributed clocks (§6.8): receive times of the ports, system time, its parts and their control; then SYNC0."""
-
+DC_ACTIVATION = 0x0981
+DC_START = 0x0990
+DC_CYCLE_0 = 0x09A0
+DC_END = 0x09A8
 DC_SYNC0_ACTIVE = 0x03  # Bits of the activation: cyclic operation and SYNC0
 
 PROCESS_RAM = 0x1000

@@ -54,24 +54,16 @@ class Ring:
 
     Args:
         machine: Machine that the drives move.
-        settings: Settings of the ring.
-        devices: Devices in the order in which frames pass them; by default those of the machine.
         now: Time at which a frame reaches the first slave [ns]; by default the ticks so far times their period.
 
     Raises:
         ValueError: There is no drive, names are not distinct, or a fault names an unknown slave.
     """
 
-    def __init__(
-        self,
-        machine: Machine,
-        settings: RingSettings,
-        devices: Sequence[EmulatedDevice] | None = None,
-        now: Callable[[], int] | None = None,
-    ):
+    def __init__(self, machine: Machine, settings: RingSettings, now: Callable[[], int] | None = None):
         self._time = RingTime()
-        self._now = now or self._ticked_time
-        self.slaves = _slaves(devices or machine.devices(settings), settings, self._time)
+        self._now = now or (lambda: self.ticks * self._period)
+        self.slaves = _slaves(machine.devices(settings), settings, self._time)
         self._by_name = {slave.device.name: slave for slave in self.slaves}
         self.drives = [slave.device for slave in self.slaves if isinstance(slave.device, Drive)]
         if not self.drives or len(self._by_name) < len(self.slaves):
@@ -133,24 +125,20 @@ class Ring:
         cycle = self.cycles
         settings = self._settings
         self.cycles += 1
-        lost = False
-        copies = 1
-        late = False
-        if settings.faults:
+        faults = settings.faults
+        if faults:
             self._disturb(cycle)
-            lost = any(fault.kind == "lost frames" and fault.lasts(cycle) for fault in settings.faults)
-            copies += Fault("duplicated frame", cycle) in settings.faults
-            late = Fault("late frame", cycle) in settings.faults
+        lost = any(fault.kind == "lost frames" and fault.lasts(cycle) for fault in faults)
+        copies = 2 if faults and Fault("duplicated frame", cycle) in faults else 1
+        late = bool(faults) and Fault("late frame", cycle) in faults
         answers = [] if lost else self._answers(frame, raw)
         if settings.lock_step:
             self.advance()
             if settings.inputs_after_tick:
                 answers = [self._with_new_inputs(answer) for answer in answers]
         answers = self._late + answers * copies
-        self._late = []
-        if late:
-            answers, self._late = [], answers
-        return answers
+        self._late = answers if late else []
+        return [] if late else answers
 
     def _answers(self, frame: Frame, raw: bytes) -> list[bytes]:
         """The frame after it has passed all connected slaves; nothing if the first one is not connected."""
@@ -189,9 +177,6 @@ class Ring:
             travel = 2 * max(0, count - number) * self._settings.clocks.hop_delay
             slave.link(1 if number in (count, len(self.slaves)) else 2, travel)
 
-    def _ticked_time(self) -> int:
-        return self.ticks * self._period
-
     def _disturb(self, cycle: int) -> None:
         """Applies the scripted faults of this cycle to slaves and time."""
         reached = len(self.slaves)
@@ -226,7 +211,7 @@ class Ring:
         elif fault.kind == "wrong mapping":
             slave.wrong_mapping = True
             if slave.state in (AlState.SAFEOP, AlState.OP):
-                slave.drop(AlState.PREOP, StatusCode.INVALID_INPUTS)
+                slave.set_state(AlState.PREOP, StatusCode.INVALID_INPUTS)
 
 
 def _slaves(devices: Sequence[EmulatedDevice], settings: RingSettings, time: RingTime) -> list[EmulatedSlave]:

@@ -3,15 +3,19 @@
 from dataclasses import dataclass
 from struct import pack
 
-STRINGS, GENERAL, FMMU_USE, SYNC_MANAGERS, END = 10, 30, 40, 41, 0xFFFF
-"""Categories, from word 0x40 on (ETG.2010, category types)."""
+# Categories, from word 0x40 on (ETG.2010, category types).
+STRINGS = 10
+GENERAL = 30
+FMMU_USE = 40
+SYNC_MANAGERS = 41
+END = 0xFFFF
 
 CANOPEN = 0x04  # Bit of the mailbox protocols in word 0x1C: CANopen over EtherCAT
-SDO, PDO_ASSIGN = 0x01, 0x04  # Bits of GENERAL's CoE details: SDOs are supported, 0x1C12 and 0x1C13 may be written
+SDO = 0x01  # Bit of GENERAL's CoE details: SDOs are supported
+PDO_ASSIGN = 0x04  # Bit of GENERAL's CoE details: 0x1C12 and 0x1C13 may be written
 SPI = 0x05  # Interface of the slave controller to its device, in the lowest byte: SPI; 0 is none
-
-CHECKED, FIRST_CATEGORY = 14, 0x80
-"""Length of the configuration that a checksum follows; byte address of the first category."""
+CHECKED = 14  # Length of the configuration that a checksum follows [bytes]
+FIRST_CATEGORY = 0x80  # Byte address of the first category
 
 
 @dataclass(frozen=True)
@@ -53,16 +57,12 @@ class Area:
 MAILBOX_AREAS = (Area(0x1000, 128, 0x26, 1), Area(0x1080, 128, 0x22, 2))
 OUTPUT_START = 0x1100
 INPUT_START = 0x1180
-OUTPUT_CONTROL, INPUT_CONTROL = 0x64, 0x20  # Three buffers; outputs trigger the watchdog
+OUTPUT_CONTROL = 0x64  # Three buffers, which trigger the watchdog
+INPUT_CONTROL = 0x20  # Three buffers
 
 
 def build_image(identity: Identity, areas: tuple[Area, ...]) -> bytes:
-    """Builds the content of a slave's EEPROM.
-
-    Args:
-        identity: Identity of the slave.
-        areas: Its sync managers, empty for a slave without mailbox and process data.
-    """
+    """Builds the content of a slave's EEPROM; `areas` is empty for a slave without mailbox and process data."""
     fixed = bytearray(FIRST_CATEGORY)
     fixed[0] = SPI if areas else 0
     fixed[CHECKED] = checksum(bytes(fixed[:CHECKED]))

@@ -48,8 +48,6 @@ class EmulatedSlave:
 
     Args:
         device: The device.
-        time: True time of the ring.
-        error: Error of the rate of its clock.
         delay: Time of a frame from the first slave to this one [ns].
         watch: Supervision of frames by a device that needs SYNC0; None if it needs none.
     """
@@ -99,14 +97,13 @@ class EmulatedSlave:
         self._inputs = NO_IMAGE
         self._outputs_at = 0
         self._inputs_at = 0
-        self._set_state(AlState.INIT)
+        self.set_state(AlState.INIT)
         self.device.power_on()
 
     def link(self, ports: int, travel_behind: int = 0) -> None:
         """Sets the first `ports` (1 or 2) as linked, the others as looped back (DL_STATUS, ETG.1000.4 §6.1.4).
 
         Args:
-            ports: Number of linked ports.
             travel_behind: Time until a frame comes back from the slaves behind this one [ns].
         """
         self._travel_behind = travel_behind
@@ -159,10 +156,6 @@ class EmulatedSlave:
         self.device.sense(reading)
         self._refresh_inputs()
 
-    def drop(self, state: AlState, code: StatusCode) -> None:
-        """Falls back to a state with a status code; the master must acknowledge it."""
-        self._set_state(state, code)
-
     def _refresh_inputs(self) -> None:
         if self.state >= AlState.SAFEOP and self._inputs.length:
             self.memory[self._inputs_at : self._inputs_at + self._inputs.length] = self._inputs.pack()
@@ -173,14 +166,14 @@ class EmulatedSlave:
         if self._outputs.length and limit and self._time - self._written >= limit:
             self.memory[reg.WATCHDOG_STATUS] = 0
             self.memory[reg.WATCHDOG_COUNTER] = min(self.memory[reg.WATCHDOG_COUNTER] + 1, 255)
-            self.drop(AlState.SAFEOP, StatusCode.WATCHDOG)
+            self.set_state(AlState.SAFEOP, StatusCode.WATCHDOG)
 
     def _watch_sync(self) -> None:
         """Returns to SAFEOP when too many frames with outputs miss their windows between two SYNC0 events."""
         if self._sync_watch is None or self.state is not AlState.OP:
             return
         if not self._sync_watch.passed(Sync0.of(self.memory), self.clock.system_time()):
-            self.drop(AlState.SAFEOP, StatusCode.SYNCHRONISATION)
+            self.set_state(AlState.SAFEOP, StatusCode.SYNCHRONISATION)
 
     # ---- memory
 
@@ -219,8 +212,8 @@ class EmulatedSlave:
             return 0
         if offset < reg.DC_SPEED_COUNTER and end > reg.DC_SYSTEM_TIME:
             self.clock.refresh()
-        found = self.memory[offset:end]
-        data[:] = bytes(a | b for a, b in zip(data, found, strict=True)) if combine else found
+        content = self.memory[offset:end]
+        data[:] = bytes(a | b for a, b in zip(data, content, strict=True)) if combine else content
         if mail and end >= start + length:
             self._mail.taken()
         return 1
@@ -304,7 +297,8 @@ class EmulatedSlave:
 
     # ---- states
 
-    def _set_state(self, state: AlState, code: StatusCode = StatusCode.NONE) -> None:
+    def set_state(self, state: AlState, code: StatusCode = StatusCode.NONE) -> None:
+        """Enters a state; a status code says why it was refused or lost, which the master must acknowledge."""
         self.state = state
         """Present state of the application layer."""
         pack_into("<H", self.memory, reg.AL_STATUS, state | (reg.ERROR_FLAG if code else 0))
@@ -321,13 +315,13 @@ class EmulatedSlave:
         if self.memory[reg.AL_STATUS] & reg.ERROR_FLAG and not acknowledged:
             return
         if wanted == reg.BOOTSTRAP:
-            self._set_state(present, StatusCode.NO_BOOTSTRAP if present is AlState.INIT else StatusCode.INVALID_CHANGE)
+            self.set_state(present, StatusCode.NO_BOOTSTRAP if present is AlState.INIT else StatusCode.INVALID_CHANGE)
         elif wanted not in tuple(AlState):
-            self._set_state(present, StatusCode.UNKNOWN_STATE)
+            self.set_state(present, StatusCode.UNKNOWN_STATE)
         elif wanted > 2 * present:
-            self._set_state(present, StatusCode.INVALID_CHANGE)
+            self.set_state(present, StatusCode.INVALID_CHANGE)
         else:
-            self._set_state(*self._enter(AlState(wanted), present))
+            self.set_state(*self._enter(AlState(wanted), present))
             self._refresh_inputs()
 
     def _enter(self, wanted: AlState, present: AlState) -> tuple[AlState, StatusCode]:
@@ -336,7 +330,7 @@ class EmulatedSlave:
             self._mail.clear()
             self._request_counter = 0
             return wanted, StatusCode.NONE
-        if wanted is AlState.PREOP and present is AlState.INIT and not self._managers_agree(0, 1):
+        if wanted is AlState.PREOP and present is AlState.INIT and not self._mailboxes_agree():
             return present, StatusCode.INVALID_MAILBOX
         if wanted is AlState.SAFEOP and present is AlState.PREOP:
             return self._enter_safe_operational()
@@ -368,14 +362,14 @@ class EmulatedSlave:
         if dictionary is not None:
             outputs = dictionary.image(ASSIGN_OUTPUTS)
             inputs = dictionary.image(ASSIGN_INPUTS)
-            more = 1 if self.wrong_mapping else 0
             if not self._maps(2, outputs.length):
                 return AlState.PREOP, StatusCode.INVALID_OUTPUTS
-            if not self._maps(3, inputs.length + more):
+            if not self._maps(3, inputs.length + self.wrong_mapping):
                 return AlState.PREOP, StatusCode.INVALID_INPUTS
             self._outputs = outputs
             self._inputs = inputs
-            self._outputs_at, self._inputs_at = self._manager(2)[0], self._manager(3)[0]
+            self._outputs_at = self._manager(2)[0]
+            self._inputs_at = self._manager(3)[0]
         return AlState.SAFEOP, StatusCode.NONE
 
     def _maps(self, number: int, expected: int) -> bool:
@@ -385,11 +379,10 @@ class EmulatedSlave:
             return not (enabled and length)
         return enabled and length == expected and reg.PROCESS_RAM <= start <= reg.MEMORY_SIZE - length
 
-    def _managers_agree(self, *numbers: int) -> bool:
+    def _mailboxes_agree(self) -> bool:
         """Whether the mailboxes are those of the EEPROM."""
-        return not self._areas or all(
-            self._manager(number) == (self._areas[number].start, self._areas[number].length, True) for number in numbers
-        )
+        wanted = [(area.start, area.length, True) for area in self._areas[:2]]
+        return [self._manager(number) for number in range(len(wanted))] == wanted
 
     def _manager(self, number: int) -> tuple[int, int, bool]:
         base = reg.SYNC_MANAGER + number * reg.SYNC_MANAGER_SIZE

@@ -13,8 +13,11 @@ COUPLER_IDENTITY = Identity("EK1100", BECKHOFF, 0x044C2C52, 0x00110000)
 ENCODER_IDENTITY = Identity("EL5151", BECKHOFF, 0x141F3052, 0x00110000)
 ANALOG_IDENTITY = Identity("EL3101", BECKHOFF, 0x0C1D3052, 0x00110000)
 
-INPUTS, OUTPUTS, VALUE, LATCH = 0x6000, 0x7000, 0x11, 0x12
-"""Objects and subindices of a terminal's first channel (ETG.5001)."""
+# Objects and subindices of a terminal's first channel (ETG.5001).
+INPUTS = 0x6000
+OUTPUTS = 0x7000
+VALUE = 0x11
+LATCH = 0x12
 
 STATUS_BITS = range(1, 17)
 """Subindices of the bits of a terminal's status word; 0x0F is *TxPDO State*: the data are not valid."""
@@ -40,12 +43,11 @@ class EncoderTerminal(EmulatedDevice):
     Args:
         name: Its name in the ring.
         counts: Selects the encoder's counts from a reading.
-        identity: Its identity.
     """
 
-    def __init__(self, name: str, counts: Callable[[Reading], float], identity: Identity = ENCODER_IDENTITY):
+    def __init__(self, name: str, counts: Callable[[Reading], float]):
         self._counts = counts
-        super().__init__(name, identity)
+        super().__init__(name, ENCODER_IDENTITY)
         self.power_on()
 
     def power_on(self) -> None:
@@ -75,15 +77,12 @@ class AnalogInput(EmulatedDevice):
         name: Its name in the ring.
         value: Selects the value from a reading.
         resolution: Value of one count.
-        identity: Its identity.
     """
 
-    def __init__(
-        self, name: str, value: Callable[[Reading], float], resolution: float, identity: Identity = ANALOG_IDENTITY
-    ):
+    def __init__(self, name: str, value: Callable[[Reading], float], resolution: float):
         self._value = value
         self._resolution = resolution
-        super().__init__(name, identity)
+        super().__init__(name, ANALOG_IDENTITY)
         self.power_on()
 
     def power_on(self) -> None:

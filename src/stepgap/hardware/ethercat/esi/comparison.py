@@ -9,7 +9,8 @@ from stepgap.hardware.ethercat.rig_settings import Slave
 from stepgap.hardware.ethercat.startup import LAYOUTS, is_reserved
 from stepgap.rigs.rig import Finding
 
-OUTPUT_MANAGER, INPUT_MANAGER = 2, 3  # Sync managers to which the rig assigns PDOs, with the objects 0x1C12 and 0x1C13
+OUTPUT_MANAGER = 2  # Sync manager to which the rig assigns PDOs with the object 0x1C12
+INPUT_MANAGER = 3  # The same for 0x1C13
 _WATCHDOG_TRIGGER = 0x40  # Bit of a sync manager's control byte: its data restart the watchdog of the process data
 SYNC_SIGNALS = 0x0700  # Bits of *AssignActivate* for SYNC0 and SYNC1; the rig sets no others
 
@@ -34,7 +35,6 @@ def compare_with_esi(
     Args:
         slave: The slave as `rig.toml` describes it.
         pdos: Its PDOs.
-        file: The ESI file.
         state_timeout: Time that the master waits for OP [s].
         found_revision: Revision number of the device on the bus; None if it is not known.
     """
@@ -53,23 +53,24 @@ def compare_with_esi(
     ]
 
 
-def _device_of(slave: Slave, file: EsiFile, found: int | None) -> tuple[EsiDevice | None, list[Finding]]:
+def _device_of(slave: Slave, file: EsiFile, present: int | None) -> tuple[EsiDevice | None, list[Finding]]:
     """The device in the file: of the right revision, or of the nearest one, with what is doubtful about that."""
-    devices = sorted((each for each in file.devices if each.product == slave.product), key=lambda each: each.revision)
+    alike = [device for device in file.devices if device.product == slave.product]
+    devices = sorted(alike, key=lambda device: device.revision)
     if not devices:
-        known = _listed(sorted({each.product for each in file.devices}), 8)
-        return None, [Finding(f"product = 0x{slave.product:08X}, but the file describes {known or 'no device'}")]
-    wanted = slave.revision or found
-    known = _listed([each.revision for each in devices], 8)
+        products = _listed(sorted({device.product for device in file.devices}), 8)
+        return None, [Finding(f"product = 0x{slave.product:08X}, but the file describes {products or 'no device'}")]
+    wanted = slave.revision or present
+    revisions = _listed([device.revision for device in devices], 8)
     if not wanted:
-        doubt = f"the file describes the revisions {known}; the last one is compared: give revision in rig.toml"
+        doubt = f"the file describes the revisions {revisions}; the last one is compared: give revision in rig.toml"
         return devices[-1], [Finding(doubt, is_error=False)] if len(devices) > 1 else []
-    nearest = [each for each in devices if each.revision <= wanted][-1:] or devices[:1]
+    nearest = [device for device in devices if device.revision <= wanted][-1:] or devices[:1]
     if nearest[0].revision == wanted:
         return nearest[0], []
     if slave.revision:
-        return nearest[0], [Finding(f"revision = 0x{wanted:08X}, but the file describes {known}")]
-    doubt = f"the device has revision 0x{wanted:08X}, but the file describes {known}; get the file of this revision"
+        return nearest[0], [Finding(f"revision = 0x{wanted:08X}, but the file describes {revisions}")]
+    doubt = f"the device has revision 0x{wanted:08X}, but the file describes {revisions}; get the file of this revision"
     return nearest[0], [Finding(doubt, is_error=False)]
 
 
@@ -80,17 +81,18 @@ def compare_pdos(pdos: PdoSet, device: EsiDevice, file: EsiFile) -> list[Finding
     """Compares a set of PDOs with a device: whether they exist, may be combined, and have these contents."""
     modules = file.modules if device.has_slots else ()
     directions = (
-        (pdos.outputs, device.outputs, [pdo for each in modules for pdo in each.outputs], OUTPUT_MANAGER),
-        (pdos.inputs, device.inputs, [pdo for each in modules for pdo in each.inputs], INPUT_MANAGER),
+        (pdos.outputs, device.outputs, [pdo for module in modules for pdo in module.outputs], OUTPUT_MANAGER),
+        (pdos.inputs, device.inputs, [pdo for module in modules for pdo in module.inputs], INPUT_MANAGER),
     )
-    found = [
+    findings = [
         finding
         for wanted, own, of_modules, manager in directions
         for finding in _direction_findings(wanted, own, of_modules, manager, device)
     ]
     if (pdos.outputs or pdos.inputs) and not device.has_coe:
-        found.append(Finding("pdos: according to the file the device has no CoE, without which PDOs cannot be checked"))
-    return found
+        text = "pdos: according to the file the device has no CoE, without which PDOs cannot be checked"
+        findings.append(Finding(text))
+    return findings
 
 
 def _direction_findings(
@@ -100,38 +102,38 @@ def _direction_findings(
     indices = [pdo.index for pdo in wanted]
     chosen = list[EsiPdo]()
     for pdo in wanted:
-        candidates = [each for each in (*own, *of_modules) if each.index == pdo.index]
+        candidates = [candidate for candidate in (*own, *of_modules) if candidate.index == pdo.index]
         if candidates:
-            best = min(candidates, key=lambda each: bool(_difference(pdo, each)))
+            best = min(candidates, key=lambda candidate: bool(_difference(pdo, candidate)))
             chosen.append(best)
             yield from _content_findings(pdo, best, device.pdo_config)
         else:
-            known = _listed([each.index for each in (*own, *of_modules)], 16, 4) or "none"
-            yield Finding(f"pdos: there is no PDO 0x{pdo.index:04X} among the {kind}, which are {known}")
-    pairs = {(each.index, other) for each in chosen for other in each.excludes & set(indices) - {each.index}}
+            others = _listed([candidate.index for candidate in (*own, *of_modules)], 16, 4) or "none"
+            yield Finding(f"pdos: there is no PDO 0x{pdo.index:04X} among the {kind}, which are {others}")
+    pairs = {(pdo.index, other) for pdo in chosen for other in pdo.excludes & set(indices) - {pdo.index}}
     for first, second in sorted({(min(pair), max(pair)) for pair in pairs}):
         yield Finding(f"pdos: PDOs 0x{first:04X} and 0x{second:04X} cannot be exchanged together (Exclude)")
-    for each in chosen:
-        yield from _manager_findings(each, manager)
-    for each in own:
-        if each.mandatory and each.index not in indices:
-            yield Finding(f"pdos: PDO 0x{each.index:04X} ({each.name}) is mandatory among the {kind}")
+    for esi_pdo in chosen:
+        yield from _manager_findings(esi_pdo, manager)
+    for esi_pdo in own:
+        if esi_pdo.mandatory and esi_pdo.index not in indices:
+            yield Finding(f"pdos: PDO 0x{esi_pdo.index:04X} ({esi_pdo.name}) is mandatory among the {kind}")
     yield from _assignment_findings(indices, own, kind, device)
 
 
-def _content_findings(wanted: Pdo, found: EsiPdo, pdo_config: bool) -> Iterator[Finding]:
-    difference = _difference(wanted, found)
-    reals = [entry for entry in found.entries if entry.is_real]
+def _content_findings(wanted: Pdo, esi_pdo: EsiPdo, pdo_config: bool) -> Iterator[Finding]:
+    difference = _difference(wanted, esi_pdo)
+    reals = [entry for entry in esi_pdo.entries if entry.is_real]
     for entry in wanted.entries:
-        if entry.name and any((each.index, each.subindex) == (entry.index, entry.subindex) for each in reals):
+        if entry.name and any((real.index, real.subindex) == (entry.index, entry.subindex) for real in reals):
             yield Finding(f"pdos: {entry} is a REAL according to the file, and the rig has whole numbers only")
     if not difference:
-        if names_no_objects(found):
-            text = f"pdos: the file does not say which objects PDO 0x{found.index:04X} has"
+        if names_no_objects(esi_pdo):
+            text = f"pdos: the file does not say which objects PDO 0x{esi_pdo.index:04X} has"
             yield Finding(f"{text}; only their sizes are compared", is_error=False)
         return
-    if found.fixed or not pdo_config:
-        reason = "its contents are fixed" if found.fixed else "its contents cannot be written (PdoConfig)"
+    if esi_pdo.fixed or not pdo_config:
+        reason = "its contents are fixed" if esi_pdo.fixed else "its contents cannot be written (PdoConfig)"
         yield Finding(f"pdos: {difference}, and {reason}")
     else:
         yield Finding(f"pdos: {difference}; the rig writes the contents of rig.toml", is_error=False)
@@ -142,17 +144,17 @@ def names_no_objects(pdo: EsiPdo) -> bool:
     return any(entry.index == pdo.index for entry in pdo.entries)
 
 
-def _difference(wanted: Pdo, found: EsiPdo) -> str:
+def _difference(wanted: Pdo, esi_pdo: EsiPdo) -> str:
     """What differs between the used values of a PDO and the file; empty if nothing does."""
     at = 0
     there = dict[int, tuple[int, int, int]]()
-    for entry in found.entries:
+    for entry in esi_pdo.entries:
         there[at] = entry.index, entry.subindex, entry.bits
         at += entry.bits
     bit = 0
     for entry in wanted.entries:
         other = there.get(bit)
-        unknown = other is not None and other[0] == found.index and other[2] == entry.bits
+        unknown = other is not None and other[0] == esi_pdo.index and other[2] == entry.bits
         if entry.name and entry.index and not unknown and other != (entry.index, entry.subindex, entry.bits):
             text = "0x{:04X}:{:02X}:{}".format(*other) if other else "no entry"
             return f"PDO 0x{wanted.index:04X} has {entry} at bit {bit}, but {text} according to the file"
@@ -225,18 +227,18 @@ def startup_commands(device: EsiDevice) -> list[InitCommand]:
     It sets the objects of other keys of `rig.toml`, and the option codes of a drive, so that torque goes off.
     """
     is_drive = any(entry.index == _CONTROLWORD for pdo in device.outputs for entry in pdo.entries)
-    reactions = {each.index for each in REACTIONS} if is_drive else set()
+    reactions = {reaction.index for reaction in REACTIONS} if is_drive else set()
     return [
-        each
-        for each in device.init_commands
-        if _WRITTEN_AT & set(each.transitions)
-        and each.index not in reactions
-        and (each.index in _SYNC_PARAMETERS or not is_reserved(each.index))
+        command
+        for command in device.init_commands
+        if _WRITTEN_AT & set(command.transitions)
+        and command.index not in reactions
+        and (command.index in _SYNC_PARAMETERS or not is_reserved(command.index))
     ]
 
 
 def _init_findings(slave: Slave, device: EsiDevice, file: EsiFile) -> Iterator[Finding]:
-    present = {(each.index, each.subindex): each for each in slave.startup_objects}
+    present = {(startup.index, startup.subindex): startup for startup in slave.startup_objects}
     for command in startup_commands(device):
         address = f"0x{command.index:04X}:{command.subindex:02X}"
         comment = f" ({command.comment})" if command.comment else ""
@@ -279,7 +281,8 @@ def _drive_findings(pdos: PdoSet, device: EsiDevice, state_timeout: float) -> It
     for index, what in NEEDED_OBJECTS.items():
         if index not in device.objects:
             yield Finding(f"the file lists no object 0x{index:04X}, {what}, which the rig needs", is_error=False)
-    lacking = [f"0x{each.index:04X} ({each.name})" for each in REACTIONS if each.index not in device.objects]
+    unlisted = [reaction for reaction in REACTIONS if reaction.index not in device.objects]
+    lacking = [f"0x{reaction.index:04X} ({reaction.name})" for reaction in unlisted]
     if lacking:
         text = f"the file lists no option code {', '.join(lacking)}: read in the manual what the drive does"
         yield Finding(text, is_error=False)

@@ -44,11 +44,7 @@ _LARGEST_ENTRY = 64
 
 
 def propose(file: EsiFile, product: str | None = None) -> str:
-    """Describes devices of an ESI file as text for a `rig.toml`.
-
-    Args:
-        file: The file.
-        product: Product code of the device; None for all.
+    """Describes the devices of an ESI file, or the one with a product code, as text for a `rig.toml`.
 
     Raises:
         InputError: The file has no such device.
@@ -56,31 +52,31 @@ def propose(file: EsiFile, product: str | None = None) -> str:
     devices = _latest(file, product)
     title = f"# {shorten(file.name)}: {len(devices)} device(s) of vendor 0x{file.vendor:08X}, {file.vendor_name}"
     if len(devices) > MOST_DEVICES:
-        rows = [f"#   --product 0x{each.product:08X}  {each.kind}, {each.name}" for each in devices]
+        rows = [f"#   --product 0x{device.product:08X}  {device.kind}, {device.name}" for device in devices]
         return "\n".join([title, "# Give one of them:", *rows])
-    parts = [line for each in devices for line in ("", *_device_lines(file, each))]
+    parts = [line for device in devices for line in ("", *_device_lines(file, device))]
     return "\n".join([title, "# Compare every line with the manual of the device before you use it.", *parts])
 
 
 def _latest(file: EsiFile, product: str | None) -> list[EsiDevice]:
     """The last revision of each device, or of the one that is asked for."""
     latest: dict[int, EsiDevice] = {}
-    for device in sorted(file.devices, key=lambda each: each.revision):
+    for device in sorted(file.devices, key=lambda device: device.revision):
         latest[device.product] = device
     if not latest:
         raise InputError(f"{file.name}: describes no device, only modules of devices; give the file of the device")
     if product is None:
-        return [latest[number] for number in dict.fromkeys(each.product for each in file.devices)]
+        return [latest[number] for number in dict.fromkeys(device.product for device in file.devices)]
     try:
         return [latest[parse_number(product)]]
     except (KeyError, ValueError):
-        known = ", ".join(f"0x{each:08X}" for each in list(latest)[:8])
-        raise InputError(f"--product {product}: {file.name} has {known}{', …' if len(latest) > 8 else ''}") from None
+        products = ", ".join(f"0x{number:08X}" for number in list(latest)[:8])
+        raise InputError(f"--product {product}: {file.name} has {products}{', …' if len(latest) > 8 else ''}") from None
 
 
 def _device_lines(file: EsiFile, device: EsiDevice) -> Iterator[str]:
     sets = _named_sets(device, file)
-    revisions = sorted({each.revision for each in file.devices if each.product == device.product})
+    revisions = sorted({other.revision for other in file.devices if other.product == device.product})
     yield f"# {device.kind}: {device.name}"
     yield "[[slaves]]"
     yield f"name = {toml_string(device.kind or device.name or 'device')}"
@@ -112,16 +108,17 @@ def _clock_lines(device: EsiDevice) -> Iterator[str]:
 
 def _startup_lines(device: EsiDevice) -> Iterator[str]:
     commands = startup_commands(device)
-    texts = {(each.index, each.subindex): (startup_text(each), each.comment) for each in commands if startup_text(each)}
+    written = [command for command in commands if startup_text(command)]
+    texts = {(command.index, command.subindex): (startup_text(command), command.comment) for command in written}
     if texts:
         yield "startup = ["
         for text, comment in texts.values():
             yield f"    {toml_string(text)}," + (f" # {comment}" if comment else "")
         yield "]"
-    for each in commands:
-        if not startup_text(each):
-            data = each.data.hex() if each.data else "a text"
-            yield f"# startup cannot write 0x{each.index:04X}:{each.subindex:02X} = {data} ({each.comment})"
+    for command in commands:
+        if not startup_text(command):
+            data = command.data.hex() if command.data else "a text"
+            yield f"# startup cannot write 0x{command.index:04X}:{command.subindex:02X} = {data} ({command.comment})"
 
 
 # ---- sets of PDOs
@@ -134,12 +131,12 @@ def _named_sets(device: EsiDevice, file: EsiFile) -> dict[str, _Chosen]:
     name = re.sub(r"[^a-z0-9]+", "-", (device.kind or device.name or "device").lower()).strip("-") or "device"
     torque = _for_torque(device)
     default = _after_power_up(device)
-    found: dict[str, _Chosen] = {}
+    sets: dict[str, _Chosen] = {}
     if torque:
-        found[f"{name}-torque"] = torque
+        sets[f"{name}-torque"] = torque
     if any(default) and default != torque:
-        found[f"{name}-default"] = default
-    return {each: pdos for each, pdos in found.items() if not _obstacle(pdos, device, file)}
+        sets[f"{name}-default"] = default
+    return {set_name: pdos for set_name, pdos in sets.items() if not _obstacle(pdos, device, file)}
 
 
 def _after_power_up(device: EsiDevice) -> _Chosen:
@@ -169,7 +166,7 @@ def _combination(
             together = {pdo.index for pdo in chosen}
             if needed <= objects and not any(pdo.excludes & (together - {pdo.index}) for pdo in chosen):
                 candidates.append((costs(objects), len(chosen), sum(pdo.bits for pdo in chosen), chosen))
-    return min(candidates, key=lambda each: each[:3])[3] if candidates else None
+    return min(candidates, key=lambda candidate: candidate[:3])[3] if candidates else None
 
 
 def _output_costs(objects: frozenset[int]) -> int:
@@ -182,14 +179,14 @@ def _input_costs(objects: frozenset[int]) -> int:
 
 def _obstacle(pdos: _Chosen, device: EsiDevice, file: EsiFile) -> str:
     """Why the rig cannot exchange these PDOs; empty if it can."""
-    outside = [pdo for each in pdos for pdo in each if not 0x1600 <= pdo.index <= 0x1BFF]
+    outside = [pdo for direction in pdos for pdo in direction if not 0x1600 <= pdo.index <= 0x1BFF]
     if outside:
         return f"0x{outside[0].index:04X} is no index of a PDO from 0x1600 to 0x1BFF"
     try:
         converted = PdoSet(*_converted(pdos))
     except ValueError as error:
         return str(error)
-    return "; ".join(each.text for each in compare_pdos(converted, device, file) if each.is_error)
+    return "; ".join(finding.text for finding in compare_pdos(converted, device, file) if finding.is_error)
 
 
 def _converted(chosen: _Chosen) -> tuple[tuple[Pdo, ...], tuple[Pdo, ...]]:
@@ -240,7 +237,7 @@ def _set_lines(name: str, outputs: tuple[EsiPdo, ...], inputs: tuple[EsiPdo, ...
 
 def _other_lines(file: EsiFile, device: EsiDevice, sets: dict[str, _Chosen]) -> Iterator[str]:
     """The PDOs that are in no set, and what else a user must know."""
-    used = {pdo.index for pdos in sets.values() for each in pdos for pdo in each}
+    used = {pdo.index for pdos in sets.values() for direction in pdos for pdo in direction}
     others = [pdo for pdo in (*device.outputs, *device.inputs) if pdo.index not in used]
     if obstacle := _obstacle(_after_power_up(device), device, file):
         yield ""
@@ -249,7 +246,7 @@ def _other_lines(file: EsiFile, device: EsiDevice, sets: dict[str, _Chosen]) -> 
         yield ""
         yield "# Other PDOs of the device:"
     for pdo in others:
-        entries = " ".join(f"0x{each.index:04X}:{each.subindex:02X}:{each.bits}" for each in pdo.entries)
+        entries = " ".join(f"0x{entry.index:04X}:{entry.subindex:02X}:{entry.bits}" for entry in pdo.entries)
         excludes = ", ".join(f"0x{index:04X}" for index in sorted(pdo.excludes))
         yield f"#   0x{pdo.index:04X} {pdo.name}: {entries}" + (f"; not with {excludes}" if excludes else "")
     if device.pdo_config and any(not pdo.fixed for pdo in (*device.outputs, *device.inputs)):

@@ -249,7 +249,7 @@ def parse_number(text: str) -> int:
 
 def shorten(text: str, most: int = _LONGEST_NAME) -> str:
     """Makes a text of a file one printable line of limited length."""
-    line = " ".join("".join(each if each.isprintable() else " " for each in text).split())
+    line = " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())
     return line if len(line) <= most else f"{line[:most]}…"
 
 
@@ -272,7 +272,7 @@ def _device(element: Element) -> EsiDevice:
         pdo_config=coe is not None and _flag(coe, "PdoConfig"),
         init_commands=_init_commands(element),
         op_modes=tuple(map(_op_mode, element.find_all("Dc", "OpMode"))),
-        control_bytes=tuple(_attribute_number(each, "ControlByte") for each in element.find_all("Sm")),
+        control_bytes=tuple(_attribute_number(manager, "ControlByte") for manager in element.find_all("Sm")),
         safeop_op_timeout=_number(timeout) / 1000 if timeout else 0.0,
         objects=frozenset(map(_number, objects)),
         has_slots=element.find("Slots") is not None,
@@ -317,7 +317,7 @@ def _init_commands(element: Element) -> tuple[InitCommand, ...]:
     """Those of a device or module, which some files have in an element of their own."""
     return tuple(
         InitCommand(
-            transitions=tuple(each.text for each in command.find_all("Transition")),
+            transitions=tuple(transition.text for transition in command.find_all("Transition")),
             index=_child_number(command, "Index"),
             subindex=_child_number(command, "SubIndex"),
             data=_data(command.text_of("Data")),
@@ -352,7 +352,7 @@ def _op_mode(element: Element) -> OpMode:
 def _name_of(element: Element) -> str:
     """The name of something, in English if there are several."""
     names = list(element.find_all("Name"))
-    english = [each for each in names if each.attributes.get("LcId") == ENGLISH]
+    english = [name for name in names if name.attributes.get("LcId") == ENGLISH]
     return shorten((english or names)[0].text) if names else ""
 
 

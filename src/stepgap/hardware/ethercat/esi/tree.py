@@ -18,8 +18,9 @@ from stepgap.base.files import read_bounded
 
 LARGEST_ESI_FILE = 2**26  # Largest file that is read [bytes]; those of large terminal families have some 20 MB
 
-DEEPEST, MOST_KEPT, LONGEST_TEXT = 64, 500_000, 2**16
-"""Limits of nested elements, of elements that are kept, and of the characters of one of them."""
+DEEPEST = 64  # Largest number of nested elements
+MOST_KEPT = 500_000  # Largest number of elements that are kept
+LONGEST_TEXT = 2**16  # Largest number of characters of one of them
 
 STRUCTURE: Mapping[str, frozenset[str]] = MappingProxyType({
     "": frozenset({"EtherCATInfo"}),
@@ -93,8 +94,8 @@ class Element:
 
     def text_of(self, *names: str) -> str:
         """Text of the first element on a path; empty without one."""
-        found = self.find(*names)
-        return found.text if found else ""
+        element = self.find(*names)
+        return element.text if element else ""
 
 
 def read_tree(path: Path) -> Element:
@@ -171,10 +172,10 @@ class _Builder:
         Raises:
             ValueError: It is not that of an ESI file.
         """
-        found = self._open[0].find("EtherCATInfo")
-        if found is None:
+        root = self._open[0].find("EtherCATInfo")
+        if root is None:
             raise ValueError("its outermost element is not EtherCATInfo, so it is not an ESI file")
-        return found
+        return root
 
     def _refuse_doctype(self, *_: object) -> None:
         raise _RefusedTree(f"line {self._line}: it has a document type (DOCTYPE), which no ESI file needs; remove it")
