@@ -153,7 +153,8 @@ class Bus:
     def _search(self, master: Any) -> int:
         """Number of slaves that answer; missing ones are searched for again until `SEARCH_TIME` is over.
 
-        Unexpected ones are, too, but less often: on a busy computer the answer with an identity may be lost.
+        Unexpected ones are, too, but less often, and at least twice: on a busy computer the answer with an identity may
+        be lost.
         """
         until = monotonic() + SEARCH_TIME
         wanted = [(slave.vendor, slave.product) for slave in self._settings.slaves]
@@ -161,10 +162,11 @@ class Bus:
         while True:
             count = master.config_init()
             identities = [(device.man, device.id) for device in master.slaves[: max(0, count)]]
-            strange += count >= len(wanted)
+            is_strange = count >= len(wanted)
+            strange += is_strange
             if identities == wanted or strange == MOST_SEARCHES:
                 return count
-            if monotonic() > until:
+            if monotonic() > until and not (is_strange and strange == 1):
                 return count
 
     def set_outputs(self, number: int, values: dict[str, int]) -> None:
