@@ -1,11 +1,13 @@
-"""A walking robot cured by a log: the simulated trot, driven by hand for some minutes, and then corrected.
+"""A walking robot cured by a log: driven by hand for some minutes, and then corrected.
 
     ./go python -m benchmarks.cure --minutes 2 5 10 --seeds 11 12 13 --out cure.jsonl
     ./go python -m benchmarks.cure --odometry late jitter gaps drift world --minutes 5 --seeds 11 --out odometry.jsonl
+    ./go python -m benchmarks.cure --robots velocity,dog/experiment.toml --minutes 2 5 --seeds 31 32 --out dogs.jsonl
 
-Each seed is a random individual (`WalkingGap.random`). Then it follows the 102 targets of the robot `velocity`: without
-correction, with that of the log, and with that of one deployment of these targets ("one redeployment"). Errors are of
-the true mean velocities of steps of 0.5 s, in half ranges of use. docs/velocity.md has what this gave.
+A robot is a name, or a file of settings; by default the simulated trot. Each seed is a random individual of it. It is
+driven by random commands, and then follows its 102 targets: without correction, with that of the log, and with that of
+one deployment of these targets ("one redeployment"). Errors are of the true mean velocities of steps of its own
+duration, in half ranges of use. docs/velocity.md has what this gave.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -16,16 +18,18 @@ import json
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.odometry_log import Walking, driven
+from benchmarks.odometry_log import TICK, Walking, driven
+from benchmarks.velocity import experiment_of, reference_of
 from stepgap.base.errors import InputError
-from stepgap.control.settings import ControlSettings
 from stepgap.cure.cure_folder import filter_numbers
 from stepgap.cure.drive import read_drive
+from stepgap.cure.habits import within_reach
 from stepgap.cure.lesson import lesson_of
 from stepgap.cure.response import response_of
 from stepgap.cure.velocity_filter import FilterSettings, VelocityFilter
@@ -35,12 +39,8 @@ from stepgap.export.controller.step_filter import StepFilter
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
-from stepgap.mujoco_robots.velocity.robot import TrottingRobot
-from stepgap.mujoco_robots.velocity.walking_robot import WalkingGap, walks
+from stepgap.mujoco_robots.velocity.walking_robot import WalkingRobot
 from stepgap.step import Array
-
-TICK, STEP = 0.02, 0.5
-"""Time between two samples of the odometry, and that of a step [s]."""
 
 Odometry = Callable[[Array, np.random.Generator], Array | None]
 """What odometry makes of a row of time, velocities and pose; None where it is silent."""
@@ -102,14 +102,27 @@ ODOMETRY: dict[str, Callable[[], Odometry]] = {
 """Kinds of odometry by name."""
 
 
+class Case(NamedTuple):
+    """A robot by name or file, the number of its individual, and the kind of its odometry."""
+
+    name: str
+    seed: int
+    kind: str
+
+    @property
+    def robot(self) -> WalkingRobot:
+        """The individual."""
+        found = experiment_of(self.name).robot.randomised(np.random.default_rng(self.seed))
+        assert isinstance(found, WalkingRobot)
+        return found
+
+
 class Robot(Walking):
     """A random individual, with an odometry of some kind."""
 
-    def __init__(self, seed: int, kind: str, rng: np.random.Generator):
-        robot = TrottingRobot()
-        gap = WalkingGap.random(np.random.default_rng(seed))
-        super().__init__(rng, replace(robot, gap=gap))
-        self._odometry = ODOMETRY[kind]()
+    def __init__(self, case: Case, rng: np.random.Generator):
+        super().__init__(rng, case.robot)
+        self._odometry = ODOMETRY[case.kind]()
         self._waiting = list[Array]()
         self._noise = rng
 
@@ -123,11 +136,11 @@ class Robot(Walking):
         return come
 
 
-def drive_by_hand(seed: int, kind: str, minutes: float, folder: Path) -> str:
-    """Writes a log; the text with which it is read."""
-    rng = np.random.default_rng(1000 + seed)
-    robot = Robot(seed, kind, rng)
-    sent, command = driven(rng)
+def drive_by_hand(case: Case, minutes: float, folder: Path) -> tuple[str, float]:
+    """Writes a log; the text with which it is read, and the time at which the robot fell or the log ended [s]."""
+    rng = np.random.default_rng(1000 + case.seed)
+    robot = Robot(case, rng)
+    sent, command = driven(rng, case.robot.space)
     inside = sent < 60 * minutes
     sent, command = sent[inside], command[inside]
     rows, due = list[Array](), 0
@@ -144,18 +157,18 @@ def drive_by_hand(seed: int, kind: str, minutes: float, folder: Path) -> str:
         ("cmd.csv", np.column_stack([sent, command]), "time,command_vx,command_vy,command_wz"),
     ):
         np.savetxt(folder / name, table, delimiter=",", header=header, comments="", fmt="%.6f")
-    return f"{folder}/odom.csv+{folder}/cmd.csv"
+    return f"{folder}/odom.csv+{folder}/cmd.csv", robot.time
 
 
-def followed(seed: int, kind: str, commanded: VelocityFilter | None, turned: bool) -> tuple[Array, Array, Array, int]:
+def followed(case: Case, commanded: VelocityFilter | None, turned: bool) -> tuple[Array, Array, Array, int]:
     """Targets, true and measured mean velocities, each (102, 3), and the number of the step in which it fell, or 0."""
-    rng = np.random.default_rng(2000 + seed)
-    robot = Robot(seed, kind, rng)
-    targets = walks(TrottingRobot().space).targets
+    rng = np.random.default_rng(2000 + case.seed)
+    robot = Robot(case, rng)
+    targets, ticks = reference_of(case.robot).targets, case.robot.walk.seconds / TICK
     true, measured = np.full((len(targets), 3), np.nan), np.full((len(targets), 3), np.nan)
     for number, target in enumerate(np.vstack([np.zeros((2, 3)), targets]), -2):
         velocities, rows = list[Array](), list[Array]()
-        for _ in range(round(STEP / TICK)):
+        for _ in range(round((number + 3) * ticks) - round((number + 2) * ticks)):
             sent = np.array(commanded.command(robot.time, target)) if commanded else target
             robot.send(sent)
             for row in robot.moved():
@@ -174,16 +187,16 @@ def followed(seed: int, kind: str, commanded: VelocityFilter | None, turned: boo
     return targets, true, measured, 0
 
 
-def error(targets: Array, done: Array, fell: int) -> float:
+def error(case: Case, targets: Array, done: Array, fell: int) -> float:
     """Root mean square of all errors in half ranges of use, up to a fall."""
-    scaled = (done - targets)[: fell or None] / TrottingRobot().space.state_scale
+    scaled = (done - targets)[: fell or None] / case.robot.space.state_scale
     return float(np.sqrt(np.nanmean(scaled**2)))
 
 
-def redeployed(seed: int, kind: str) -> tuple[float, int]:
+def redeployed(case: Case) -> tuple[float, int]:
     """Error after one deployment of the same targets was learned from."""
-    targets, _, measured, fell = followed(seed, kind, None, False)
-    robot = TrottingRobot()
+    targets, _, measured, fell = followed(case, None, False)
+    robot = case.robot
     count = fell - 1 if fell else len(targets)
     state = np.vstack([np.zeros((1, 3)), measured[: count - 1]])
     steps = Steps.of_columns(
@@ -191,18 +204,20 @@ def redeployed(seed: int, kind: str) -> tuple[float, int]:
     )
     nominal: Any = robot.nominal_maps()["lag"]()
     learner = Learner.start(nominal, steps, LearningSettings(), 1)
-    form = portable_form(learner, ControlSettings(horizon=1), np.random.default_rng(0), {}, "a deployment")
+    control = replace(experiment_of(case.name).control, horizon=1)
+    form = portable_form(learner, control, np.random.default_rng(0), {}, "a deployment")
     limits = np.maximum(np.abs(robot.space.command_lower), np.abs(robot.space.command_upper))
-    settings = FilterSettings(seconds=STEP, limits=tuple(limits.tolist()), stale=1.0)
-    after, true, _, fell_then = followed(seed, kind, VelocityFilter(StepFilter(model_document(form)), settings), False)
-    return error(after, true, fell_then), fell_then
+    settings = FilterSettings(seconds=robot.walk.seconds, limits=tuple(limits.tolist()), stale=1.0)
+    after, true, _, fell_then = followed(case, VelocityFilter(StepFilter(model_document(form)), settings), False)
+    return error(case, after, true, fell_then), fell_then
 
 
-def cured(seed: int, kind: str, minutes: float) -> dict[str, Any]:
+def cured(case: Case, minutes: float) -> dict[str, Any]:
     """What the cure by a log gives."""
     with tempfile.TemporaryDirectory() as name:
         try:
-            drive = read_drive(drive_by_hand(seed, kind, minutes, Path(name)))
+            text, seconds = drive_by_hand(case, minutes, Path(name))
+            drive = read_drive(text)
             response = response_of(drive)
             lesson = lesson_of([drive], response)
         except InputError as refusal:
@@ -211,15 +226,21 @@ def cured(seed: int, kind: str, minutes: float) -> dict[str, Any]:
     form = portable_form(lesson.learner, lesson.control, np.random.default_rng(0), {}, "a log")
     numbers = filter_numbers(lesson)
     correction = VelocityFilter(StepFilter(model_document(form)), FilterSettings(**numbers))
-    targets, true, _, fell = followed(seed, kind, correction, drive.is_turned)
+    targets, true, _, fell = followed(case, correction, drive.is_turned)
     return {
-        "cured": error(targets, true, fell),
+        "cured": error(case, targets, true, fell),
         "fell": fell,
+        "seconds": seconds,
         "steps": len(lesson.steps),
         "share": share,
         "half": half,
         "delay": response.delay,
+        "lag": response.lag,
         "period": response.period,
+        "height": response.height,
+        "step": response.step,
+        "zero": numbers["zero"],
+        "reach": within_reach(lesson),
         "notes": drive.notes,
     }
 
@@ -227,23 +248,25 @@ def cured(seed: int, kind: str, minutes: float) -> dict[str, Any]:
 def main() -> None:
     """Writes a line of JSON for each cell."""
     parser = argparse.ArgumentParser()
+    parser.add_argument("--robots", default="velocity", help="names or files of settings, separated by commas")
     parser.add_argument("--minutes", type=float, nargs="+", default=[2.0, 5.0, 10.0])
     parser.add_argument("--seeds", type=int, nargs="+", default=[11])
     parser.add_argument("--odometry", nargs="+", default=["perfect"], choices=list(ODOMETRY))
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
+    cases = [Case(*parts) for parts in product(given.robots.split(","), given.seeds, given.odometry)]
     with given.out.open("a", encoding="utf-8") as out:
-        for seed in given.seeds:
-            for kind in given.odometry:
-                targets, true, _, fell = followed(seed, kind, None, False)
-                # What happens to odometry in the frame of the world has no meaning for a deployment.
-                again, fell_again = redeployed(seed, "perfect" if kind == "world" else kind)
-                cell = {"seed": seed, "odometry": kind, "raw": error(targets, true, fell), "raw_fell": fell}
-                cell |= {"redeployed": again, "redeployed_fell": fell_again}
-                for minutes in given.minutes:
-                    line = cell | {"minutes": minutes} | cured(seed, kind, minutes)
-                    print(json.dumps(line, default=list), file=out, flush=True)
-                    print(json.dumps(line, default=list), flush=True)
+        for case in cases:
+            targets, true, _, fell = followed(case, None, False)
+            # What happens to odometry in the frame of the world has no meaning for a deployment.
+            again, fell_again = redeployed(case._replace(kind="perfect") if case.kind == "world" else case)
+            cell = {"robot": case.name, "seed": case.seed, "odometry": case.kind}
+            cell |= {"raw": error(case, targets, true, fell), "raw_fell": fell}
+            cell |= {"redeployed": again, "redeployed_fell": fell_again}
+            for minutes in given.minutes:
+                line = cell | {"minutes": minutes} | cured(case, minutes)
+                print(json.dumps(line, default=list), file=out, flush=True)
+                print(json.dumps(line, default=list), flush=True)
 
 
 if __name__ == "__main__":

@@ -18,10 +18,11 @@ import mujoco
 import numpy as np
 
 from stepgap.mujoco_robots.velocity.robot import TrottingRobot
-from stepgap.mujoco_robots.velocity.walking_robot import body_velocity
-from stepgap.step import Array
+from stepgap.mujoco_robots.velocity.walking_robot import WalkingRobot, body_velocity
+from stepgap.step import Array, StepSpace
 
 DURATION, TO_ROBOT, FROM_ROBOT, JITTER = 600.0, 0.06, 0.02, 0.005  # s
+TICK = 0.02  # Time between two samples of the odometry [s]
 STEP = 0.5
 """Time of a step in a deployment [s]."""
 NOISE = np.array([0.05, 0.05, 0.05, 0.003, 0.003, 0.003])
@@ -29,14 +30,14 @@ NOISE = np.array([0.05, 0.05, 0.05, 0.003, 0.003, 0.003])
 
 
 class Walking:
-    """The trot with the differences of `WalkingGap`, whose commands and odometry come late.
+    """A walking robot with the differences of `WalkingGap`, whose commands and odometry come late.
 
     Args:
         rng: Draws the noise of the odometry.
-        robot: With its differences.
+        robot: With its differences; by default the trot.
     """
 
-    def __init__(self, rng: np.random.Generator, robot: TrottingRobot | None = None):
+    def __init__(self, rng: np.random.Generator, robot: WalkingRobot | None = None):
         robot = robot or TrottingRobot()
         self._robot, self._model, self._rng = robot, robot.gap.of(robot.mjcf_model()), rng
         self._data, self._control = mujoco.MjData(self._model), robot.walking_control()
@@ -66,13 +67,14 @@ class Walking:
     def odometry(self) -> Array:
         """Moves for 20 ms: time, velocity forward, to the left and of turning, x, y and yaw; shape (7,)."""
         ticks, velocity = round(self._control.period / self._model.opt.timestep), np.zeros(3)
-        for tick in range(2 * ticks):
+        count = round(TICK / self._model.opt.timestep)
+        for tick in range(count):
             if tick % ticks == 0:
                 while len(self._sent) > 1 and self._sent[1][0] <= self.time + 1e-9:
                     del self._sent[0]
                 self._data.ctrl[:] = self._control.control(self._model, self._data, self._sent[0][1])
             mujoco.mj_step(self._model, self._data)
-            velocity += body_velocity(self._data) / (2 * ticks)
+            velocity += body_velocity(self._data) / count
         self._velocity = velocity
         w, x, y, z = self._data.qpos[3:7]
         yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
@@ -80,9 +82,8 @@ class Walking:
         return np.append(self.time + FROM_ROBOT + self._rng.normal(0, JITTER), values)
 
 
-def driven(rng: np.random.Generator) -> tuple[Array, Array]:
+def driven(rng: np.random.Generator, space: StepSpace) -> tuple[Array, Array]:
     """Times and commands as by hand: one, two or three velocities at once, and pauses; shapes (C,) and (C, 3)."""
-    space = TrottingRobot().space
     changes = np.cumsum(rng.uniform(0.4, 4.0, int(DURATION)))
     levels = rng.uniform(0.9 * space.command_lower, 0.9 * space.command_upper, (len(changes) + 1, 3))
     levels = np.asarray(np.round(levels * (rng.uniform(size=levels.shape) < 0.7), 2), float)
@@ -93,7 +94,7 @@ def driven(rng: np.random.Generator) -> tuple[Array, Array]:
 def write_log(folder: Path, seed: int) -> None:
     """Writes the log."""
     rng = np.random.default_rng(seed)
-    (sent, command), robot = driven(rng), Walking(rng)
+    (sent, command), robot = driven(rng, TrottingRobot().space), Walking(rng)
     rows, due = list[Array](), 0
     while robot.time < DURATION and not robot.fell:
         while due < len(sent) and sent[due] <= robot.time + 1e-9:
@@ -102,7 +103,7 @@ def write_log(folder: Path, seed: int) -> None:
         rows.append(robot.odometry())
     odometry = np.array(rows)
     odometry[:, 0] = np.maximum.accumulate(odometry[:, 0])
-    sent = 0.02 * np.ceil(sent / 0.02 - 1e-9)  # as they were sent here
+    sent = TICK * np.ceil(sent / TICK - 1e-9)  # as they were sent here
     folder.mkdir(parents=True)
     for name, table, header in (
         ("odom.csv", odometry, "time,vx,vy,wz,x,y,yaw"),
@@ -118,7 +119,7 @@ def serve(seed: int) -> None:
 
     def step(command: Array) -> dict[str, float]:
         robot.send(command)
-        rows = np.array([robot.odometry() for _ in range(round(STEP / 0.02))])
+        rows = np.array([robot.odometry() for _ in range(round(STEP / TICK))])
         return dict(zip(space.state_names, rows[:, 1:4].mean(axis=0).tolist(), strict=True))
 
     for line in sys.stdin:
