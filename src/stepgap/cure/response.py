@@ -14,6 +14,7 @@ from stepgap.step import Array
 
 _DELAYS: Final = np.arange(-25, 51)  # Delays that are tried [cells]
 _LAGS: Final = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7)  # Time constants that are tried [s]
+_CLEARLY: Final = 0.02  # Part of the variance by which a delay explains more that is not by chance
 _LONGEST: Final = 600.0  # Part of a log from which delay and lag are found [s]
 EARLY: Final = 0.05  # The motion may seem to come before the commands by this time [s]
 
@@ -133,14 +134,20 @@ def _pairs(velocity: Array, given: Array, delay: int) -> tuple[Array, Array]:
 
 
 def _delay_and_lag(velocity: Array, given: Array, driven: tuple[bool, ...]) -> tuple[float, float]:
-    """The pair with which commands explain most; velocities count alike."""
-    best = (np.inf, 0.0, 0.0)
+    """The pair with which commands explain most; velocities count alike.
+
+    A longer lag with a shorter delay explains about as much, so a negative delay must explain clearly more than others.
+    """
+    pairs = list[tuple[float, float, float]]()
     for lag in _LAGS:
         smooth = _lagged(given, lag)
         for delay in _DELAYS.tolist():
             left = float(np.mean(1 - _fitted(velocity, smooth, delay, driven)[2][np.array(driven)]))
-            best = min(best, (left, delay * CELL, lag))
-    return best[1], best[2]
+            pairs.append((left, delay * CELL, lag))
+    best = min(pairs)
+    possible = min(pair for pair in pairs if pair[1] >= 0)
+    _, delay, lag = best if best[0] < possible[0] - _CLEARLY else possible
+    return delay, lag
 
 
 def _fitted(velocity: Array, given: Array, delay: int, driven: tuple[bool, ...]) -> tuple[Array, Array, Array]:
