@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.control.box_points import box_points
 from stepgap.control.command_before import MapWithCommand, StandingMap, space_with_command
@@ -22,6 +23,7 @@ _SMALL: Final = (0.02, 0.02, 0.03)  # Velocities that are not worth a word [m/s,
 _SURE: Final = 2.0  # Standard deviations from which on a velocity is not by chance
 NEXT: Final = 10  # Number of commands that are proposed
 _TRIED: Final = 81  # Number of commands that are compared for that
+_DIRECTIONS_TRIED: Final = 300  # Number of directions in which velocities are compared
 _UNDRIVEN: Final = (0.2, 0.15, 0.4)  # Commands that are proposed where none was driven [m/s, m/s, rad/s]
 _DIRECTIONS: Final = (("forward", "backward"), ("to the left", "to the right"), ("to the left", "to the right"))
 
@@ -37,7 +39,6 @@ class Habit:
         std: Its standard deviation, as far as the log says; shape (3,).
         was_driven: Whether a command near it is in the log.
         corrected: The command that makes it do what is asked; shape (3,).
-        then_does: What it does with that; shape (3,).
     """
 
     asked: Array
@@ -45,7 +46,6 @@ class Habit:
     std: Array
     was_driven: bool
     corrected: Array
-    then_does: Array
 
     def in_words(self) -> str:
         """A sentence on what was asked and what is done."""
@@ -109,11 +109,10 @@ def _usual(lesson: Lesson) -> list[Array]:
 
 def _habit(lesson: Lesson, asked: Array) -> Habit:
     space = lesson.space
-    corrected = lesson_command(lesson, asked)
     does, std = measured(lesson, asked) or steady(lesson, asked)
     away = np.abs(lesson.steps.command - asked) / space.command_scale
     was_driven = bool((away[:, lesson.driven].max(axis=1) < _NEAR).any())
-    return Habit(asked, does, std, was_driven, corrected, steady(lesson, corrected)[0])
+    return Habit(asked, does, std, was_driven, lesson_command(lesson, asked))
 
 
 def measured(lesson: Lesson, command: Array) -> tuple[Array, Array] | None:
@@ -163,12 +162,24 @@ def lesson_command(lesson: Lesson, target: Array) -> Array:
 
 
 def within_reach(lesson: Lesson) -> tuple[int, int]:
-    """How many of the commands of the log are velocities that some command holds, and how many there are."""
+    """How many of the commands of the log are velocities that some command gives, and how many there are.
+
+    Some command does if the learned map says so, or if the robot itself had velocities around it. The map has no jumps,
+    so by itself it takes slow velocities for unreachable where a robot stands at small commands.
+    """
     asked = np.unique(lesson.steps.command, axis=0)[:: max(1, len(lesson.steps) // 100)]
     ends = np.array([steady(lesson, lesson_command(lesson, target))[0] for target in asked])
     near = np.abs(ends - asked) <= np.maximum(0.1 * lesson.space.state_scale, lesson.step_map.noise_std)
-    reached = np.count_nonzero(near[:, lesson.driven].all(axis=1))
-    return int(reached), len(asked)
+    reached = near[:, lesson.driven].all(axis=1) | _is_between(lesson, asked)
+    return int(np.count_nonzero(reached)), len(asked)
+
+
+def _is_between(lesson: Lesson, velocities: Array) -> NDArray[np.bool_]:
+    """Whether the robot had velocities on all sides of each: a farther one in any direction; (K, 3) to (K,)."""
+    directions = np.random.default_rng(0).standard_normal((_DIRECTIONS_TRIED, len(AXIS_NAMES))) * lesson.driven
+    scaled = directions / lesson.space.state_scale
+    farthest = (lesson.steps.next_state @ scaled.T).max(axis=0)
+    return (velocities @ scaled.T <= farthest).all(axis=1)
 
 
 def commands_to_drive(lesson: Lesson) -> Array:
