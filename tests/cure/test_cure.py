@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from stepgap.base.errors import InputError
 from stepgap.cure.cli.cure import cure
 from stepgap.cure.cure_page import verdict
-from stepgap.cure.drive import check_distance, read_drive
+from stepgap.cure.drive import HandDrive, check_distance, read_drive
 from stepgap.cure.habits import Habit, commands_to_drive, habits_of, stands_at_zero
 from stepgap.cure.lesson import Lesson, lesson_of
 from stepgap.cure.response import Response, response_of
@@ -36,6 +37,17 @@ def test_commands_and_odometry_of_a_bag_are_found_by_their_types(stamped: bool, 
     response = response_of(found)
     np.testing.assert_allclose(np.diag(response.gains), 0.8, atol=0.05)
     assert not found.notes
+
+
+def test_a_bag_of_motion_capture_gives_the_same_velocities_as_odometry(tmp_path: Path) -> None:
+    found = list[HandDrive]()
+    for by_pose in (False, True):
+        write_bag(tmp_path / f"bag{by_pose}", walking(40.0, 1), stamped=False, by_pose=by_pose)
+        found.append(read_drive(str(tmp_path / f"bag{by_pose}")))
+    odometry, poses = found
+    assert (odometry.measured.kind, poses.measured.kind) == ("nav_msgs/Odometry", "geometry_msgs/PoseStamped")
+    np.testing.assert_allclose(response_of(poses).gains, response_of(odometry).gains, atol=0.01)
+    assert poses.notes == ("Velocities are the displacements of /odom, as the robot sees them.",)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +77,7 @@ def test_what_it_does_is_said_in_sentences_and_the_corrected_command_makes_it_do
 
 
 def test_a_sentence_names_what_is_sure_alone() -> None:
-    quiet = Habit(np.array([0.4, 0, 0]), np.array([0.31, 0.01, 0.12]), np.full(3, 0.01), True, np.zeros(3), np.zeros(3))
+    quiet = Habit(np.array([0.4, 0, 0]), np.array([0.31, 0.01, 0.12]), np.full(3, 0.01), True, np.zeros(3))
     assert quiet.in_words() == (
         "Asked for 0.40 m/s straight on, it walks 0.31 m/s forward and turns 0.12 rad/s (7°/s) to the left."
     )
@@ -143,6 +155,17 @@ def test_odometry_before_its_commands_is_refused(tmp_path: Path) -> None:
     text = changed(tmp_path, lambda odometry, commands: (shifted(odometry, -0.4), commands))
     with pytest.raises(InputError, match=r"comes 0\.\d+ s before the commands that it follows, so their clocks differ"):
         response_to(text)
+
+
+def test_a_robot_of_which_a_part_follows_slowly_is_not_taken_for_one_with_another_clock(tmp_path: Path) -> None:
+    """A long lag and a delay below zero explain its motion a little better than those that it has."""
+
+    def half_slow(odometry: Array, commands: Array) -> tuple[Array, Array]:
+        share = 0.02 / 1.5  # of the difference, in each row, with a time constant of 1.5 s
+        slow = lfilter([share], [1, share - 1], odometry[:, 1:4], axis=0)
+        return np.column_stack([odometry[:, :1], (odometry[:, 1:4] + slow) / 2, odometry[:, 4:]]), commands
+
+    assert response_of(read_drive(changed(tmp_path, half_slow))).delay >= 0
 
 
 def test_velocities_in_the_frame_of_the_world_are_turned(tmp_path: Path) -> None:

@@ -12,10 +12,13 @@ import numpy as np
 import pytest
 
 from stepgap.cure.cure_folder import cure_files
-from stepgap.cure.habits import habits_of
-from stepgap.cure.lesson import Lesson
+from stepgap.cure.drive import read_drive
+from stepgap.cure.lesson import Lesson, lesson_of
+from stepgap.cure.response import response_of
 from stepgap.step import Array
 from tests.cure.drives import DRIFT
+from tests.logs.cli.test_cli_walks import write_bag
+from tests.logs.sections.walking_logs import walking
 
 ROOT = Path(__file__).parents[2]
 END, BEGIN, FAULT = 9.0, 1.0, 6.0
@@ -26,8 +29,20 @@ ASKED = (0.4, 0.0, 0.0)
 @pytest.fixture(scope="module")
 def folder(minute: Lesson, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What is written for such a robot, as that of the stand-in."""
-    home = tmp_path_factory.mktemp("cure")
-    for name, content in cure_files(minute, habits_of(minute), [], "").items():
+    return written(minute, tmp_path_factory.mktemp("cure"))
+
+
+@pytest.fixture(scope="module")
+def folder_of_poses(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same of a bag of motion capture."""
+    home = tmp_path_factory.mktemp("poses")
+    write_bag(home / "bag", walking(60.0, 1), stamped=True, by_pose=True)
+    drive = read_drive(str(home / "bag"))
+    return written(lesson_of([drive], response_of(drive)), home)
+
+
+def written(lesson: Lesson, home: Path) -> Path:
+    for name, content in cure_files(lesson, [], [], "").items():
         (home / name).write_text(content)
     return home
 
@@ -85,7 +100,10 @@ def test_it_corrects_with_topics_and_parameters_of_the_command_line(
 def test_wrong_odometry_gives_the_plain_command_within_a_step_and_is_said(
     fault: str, reason: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rows, said = moved(folder, tmp_path, monkeypatch, STAND_IN_FAULT=f"{fault},{FAULT}")
+    check_plain_after_fault(reason, *moved(folder, tmp_path, monkeypatch, STAND_IN_FAULT=f"{fault},{FAULT}"))
+
+
+def check_plain_after_fault(reason: str, rows: Array, said: list[Any]) -> None:
     assert (np.abs(between(rows, 4.0, FAULT) - ASKED).max(axis=0) > 0.03).any(), "it corrects before"
     assert (between(rows, FAULT + 0.5, END) == ASKED).all()
     after = [(topic, text) for time, topic, text in said if time > FAULT]
@@ -106,6 +124,22 @@ def test_a_heading_is_kept_with_the_pose_of_the_odometry(
         turning.append(abs(0.8 * rows[-1, 3] + DRIFT[2]))
     assert turning[0] > 0.004
     assert turning[1] < 0.001
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [("frozen", "the odometry repeats the same numbers for more than 0.3 s"), ("jumps", "the odometry jumps")],
+)
+def test_after_a_log_of_motion_capture_it_corrects_by_the_poses_until_they_are_wrong(
+    fault: str, reason: str, folder_of_poses: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drift = [0.03, 0.03, 0.03]  # as in the log
+    rows, said = moved(
+        folder_of_poses, tmp_path, monkeypatch, "--ros-args", "-r", "odom:=/mocap", STAND_IN_FAULT=f"{fault},{FAULT}",
+        STAND_IN_DRIFT=json.dumps(drift),
+    )  # fmt: skip
+    np.testing.assert_allclose(between(rows, 3.0, FAULT).mean(axis=0) * 0.8 + drift, ASKED, atol=0.04)
+    check_plain_after_fault(reason, rows, said)
 
 
 def test_a_parameter_turns_it_off_and_limits_hold(

@@ -31,6 +31,7 @@ _JUMP: Final = (0.3, 4.0)
 """A velocity jumps if it changes by this [m/s, rad/s], and by this many times the 99.9 % quantile of changes."""
 _UNDRIVEN_LIMIT: Final = 0.5  # Limit of a command that was not driven, so that it is passed on [m/s, rad/s]
 _STAMPED: Final = "geometry_msgs/TwistStamped"
+_POSE: Final = "geometry_msgs/PoseStamped"
 
 
 def cure_passport(lesson: Lesson, name: str, settings: str) -> dict[str, Any]:
@@ -137,6 +138,7 @@ def _defaults(lesson: Lesson) -> str:
         "enabled": (True, "false: commands are passed on as they are, within the limits"),
         "stamped": (_stamped(lesson), "whether commands are TwistStamped; false for Twist"),
         "frame": ("base_link", "frame of stamped commands"),
+        "pose": (lesson.drive.measured.kind == _POSE, "whether odom has PoseStamped; false for Odometry"),
         "seconds": (numbers["seconds"], "duration of a step [s]; belongs to what was learned"),
         "stale": (numbers["stale"], "odometry that is older does not count [s]"),
         "frozen": (numbers["frozen"], "nor such that repeats the same numbers for longer [s]"),
@@ -147,13 +149,13 @@ def _defaults(lesson: Lesson) -> str:
     }
     for name, limit in zip(AXIS_NAMES, numbers["limits"], strict=True):
         meaning[f"limit_{name}"] = (limit, "largest command, of either sign; can be made smaller")
-    lines = [f'    "{key}": {json_as_python(value)},  # {text}' for key, (value, text) in meaning.items()]
+    lines = [f'    "{key}": {_as_python(value)},  # {text}' for key, (value, text) in meaning.items()]
     axes = f"AXES = {numbers['axes']!r}  # which velocities are corrected"
     jump = f"JUMP = {numbers['jump']!r}  # a larger change from sample to sample is no motion of the robot"
     return "\n".join(["DEFAULTS = {", *lines, "}", axes, jump])
 
 
-def json_as_python(value: bool | float | str) -> str:
+def _as_python(value: bool | float | str) -> str:
     """A truth value, a number or a plain word as Python."""
     return f'"{value}"' if isinstance(value, str) else repr(value)
 

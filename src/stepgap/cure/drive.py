@@ -29,6 +29,7 @@ FROZEN: Final = 0.25
 
 _TURNED: Final = 1.0  # Least change of yaw from which the frame of velocities can be told [rad]
 _BETTER: Final = 0.7  # Part of the unexplained variance that is left in the right frame, at most
+_FOLLOWS: Final = 0.3  # Time after which about any robot follows its command [s]
 CELL: Final = 0.02  # Time between two values of a velocity on a grid [s]
 _LONGEST_GAP: Final = 0.1  # Time without a sample that is bridged by a straight line [s]
 
@@ -44,6 +45,7 @@ class HandDrive:
     Attributes:
         log: The log, with the velocities as the robot sees them.
         command: Where its commands are.
+        measured: Where its velocities are, or the places that they follow from.
         commands: Its commands as a function of time.
         state: Entries of the state for `SectionSettings`.
         time: Of the samples of the velocity [s]; shape (R,).
@@ -54,6 +56,7 @@ class HandDrive:
 
     log: SignalLog
     command: Topic
+    measured: Topic
     commands: HeldCommands
     state: tuple[str, ...]
     time: Array
@@ -151,7 +154,7 @@ def read_drive(text: str, command: str = "", odometry: str = "") -> HandDrive:
         notes.append(f"For {lost:.1f} s the odometry repeats the same numbers; that part is left out.")
     if kept.sum() < 2:
         raise InputError(f"{log.source}: its odometry never changes, so it says nothing of the motion")
-    drive = _with_velocity(HandDrive(log, given, commands, (), time[kept], velocity[kept]), notes)
+    drive = _with_velocity(HandDrive(log, given, measured, commands, (), time[kept], velocity[kept]), notes)
     pose = next((pose for pose in poses if pose.name == measured.name), None)
     return _in_robot_frame(drive, pose)
 
@@ -162,10 +165,10 @@ def _by_places(log: SignalLog, given: Topic, commands: HeldCommands, pose: Topic
     posed = with_pose(log, settings)
     motion = [posed.signal(column) for column in POSE_COLUMNS]
     time = motion[0].time
-    rates = [np.gradient(np.asarray(signal.values, float), np.maximum(time, 0)) for signal in motion]
+    rates = [np.gradient(np.asarray(signal.values, float), time) for signal in motion]
     state = tuple(f"{name}=mean(rate({column}))" for name, column in zip(AXIS_NAMES, POSE_COLUMNS, strict=True))
     note = f"Velocities are the displacements of {pose.name or 'the place'}, as the robot sees them."
-    return HandDrive(posed, given, commands, state, time, np.stack(rates, axis=-1), (note,))
+    return HandDrive(posed, given, pose, commands, state, time, np.stack(rates, axis=-1), (note,))
 
 
 def _together(signals: Sequence[Signal]) -> tuple[Array, Array]:
@@ -230,10 +233,11 @@ def _turned(velocity: Array, angle: Array) -> Array:
 
 
 def _unexplained_sideways(drive: HandDrive) -> float:
-    """Part of the variance of the forward and sideways velocity that the commands of half a second ago leave."""
-    time, velocity, _ = drive.on_grid()
-    at = drive.commands.at(time - 0.3)
-    given = np.where((at >= 0)[:, None], drive.commands.values[at], np.nan)
+    """Part of the variance of the forward and sideways velocity that the commands of a moment ago leave."""
+    late = round(_FOLLOWS / CELL)
+    _, velocity, given = drive.on_grid()
+    velocity = velocity[late:]
+    given = given[:-late]
     known = np.isfinite(velocity).all(axis=1) & np.isfinite(given).all(axis=1)
     if known.sum() < 100:
         return 1.0

@@ -21,17 +21,19 @@ POSE = ["vx=mean(rate(forward))", "vy=mean(rate(left))", "wz=mean(rate(turn))"]
 EVERY = ("--every", "0.5")
 
 
-def write_bag(path: Path, log: WalkingLog, *, stamped: bool) -> None:
-    """Odometry at 50 Hz and commands, in the order of their times."""
+def write_bag(path: Path, log: WalkingLog, *, stamped: bool, by_pose: bool = False) -> None:
+    """Odometry at 50 Hz, or poses on the same topic, and commands, in the order of their times."""
     kinds = {
-        "/odom": "nav_msgs/msg/Odometry",
+        "/odom": "geometry_msgs/msg/PoseStamped" if by_pose else "nav_msgs/msg/Odometry",
         "/cmd_vel": f"geometry_msgs/msg/{'TwistStamped' if stamped else 'Twist'}",
     }
     messages: list[tuple[float, str, Any]] = []
     for time, velocity, pose in zip(log.time[::4], log.velocity[::4], log.pose[::4], strict=True):
         message = message_type(kinds["/odom"])()
-        write_twist(message.twist.twist, velocity)
-        place, turn = message.pose.pose.position, message.pose.pose.orientation
+        if not by_pose:
+            write_twist(message.twist.twist, velocity)
+        posed = message.pose if by_pose else message.pose.pose
+        place, turn = posed.position, posed.orientation
         place.x, place.y = pose[:2].tolist()
         turn.z, turn.w = np.sin(pose[2] / 2), np.cos(pose[2] / 2)
         messages.append((time, "/odom", message))

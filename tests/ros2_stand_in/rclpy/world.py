@@ -20,6 +20,7 @@ class Robot:
         self.fault, self.fails, self.recovers = kind, float(begin or math.inf), float(end or math.inf)
         self.asked = json.loads(os.environ.get("STAND_IN_ASKED", "[]"))
         self.seen = [0.0] * 3  # the velocities of the latest odometry
+        self.seen_at = list(self.pose)  # the latest place of the motion capture
         self.drift = json.loads(os.environ.get("STAND_IN_DRIFT", "[0, 0, 0]"))
 
     def moved(self) -> Iterator[tuple[str, Any]]:
@@ -37,7 +38,7 @@ class Robot:
         failed = self.fault if self.fails < self.time < self.recovers else ""
         if round(self.time / TICK) % 2 == 0 and failed != "silent":
             yield os.environ.get("STAND_IN_ODOM", "/odom"), self.odometry(failed)
-            yield "/mocap", self.stamped()
+            yield "/mocap", self.stamped(failed)
         if self.asked and round(self.time / TICK) % 10 == 0:
             yield os.environ.get("STAND_IN_RAW", "/cmd_vel_raw"), self.wanted()
 
@@ -70,10 +71,17 @@ class Robot:
             turn.x, turn.y, turn.z, turn.w = 0.8, 0.0, 0.0, 0.6
         return message
 
-    def stamped(self) -> Any:
+    def stamped(self, failed: str) -> Any:
         """The message of a motion capture."""
         message = message_type("geometry_msgs/msg/PoseStamped")()
+        self.seen_at = self.seen_at if failed == "frozen" else list(self.pose)
+        pose, self.pose = self.pose, self.seen_at
         self.write(message.header.stamp, message.pose)
+        self.pose = pose
+        if failed == "jumps":
+            message.pose.position.y += 0.1 * (round(self.time / TICK) % 6 == 0)
+        if failed == "nan":
+            message.pose.position.x = math.nan
         return message
 
     def write(self, stamp: Any, pose: Any) -> None:
