@@ -81,7 +81,7 @@ def test_a_sentence_names_what_is_sure_alone() -> None:
     assert quiet.in_words() == (
         "Asked for 0.40 m/s straight on, it walks 0.31 m/s forward and turns 0.12 rad/s (7°/s) to the left."
     )
-    aside = Habit(np.array([0, 0.2, 0]), np.array([-0.1, 0.15, 0]), np.full(3, 0.01), True, np.zeros(3), np.zeros(3))
+    aside = Habit(np.array([0, 0.2, 0]), np.array([-0.1, 0.15, 0]), np.full(3, 0.01), True, np.zeros(3))
     assert aside.in_words() == "Asked for 0.20 m/s to the left, it walks 0.10 m/s backward and 0.15 m/s to the left."
 
 

@@ -163,14 +163,8 @@ def _as_python(value: bool | float | str) -> str:
 def _experiment(lesson: Lesson) -> str:
     """Settings with which a run goes on from the log."""
     walk = lesson.walk
-    lines = [
-        'robot = "velocity"',
-        'plant = "process"',
-        "",
-        "[control]",
-        toml_line("largest_change", MOST_CHANGE),
-        toml_line("surprise", MOST_SURPRISE),
-    ]
+    rules = [toml_line("largest_change", MOST_CHANGE), toml_line("surprise", MOST_SURPRISE)]
+    lines = ['robot = "velocity"', 'plant = "process"', "", "[control]", *rules]
     lines += ["", "[walk]", *(toml_line(key, getattr(walk, key)) for key in ("seconds", "time_constant"))]
     for name in AXIS_NAMES:
         lines += ["", f"[walk.{name}]", *(toml_line(key, value) for key, value in vars(getattr(walk, name)).items())]

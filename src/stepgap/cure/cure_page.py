@@ -90,7 +90,7 @@ def cure_page(lesson: Lesson, habits: list[Habit], checks: list[str], passport: 
     return page(
         f"Cure from {lesson.drive.log.source}",
         [
-            f"<h1>{'What the robot does with its commands'}</h1>",
+            "<h1>What the robot does with its commands</h1>",
             section(
                 "does",
                 "What it does",

@@ -93,10 +93,6 @@ class HandDrive:
 
     def way(self) -> tuple[float, float]:
         """Length of the way, and distance of its end from its begin, by the velocities alone [m]."""
-        place, length = self._integral()
-        return length, float(np.hypot(*place))
-
-    def _integral(self) -> tuple[Array, float]:
         spans = np.diff(self.time)
         middle = (self.velocity[1:] + self.velocity[:-1]) / 2
         turns = np.append(0.0, np.cumsum(middle[:, 2] * spans))
@@ -104,7 +100,7 @@ class HandDrive:
         moves = np.stack(turned(yaw, *(middle[:, axis] * spans for axis in (0, 1))))
         # The sway of the gait is no way: lengths are those of means over half a second.
         smooth = _means(self.velocity[:, :2], max(1, round(0.5 / self.interval)))
-        return moves.sum(axis=1), float(np.sum(np.hypot(*smooth[:-1].T) * spans))
+        return float(np.sum(np.hypot(*smooth[:-1].T) * spans)), float(np.hypot(*moves.sum(axis=1)))
 
 
 def _means(values: Array, width: int) -> Array:
@@ -205,7 +201,8 @@ def _in_robot_frame(drive: HandDrive, pose: Topic | None) -> HandDrive:
     yaw = _yaw_of(drive, pose)
     if np.ptp(yaw) < _TURNED:
         return drive
-    in_robot = replace(drive, velocity=_turned(drive.velocity, -yaw), is_turned=True)
+    x, y, turning = drive.velocity.T
+    in_robot = replace(drive, velocity=np.stack([*turned(-yaw, x, y), turning], axis=-1), is_turned=True)
     as_it_is, in_world = (_unexplained_sideways(one) for one in (drive, in_robot))
     if not in_world < _BETTER * as_it_is:
         return drive
@@ -224,12 +221,6 @@ def _yaw_of(drive: HandDrive, pose: Topic | None) -> Array:
     settings = SectionSettings(state=("forward",), every=1.0, pose=pose.columns)
     turn = with_pose(drive.log, settings).signal(POSE_COLUMNS[2])
     return np.interp(drive.time, turn.time, np.asarray(turn.values, float))
-
-
-def _turned(velocity: Array, angle: Array) -> Array:
-    """Velocities whose first two numbers are turned by an angle; shape (R, 3)."""
-    x, y, turning = velocity.T
-    return np.stack([*turned(angle, x, y), turning], axis=-1)
 
 
 def _unexplained_sideways(drive: HandDrive) -> float:

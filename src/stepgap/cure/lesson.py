@@ -129,7 +129,9 @@ def lesson_of(drives: Sequence[HandDrive], response: Response) -> Lesson:
     """
     extracted = [_extracted(drive, response) for drive in drives]
     kept = [np.array(of_drive.kept) for of_drive in extracted]
-    _check_number(drives, response, sum(map(len, kept)))
+    if (count := sum(map(len, kept))) < STEPS_NEEDED:
+        steps = f"{count} steps of {response.step:.3g} s can be used, {STEPS_NEEDED} are needed"
+        raise InputError(f"{drives[0].log.source}: {steps}; {DRIVING_ADVICE}")
     # Where a step is left out, and between two logs, the next number does not follow.
     counts = np.cumsum([0, *(len(of_drive.faults) + 1 for of_drive in extracted)])
     number = np.concatenate([rows + 1 + before for rows, before in zip(kept, counts, strict=False)])
@@ -182,12 +184,6 @@ def imagined_steps(response: Response, space: StepSpace, seconds: float) -> Step
         next_state=velocity[1:],
         target=np.where(space.tracked, commands[1:], np.nan),
     )
-
-
-def _check_number(drives: Sequence[HandDrive], response: Response, count: int) -> None:
-    if count < STEPS_NEEDED:
-        steps = f"{count} steps of {response.step:.3g} s can be used, {STEPS_NEEDED} are needed"
-        raise InputError(f"{drives[0].log.source}: {steps}; {DRIVING_ADVICE}")
 
 
 def _extracted(drive: HandDrive, response: Response) -> ExtractedSteps:
