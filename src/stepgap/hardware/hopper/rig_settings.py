@@ -82,7 +82,7 @@ class HopperRigSettings(ABC):
         return HopperReading(*values)
 
     def sensor_model(self, boom_length: float) -> HopperSensorModel:
-        """Sensor model for counts to which zeros and signs are already applied; length from pivot to hip [m]."""
+        """Sensor model for counts to which zeros and signs are already applied, for a length from pivot to hip [m]."""
         return HopperSensorModel(
             tick=self.timing.tick,
             frames_per_tick=self.timing.frames_per_tick,

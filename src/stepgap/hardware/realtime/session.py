@@ -38,7 +38,7 @@ class TickWatch:
         self._silence = 0.0
 
     def silent(self, waited: float) -> str:
-        """Describes a silence that is too long, after a time since the last look [s]; empty if it is not."""
+        """Describes a silence that is too long; empty if it is not. `waited` is the time since the last look [s]."""
         ticks = self._board.ticks
         self._silence = 0.0 if ticks != self._ticks else self._silence + waited
         self._ticks = ticks

@@ -67,16 +67,18 @@ def held_commands(signals: Sequence[Signal], hold: float = 0.0) -> HeldCommands:
 
 
 def regular_sections(commands: HeldCommands, every: float, first: float, last: float) -> list[FoundSection]:
-    """Sections from `first` to `last` [s]: where the command changes, and then every `every` [s] while it holds."""
+    """Sections between two times [s]: where the command changes, then at intervals `every` [s] as long as it holds."""
     sections: list[FoundSection] = []
     for (begin, end), values in zip(pairwise(commands.begin.tolist()), commands.values, strict=False):
         if not np.isfinite(values).all():
             continue
+        # Equal intervals; the last time is the end of the command if that is near.
         times = begin + every * np.arange(int((end - begin) / every + SLACK) + 1)
         if len(times) == 1:
             continue
         if abs(end - times[-1]) <= SLACK * every:
             times[-1] = end
+        # The begin is there already where a command before has ended at it.
         if not (sections and sections[-1].time == begin):
             sections.append(FoundSection(begin, since=begin - every))
         sections += [FoundSection(time, since=before) for before, time in pairwise(times.tolist())]

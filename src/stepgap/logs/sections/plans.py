@@ -83,9 +83,11 @@ def _planned_values(plans: Signal, sections: Array, of_several: str | None) -> S
     planned: list[list[float]] = [[] for _ in durations]
     unclear = np.zeros(len(durations), bool)
     for time, value in zip(plans.time.tolist(), np.asarray(plans.values, float).tolist(), strict=True):
+        # The step in which the plan is made, and the part of that which is over.
         step = int(np.searchsorted(sections, time, "right")) - 1
         nearest = int(np.clip(step, 0, len(durations) - 1))
         phase = (time - sections[nearest]) / durations[nearest]
+        # It is for this step, or for the next one if that begins soon.
         number = int(np.floor(phase + LEAD)) + nearest
         if abs(phase % 1 - (1 - LEAD)) < UNCLEAR:
             unclear[[one for one in (nearest, nearest + 1) if one < len(durations)]] = True

@@ -28,7 +28,7 @@ _LEFT_OUT: dict[str, Any] = {"color": LIGHT, "alpha": 0.35, "linewidth": 0, "lab
 
 
 def sections_picture(logs: Sequence[ExtractedSteps], form: str) -> bytes:
-    """Draws sections on the signal in which they are seen, as pdf, png or svg; steps left out are grey behind."""
+    """Draws sections, as pdf, png or svg, on the signal in which they are seen; steps that are left out are grey."""
     rows = [(log, begin) for log in logs for begin in range(0, len(log.sections.time) - 1, SECTIONS_IN_ROW)]
     doubtful = [(log, number) for log in logs for number, doubt in enumerate(log.sections.doubts) if doubt]
     del rows[MOST_OVERVIEW_ROWS:], doubtful[MOST_VIEWS:]

@@ -37,6 +37,7 @@ def step_means(signal: Signal, begin: Array, end: Array, *, rate: bool) -> tuple
     std = np.full(len(end), np.nan)
     doubts = [""] * len(end)
     for number, (first, last) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
+        # The samples of a step, and the longest time without one.
         inside = slice(*np.searchsorted(time, [first, last]).tolist())
         gap = np.diff([first, *time[inside].tolist(), last]).max() if np.isfinite(first) else 0.0
         count = inside.stop - inside.start
@@ -46,6 +47,7 @@ def step_means(signal: Signal, begin: Array, end: Array, *, rate: bool) -> tuple
             doubts[number] = "too few samples"
         elif spikes[inside.start : inside.stop + 1].any():
             doubts[number] = "a sample is far off"
+        # The mean of the rate by both ends, of the signal by the area below it.
         ends = np.interp([first, last], time, values)
         if rate:
             means[number] = (ends[1] - ends[0]) / (last - first)

@@ -102,8 +102,8 @@ class Dictionary:
     Args:
         identity: Objects 0x1008 and 0x1018.
         objects: The application's entries by index and subindex.
-        outputs: PDOs that may be assigned to sync manager 2; `assigned_outputs` are initially.
-        inputs: PDOs that may be assigned to sync manager 3; `assigned_inputs` are initially.
+        outputs: PDOs that may be assigned to sync manager 2, and at first those of `assigned_outputs` are.
+        inputs: PDOs that may be assigned to sync manager 3, and at first those of `assigned_inputs` are.
         check: Raises `Abort` if a number must not be written to an index.
         mappable: Whether the contents of PDOs may be written while they are not assigned.
     """

@@ -161,6 +161,7 @@ def _combination(
     candidates = []
     for count in range(_MOST_COMBINED + 1):
         for added in combinations(optional, count):
+            # All mandatory PDOs and a few others count, if they have what is needed and none excludes another.
             chosen = tuple(sorted((*mandatory, *added), key=lambda pdo: pdo.index))
             objects = frozenset(entry.index for pdo in chosen for entry in pdo.entries if not entry.is_real)
             together = {pdo.index for pdo in chosen}
@@ -199,6 +200,7 @@ def _converted(chosen: _Chosen) -> tuple[tuple[Pdo, ...], tuple[Pdo, ...]]:
         for pdo in pdos:
             entries = []
             for entry in pdo.entries:
+                # The rig reads a value once, in whole bytes, and no fractions.
                 name = VALUES.get(entry.index, "") if entry.subindex == 0 and bit % 8 == 0 else ""
                 if entry.bits not in ENTRY_FORMATS or name in named or entry.is_real:
                     name = ""
