@@ -5,10 +5,11 @@ the topics in CDR, by the message definitions that are published with ROS 2 Humb
 ROS are read as rcl reads them: names are expanded by node and namespace, and then remapped.
 
 Environment: STAND_IN_LOG is a file for all commands, as lines of time, vx, vy and wz; STAND_IN_SAID one for lines of
-the log and text that is published; STAND_IN_FAULT=KIND,SECONDS[,SECONDS] says from when to when the robot is silent,
-fell, or reports nan, frozen or jumping numbers; STAND_IN_ASKED has the velocities that somebody asks for on
-cmd_vel_raw, as [[SECONDS, vx, vy, wz], …], up to the last of these times, when the node is told to end;
-STAND_IN_COMMAND, STAND_IN_RAW and STAND_IN_ODOM are the full names of topics, STAND_IN_STAMPED is 1 for TwistStamped.
+the log, text and odometry that are published; STAND_IN_FAULT=KIND,SECONDS[,SECONDS] says from when to when the robot is
+silent, fell, or reports nan, frozen or jumping numbers, or that nobody asks for a velocity; STAND_IN_ASKED has the
+velocities that somebody asks for on cmd_vel_raw, as [[SECONDS, vx, vy, wz], …], up to the last of these times, when the
+node is told to end; STAND_IN_COMMAND, STAND_IN_RAW and STAND_IN_ODOM are the full names of topics; STAND_IN_STAMPED is
+1 for TwistStamped.
 """
 
 import sys

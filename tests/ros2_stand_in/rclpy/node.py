@@ -94,12 +94,28 @@ class Publisher:
                 with open(os.environ["STAND_IN_SAID"], "a", encoding="utf-8") as log:  # noqa: PTH123
                     print(json.dumps([world.ROBOT.time, self.topic, found.data]), file=log)
             return
+        if hasattr(found, "pose"):
+            pose, twist = found.pose.pose, found.twist.twist
+            yaw = 2 * math.atan2(pose.orientation.z, pose.orientation.w)
+            numbers = [twist.linear.x, twist.linear.y, twist.angular.z, pose.position.x, pose.position.y, yaw]
+            truth = [*world.ROBOT.velocity, *world.ROBOT.pose]
+            with open(os.environ["STAND_IN_SAID"], "a", encoding="utf-8") as log:  # noqa: PTH123
+                print(json.dumps([world.ROBOT.time, self.topic, numbers, truth]), file=log)
+            return
         assert self.topic == os.environ.get("STAND_IN_COMMAND", "/cmd_vel")
-        if hasattr(found, "header"):
-            assert found.header.stamp.sec + 1e-9 * found.header.stamp.nanosec <= world.ROBOT.time + 1e-6
-        twist = found.twist if hasattr(found, "twist") else found
-        command = [twist.linear.x, twist.linear.y, twist.angular.z]
+        if hasattr(found, "parameter"):
+            given = json.loads(found.parameter) if found.header.identity.api_id == 1008 else dict.fromkeys("xyz", 0.0)
+            command = [given["x"], given["y"], given["z"]]
+        else:
+            command = self.velocity_of(found)
         assert all(map(math.isfinite, command))
         world.ROBOT.command = command
         with open(os.environ["STAND_IN_LOG"], "a", encoding="utf-8") as log:  # noqa: PTH123
             print(world.ROBOT.time, *command, file=log)
+
+    def velocity_of(self, found: Any) -> list[float]:
+        """The command of a Twist or TwistStamped."""
+        if hasattr(found, "header"):
+            assert found.header.stamp.sec + 1e-9 * found.header.stamp.nanosec <= world.ROBOT.time + 1e-6
+        twist = found.twist if hasattr(found, "twist") else found
+        return [twist.linear.x, twist.linear.y, twist.angular.z]

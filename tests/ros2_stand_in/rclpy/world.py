@@ -39,7 +39,8 @@ class Robot:
         if round(self.time / TICK) % 2 == 0 and failed != "silent":
             yield os.environ.get("STAND_IN_ODOM", "/odom"), self.odometry(failed)
             yield "/mocap", self.stamped(failed)
-        if self.asked and round(self.time / TICK) % 10 == 0:
+            yield "/sportmodestate", self.sport_mode_state()
+        if self.asked and round(self.time / TICK) % 10 == 0 and failed != "nobody":
             yield os.environ.get("STAND_IN_RAW", "/cmd_vel_raw"), self.wanted()
 
     @property
@@ -82,6 +83,13 @@ class Robot:
             message.pose.position.y += 0.1 * (round(self.time / TICK) % 6 == 0)
         if failed == "nan":
             message.pose.position.x = math.nan
+        return message
+
+    def sport_mode_state(self) -> Any:
+        """The message of the sport mode of Unitree's quadrupeds."""
+        message = message_type("unitree_go/msg/SportModeState")()
+        message.position[:2], message.imu_state.rpy[2] = self.pose[:2], self.pose[2]
+        message.velocity[:2], message.yaw_speed = self.velocity[:2], self.velocity[2]
         return message
 
     def write(self, stamp: Any, pose: Any) -> None:
