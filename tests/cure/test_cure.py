@@ -193,6 +193,18 @@ def test_gaps_and_frozen_numbers_are_left_out(tmp_path: Path) -> None:
     assert (np.abs(learned.steps.next_state - learned.steps.command) < 0.6).all()
 
 
+def test_places_that_a_motion_capture_repeats_while_it_sees_no_robot_are_left_out(tmp_path: Path) -> None:
+    odometry, commands = drive()
+    lost = (odometry[:, 0] % 25 > 20) & (odometry[:, 0] > 25)
+    odometry[lost, 4:] = odometry[np.maximum.accumulate(np.where(lost, 0, np.arange(len(lost)))), 4:][lost]
+    text = written(tmp_path, odometry[:, [0, 4, 5, 6, 4, 5, 6]], commands)
+    table = tmp_path / "odom.csv"
+    table.write_text(table.read_text().replace("time,vx,vy,wz,", "time,a,b,c,"))
+    found = read_drive(text)
+    assert any("repeats the same numbers" in note for note in found.notes)
+    np.testing.assert_allclose(np.diag(response_of(found).gains), GAINS, atol=0.05)
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [

@@ -143,13 +143,7 @@ def read_drive(text: str, command: str = "", odometry: str = "") -> HandDrive:
             )
         return _by_places(log, given, commands, pose)
     time, velocity = _together([log.signal(column) for column in measured.columns])
-    kept = ~_frozen(time, velocity)
-    notes = list[str]()
-    if not kept.all():
-        lost = float(np.sum(np.diff(time)[~kept[1:]]))
-        notes.append(f"For {lost:.1f} s the odometry repeats the same numbers; that part is left out.")
-    if kept.sum() < 2:
-        raise InputError(f"{log.source}: its odometry never changes, so it says nothing of the motion")
+    kept, notes = _measured(log, time, velocity)
     drive = _with_velocity(HandDrive(log, given, measured, commands, (), time[kept], velocity[kept]), notes)
     pose = next((pose for pose in poses if pose.name == measured.name), None)
     return _in_robot_frame(drive, pose)
@@ -159,12 +153,13 @@ def _by_places(log: SignalLog, given: Topic, commands: HeldCommands, pose: Topic
     """The drive of a robot of which places alone are known; its velocity is the way in a step over its time."""
     settings = SectionSettings(state=("forward",), every=1.0, pose=pose.columns)
     posed = with_pose(log, settings)
-    motion = [posed.signal(column) for column in POSE_COLUMNS]
-    time = motion[0].time
-    rates = [np.gradient(np.asarray(signal.values, float), time) for signal in motion]
+    time, places = _together([posed.signal(column) for column in POSE_COLUMNS])
+    kept, notes = _measured(log, time, places)
+    time, places = time[kept], places[kept]
+    posed = with_columns(log, "pose", dict(zip(POSE_COLUMNS, places.T, strict=True)), [time] * len(POSE_COLUMNS))
     state = tuple(f"{name}=mean(rate({column}))" for name, column in zip(AXIS_NAMES, POSE_COLUMNS, strict=True))
     note = f"Velocities are the displacements of {pose.name or 'the place'}, as the robot sees them."
-    return HandDrive(posed, given, pose, commands, state, time, np.stack(rates, axis=-1), (note,))
+    return HandDrive(posed, given, pose, commands, state, time, np.gradient(places, time, axis=0), (note, *notes))
 
 
 def _together(signals: Sequence[Signal]) -> tuple[Array, Array]:
@@ -179,13 +174,18 @@ def _together(signals: Sequence[Signal]) -> tuple[Array, Array]:
     return time, np.stack(values, axis=-1)
 
 
-def _frozen(time: Array, velocity: Array) -> NDArray[np.bool_]:
-    """Whether each sample is one of those that repeat the same numbers for `FROZEN`, but zeros; shape (R,)."""
-    same = np.append(False, (velocity[1:] == velocity[:-1]).all(axis=1) & (velocity[1:] != 0).any(axis=1))
+def _measured(log: SignalLog, time: Array, values: Array) -> tuple[NDArray[np.bool_], list[str]]:
+    """Which samples (R, 3) do not repeat the same numbers, but zeros, for `FROZEN`, shape (R,); a note on the rest."""
+    same = np.append(False, (values[1:] == values[:-1]).all(axis=1) & (values[1:] != 0).any(axis=1))
     begin = np.flatnonzero(~same)
     number = np.cumsum(~same) - 1
     lasting = np.append(time[begin[1:] - 1], time[-1]) - time[begin]
-    return same & (lasting[number] >= FROZEN)
+    frozen = same & (lasting[number] >= FROZEN)
+    if np.count_nonzero(~frozen) < 2:
+        raise InputError(f"{log.source}: its odometry never changes, so it says nothing of the motion")
+    lost = float(np.sum(np.diff(time)[frozen[1:]]))
+    note = f"For {lost:.1f} s the odometry repeats the same numbers; that part is left out."
+    return ~frozen, [note] if lost else []
 
 
 def _with_velocity(drive: HandDrive, notes: Sequence[str]) -> HandDrive:
