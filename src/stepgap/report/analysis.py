@@ -79,14 +79,15 @@ class Analysis:
     @cached_property
     def loops(self) -> list[MeasuredLoop | None]:
         """The measured closed loop of each finished deployment; None where it is not known."""
-        return [measured_loop(self.run.steps.of_iteration(each.iteration)) for each in self.run.deployments]
+        return [measured_loop(self.run.steps.of_iteration(deployment.iteration)) for deployment in self.run.deployments]
 
 
 def input_quantities(space: StepSpace, history_inputs: HistoryInputs) -> list[Quantity]:
     """Names and units of a residual's inputs."""
-    found = [Quantity(each.name, f"{each.input_scale:g} {each.unit}", -1, 1) for each in space.context_inputs]
+    context = space.context_inputs[: history_inputs.context_inputs]
+    scaled = [Quantity(quantity.name, f"{quantity.input_scale:g} {quantity.unit}", -1, 1) for quantity in context]
     time = [Quantity("time", "forgetting times", -1, 1)] if history_inputs.timed else []
-    return [*space.state, *space.command, *found[: history_inputs.context_inputs], *time]
+    return [*space.state, *space.command, *scaled, *time]
 
 
 def centre_of(learned: LearnedResidual, gait: object) -> Array:
@@ -95,7 +96,6 @@ def centre_of(learned: LearnedResidual, gait: object) -> Array:
     If the gait is not known, it is the median of the points to which the residual was fitted.
 
     Args:
-        learned: The residual.
         gait: A `ReferenceGait`, or anything else if it is not known.
     """
     n, m = learned.residual.sizes

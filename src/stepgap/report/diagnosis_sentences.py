@@ -51,24 +51,24 @@ def _lost(steps: Steps) -> list[str]:
 
 def response_sentences(steps: Steps, nominal: StepMap) -> list[str]:
     """Coordinates that do not respond to the commands of one deployment as the nominal map says."""
-    found = command_response(steps, nominal)
+    response = command_response(steps, nominal)
     number = steps.iterations[0]
-    if found is None:
+    if response is None:
         return []
-    late = [
+    rows = list(zip(steps.space.state, response.acts, response.acts_later, response.expected, strict=True))
+    sentences = [
         f"{quantity.name} follows the command of the step before, not that of the same step, in deployment {number}: "
         "the command acts one step later than the nominal map assumes."
-        for quantity, now, later in zip(steps.space.state, found.acts, found.acts_later, strict=True)
+        for quantity, now, later, _ in rows
         if later and not now
     ]
-    rows = zip(steps.space.state, found.acts, found.acts_later, found.expected, strict=True)
     dead = [quantity.name for quantity, now, later, expected in rows if expected and not now and not later]
     if dead:
-        late.append(
-            f"The {found.steps} steps of deployment {number} show no effect of the commands on {listed(dead)}, but "
+        sentences.append(
+            f"The {response.steps} steps of deployment {number} show no effect of the commands on {listed(dead)}, but "
             "by the nominal map it would be clearly seen: check that the commands reach the robot, and their units."
         )
-    return [capitalised(sentence) for sentence in late]
+    return [capitalised(sentence) for sentence in sentences]
 
 
 def bound_sentences(steps: Steps) -> list[str]:
@@ -91,12 +91,12 @@ MOST_ALARMS: Final = 6  # A deployment with more alarms gets a sentence on their
 
 def trust_sentences(run: Run) -> list[str]:
     """Sentences on the alarms of the finished deployments."""
-    found = []
+    sentences = []
     for deployment in run.summary.deployments:
         name = f"Deployment {deployment.iteration}"
         alarms = deployment.alarms
         if len(alarms) > MOST_ALARMS:
-            found.append(f"{name}: {len(alarms)} times the robot was found to be another one.")
+            sentences.append(f"{name}: {len(alarms)} times the robot was found to be another one.")
         else:
-            found += [f"{name}: {alarm.sentence}." for alarm in alarms]
-    return found
+            sentences += [f"{name}: {alarm.sentence}." for alarm in alarms]
+    return sentences

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from stepgap.base.files import write_whole
+from stepgap.base.output_files import format_by_name, write_new
 from stepgap.records.missing import Missing
 from stepgap.report.own_style import own_style
 from stepgap.step import ContextQuantity, Quantity
@@ -115,7 +116,7 @@ def shown_in_notebooks(make: Callable[[], "Figure"]) -> "Figure":
     """
     with own_style(LOOK):
         figure = make()
-    vars(figure)["_repr_png_"] = partial(_written, figure, "png", NOTEBOOK_DOTS)
+    vars(figure)["_repr_png_"] = partial(_saved, figure, "png", NOTEBOOK_DOTS)
     return figure
 
 
@@ -129,6 +130,24 @@ def _drawn(make: Callable[[], Any]) -> Drawing:
 def _saved_later(figure: Any, file_format: str) -> bytes:
     with own_style(LOOK):
         return _saved(figure, file_format)
+
+
+def write_picture(path: Path, make: Callable[[], "Figure"]) -> None:
+    """Writes a figure into a new file for `--out` in the format of its name, and prints its path.
+
+    Args:
+        make: Returns the figure; it may import other modules.
+
+    Raises:
+        InputError: The name has no known ending, or the file cannot be written.
+    """
+    with own_style():
+        from matplotlib.backend_bases import FigureCanvasBase
+
+        form = format_by_name(path, FigureCanvasBase.filetypes)
+        content = BytesIO()
+        make().savefig(content, dpi=150, format=form)
+    write_new(path, "--out", content.getvalue())
 
 
 def has_figures(folder: Path) -> bool:
@@ -166,11 +185,7 @@ def _lay_out(figure: Any) -> None:
         figure.set_layout_engine(None)
 
 
-def _saved(figure: Any, file_format: str) -> bytes:
-    return _written(figure, file_format, DOTS_PER_INCH)
-
-
-def _written(figure: Any, file_format: str, dots: int) -> bytes:
+def _saved(figure: Any, file_format: str, dots: int = DOTS_PER_INCH) -> bytes:
     stream = BytesIO()
     figure.savefig(stream, format=file_format, dpi=dots, metadata=dict(UNDATED.get(file_format, {})))
     return stream.getvalue()
@@ -184,8 +199,8 @@ def axis_label(quantity: Quantity | ContextQuantity, capital: bool = True) -> st
 
 def plain(text: str) -> str:
     """Text that the figures' font contains: one short line of Latin, Greek or Cyrillic letters, without formulae."""
-    known = "".join(letter if letter.isprintable() and ord(letter) < 0x500 else "?" for letter in text)
-    return (known if len(known) <= LONGEST_LABEL else f"{known[: LONGEST_LABEL - 1]}…").replace("$", r"\$")
+    drawn = "".join(letter if letter.isprintable() and ord(letter) < 0x500 else "?" for letter in text)
+    return (drawn if len(drawn) <= LONGEST_LABEL else f"{drawn[: LONGEST_LABEL - 1]}…").replace("$", r"\$")
 
 
 def unit_label(quantity: Quantity | ContextQuantity) -> str:
@@ -230,7 +245,7 @@ def _curve(line: Any) -> list[list[str]]:
 
 def _shared_label(axes: Any) -> str:
     """Label of the horizontal axis, which only the lowest of several panels shows."""
-    labels = [axes.get_xlabel(), *(each.get_xlabel() for each in axes.get_shared_x_axes().get_siblings(axes))]
+    labels = [axes.get_xlabel(), *(sibling.get_xlabel() for sibling in axes.get_shared_x_axes().get_siblings(axes))]
     return _in_one_line(next(filter(None, labels), ""))
 
 

@@ -9,8 +9,8 @@ from stepgap.experiment.run import Run
 from stepgap.learning.steps import Steps
 from stepgap.step import Array
 
-SECONDS, METRES = 10.0, 10.0
-"""Time and way after which a robot is looked at."""
+SECONDS = 10.0  # Time after which a robot is looked at
+METRES = 10.0  # Way after which it is, too
 
 
 class Drift(NamedTuple):
@@ -36,11 +36,8 @@ def drift_sentences(run: Run) -> list[str]:
         seconds = np.full(len(steps), steps.space.planar_seconds)
         after_time = drift(steps, seconds, SECONDS)
         after_way = drift(steps, seconds * np.hypot(*steps.target[:, :2].T), METRES)
-        words = [
-            f"{each.in_words} after {reach}"
-            for each, reach in ((after_time, f"{SECONDS:g} s"), (after_way, f"{METRES:g} m"))
-            if np.isfinite(each).all()
-        ]
+        drifts = {f"{SECONDS:g} s": after_time, f"{METRES:g} m": after_way}
+        words = [f"{away.in_words} after {reach}" for reach, away in drifts.items() if np.isfinite(away).all()]
         if words:
             parts.append(f"in deployment {iteration} {' and '.join(words)}")
     return [f"It was away from where its targets lead, in the median, {'; '.join(parts)}."] if parts else []
@@ -50,7 +47,6 @@ def drift(steps: Steps, lengths: Array, reach: float) -> Drift:
     """How far a robot is from where its targets lead, after a reach from the end of each step on.
 
     Args:
-        steps: Those of a deployment.
         lengths: Of each step, in the unit of the reach; shape (N,).
         reach: A time or a way.
     """
@@ -62,7 +58,7 @@ def drift(steps: Steps, lengths: Array, reach: float) -> Drift:
     ways = steps.target[:, :3] * space.planar_seconds
     sums = np.cumsum(lengths)
     ends = np.searchsorted(sums, sums + reach - 1e-9)
-    found = list[tuple[float, float]]()
+    drifts = list[tuple[float, float]]()
     for begin, end in enumerate(ends):
         if end == len(steps):
             break
@@ -72,5 +68,5 @@ def drift(steps: Steps, lengths: Array, reach: float) -> Drift:
         change = poses[end] - poses[begin]
         place = turned(-poses[begin, 2], *change[:2])
         turn = (change[2] - wanted[2] + np.pi) % (2 * np.pi) - np.pi
-        found.append((float(np.hypot(*(place - wanted[:2]))), abs(float(turn))))
-    return Drift(*np.median(found, axis=0)) if found else unknown
+        drifts.append((float(np.hypot(*(place - wanted[:2]))), abs(float(turn))))
+    return Drift(*np.median(drifts, axis=0)) if drifts else unknown

@@ -16,30 +16,33 @@ from stepgap.step import Array, StepSpace
 
 def measured_sentences(loops: Sequence[MeasuredLoop | None]) -> list[str]:
     """Sentence on the measured stability of the closed loop in the last deployment; empty if it is not known."""
-    found = loops[-1] if loops else None
-    if found is None:
+    loop = loops[-1] if loops else None
+    if loop is None:
         return []
     verdict = {
         "decays": "so errors decay from step to step",
         "grows": "so errors grow from step to step",
         "not decided": "so these steps do not show whether errors decay",
-    }[_verdict(found.interval)]
+    }[_verdict(loop.interval)]
     return [
-        f"Measured stability with the step controller of deployment {found.iteration}: the largest Floquet multiplier "
-        f"is {decimal(found.largest, 2)}{between(found.interval, digits=2)} in magnitude, from {found.steps} steps at "
+        f"Measured stability with the step controller of deployment {loop.iteration}: the largest Floquet multiplier "
+        f"is {decimal(loop.largest, 2)}{between(loop.interval, digits=2)} in magnitude, from {loop.steps} steps at "
         f"unchanged targets, {verdict}."
     ]
 
 
 def growth_sentences(loops: Sequence[MeasuredLoop | None]) -> list[str]:
     """The sentence of `measured_sentences` if errors grow, which is unusual; else none."""
-    found = loops[-1] if loops else None
-    return measured_sentences(loops) if found is not None and _verdict(found.interval) == "grows" else []
+    grows = bool(loops) and loops[-1] is not None and _verdict(loops[-1].interval) == "grows"
+    return measured_sentences(loops) if grows else []
 
 
 def measured_table(loops: Sequence[MeasuredLoop | None]) -> str:
     """Table of the measured multipliers of the closed loop by deployment; empty if none is known."""
-    rows = [_measured_row(each) for each in loops if each is not None]
+    rows = []
+    for loop in filter(None, loops):
+        size = decimal(loop.largest, 2)
+        rows.append([str(loop.iteration), str(loop.steps), size, _interval(loop.interval), _verdict(loop.interval)])
     if not rows:
         return ""
     return table(
@@ -50,23 +53,18 @@ def measured_table(loops: Sequence[MeasuredLoop | None]) -> str:
     )
 
 
-def _measured_row(found: MeasuredLoop) -> list[str]:
-    ends = _interval(found.interval)
-    return [str(found.iteration), str(found.steps), decimal(found.largest, 2), ends, _verdict(found.interval)]
-
-
 def gait_table(gait: ReferenceGait) -> str:
     """Table of command and Floquet multipliers of the limit cycle at each target, map by map."""
     tracked = np.flatnonzero(np.isfinite(gait.targets).any(axis=0)).tolist()
     state = [gait.space.state[row] for row in tracked]
-    command = [with_unit(each) for each in gait.space.command]
-    heads = [with_unit(each) for each in state]
-    for each in gait.maps:
-        heads += [f"{each.name} {name}" for name in [*command, "open-loop |λ|"]]
+    command = [with_unit(quantity) for quantity in gait.space.command]
+    heads = [with_unit(quantity) for quantity in state]
+    for cycles in gait.maps:
+        heads += [f"{cycles.name} {name}" for name in [*command, "open-loop |λ|"]]
     rows = [
         [
             *(trimmed(in_scale(value, one)) for value, one in zip(target[tracked], state, strict=True)),
-            *(cell for each in gait.maps for cell in _cells(each, row, gait.space)),
+            *(cell for cycles in gait.maps for cell in _cells(cycles, row, gait.space)),
         ]
         for row, target in enumerate(gait.targets)
     ]
@@ -79,16 +77,16 @@ def gait_table(gait: ReferenceGait) -> str:
 
 def gait_sentences(gait: ReferenceGait) -> list[str]:
     """Sentences on which targets are held, and on the stability of their limit cycles."""
-    found = []
-    for each in gait.maps:
-        held = [point for point in each.points if point is not None and point.held]
-        found.append(
-            f"{each.name.capitalize()} map: {len(held)} of {_count(each)} held by a constant command within "
+    lines = []
+    for cycles in gait.maps:
+        held = [point for point in cycles.points if point is not None and point.held]
+        lines.append(
+            f"{cycles.name.capitalize()} map: {len(held)} of {_count(cycles)} held by a constant command within "
             f"its bounds, up to the noise of one step.{_open_loop(held) if held else ''}"
         )
     if gait.more:
-        found.append(f"The other {gait.more} targets are left out.")
-    return found
+        lines.append(f"The other {gait.more} targets are left out.")
+    return lines
 
 
 def _count(gait: MapGait) -> str:
@@ -99,12 +97,12 @@ def _count(gait: MapGait) -> str:
 
 def _open_loop(held: Sequence[FixedPoint]) -> str:
     """Sentence on the stability at constant commands."""
-    known = [point for point in held if np.isfinite(point.floquet_multipliers).all()]
-    stable = sum(point.stable for point in known)
-    unknown = f", and at {len(held) - len(known)} it is not known" if len(known) < len(held) else ""
+    points = [point for point in held if np.isfinite(point.floquet_multipliers).all()]
+    stable = sum(point.stable for point in points)
+    unknown = f", and at {len(held) - len(points)} it is not known" if len(points) < len(held) else ""
     return (
         " Without the step controller, at this constant command (open loop), an error of the state decays at "
-        f"{stable} of them and grows at {len(known) - stable}{unknown}, by the map."
+        f"{stable} of them and grows at {len(points) - stable}{unknown}, by the map."
     )
 
 
@@ -137,16 +135,14 @@ def reach_sentences(gait: ReferenceGait) -> list[str]:
     """Sentences on the commands by the last map, which is the corrected one if there is one."""
     last = gait.maps[-1]
     unit = "noise floors" if gait.has_floor else HALF_RANGES
-    found = [] if last.effect is None else effect_sentences(gait.space, last.effect, f"the {last.name} map", unit)
-    return [*found, *_changes(gait, last)]
+    lines = [] if last.effect is None else effect_sentences(gait.space, last.effect, f"the {last.name} map", unit)
+    return [*lines, *_changes(gait, last)]
 
 
 def effect_sentences(space: StepSpace, effect: CommandEffect, by_map: str, unit: str) -> list[str]:
     """Sentences on the rank of the commands' effect, and on their delays.
 
     Args:
-        space: State and command.
-        effect: The effect.
         by_map: The map, in the middle of a sentence.
         unit: The unit of the effect, in the plural; `HALF_RANGES` for that of `SMALL_PART` of them.
     """
@@ -161,7 +157,7 @@ def effect_sentences(space: StepSpace, effect: CommandEffect, by_map: str, unit:
         if rank < len(tracked)
         else ""
     )
-    found = [
+    lines = [
         f"By {by_map}, the commands move the next state in {directions} (from one end of their bounds to the other, by "
         f"{sizes[0]} {unit}{weakest}){few}."
     ]
@@ -171,12 +167,12 @@ def effect_sentences(space: StepSpace, effect: CommandEffect, by_map: str, unit:
             late[steps].append(name)
     for steps, names in late.items():
         verb = "moves" if len(names) == 1 else "move"
-        found.append(
+        lines.append(
             f"By {by_map}, no command moves {listed(names, 'or')} within {n} step{'s' * (n > 1)}."
             if steps == 0
             else f"By {by_map}, {listed(names)} {verb} only {steps} steps after a command begins."
         )
-    return found
+    return lines
 
 
 def _changes(gait: ReferenceGait, last: MapGait) -> list[str]:

@@ -18,14 +18,11 @@ from stepgap.report.drawing import HOVER_SCRIPT, Drawing
 STYLE: Final = files("stepgap.report").joinpath("page.css").read_text(encoding="utf-8")
 """Style sheet of every page."""
 
-
 PRINT_SCRIPT: Final = files("stepgap.report").joinpath("print.js").read_text(encoding="utf-8")
 """Script of every page that opens its closed parts while it is printed."""
 
-
 POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:;"
 """Content security policy of a page: only its own styles, and images within it."""
-
 
 NO_LINKS: Final[Mapping[str, str]] = {}  # No cell of a table is a link
 
@@ -68,7 +65,6 @@ def inline_svg(drawing: Drawing, prefix: str) -> str:
     """The figure as an `<svg>` element for a page.
 
     Args:
-        drawing: The figure.
         prefix: Prefix of all identifiers, so that they are unique in the page and always the same.
     """
     svg = re.sub(r"<!--.*?-->\n?", "", drawing.svg[drawing.svg.index("<svg") :], flags=re.DOTALL)
@@ -85,9 +81,7 @@ def picture(drawn: Drawing | Missing, prefix: str, caption: str, on_first_screen
     """Figure with its caption, or a sentence with the reason why there is none.
 
     Args:
-        drawn: The figure.
         prefix: As of `inline_svg`.
-        caption: Text below it.
         on_first_screen: Whether it is made so small that it is seen without scrolling, if it is wider than high.
     """
     if isinstance(drawn, Missing):
@@ -101,8 +95,8 @@ def picture(drawn: Drawing | Missing, prefix: str, caption: str, on_first_screen
 
 def _ratio(svg: str) -> float:
     """Width of a figure divided by its height; that of a wide one if it is not known."""
-    found = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg)
-    return float(found[1]) / float(found[2]) if found else 2.0
+    box = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg)
+    return float(box[1]) / float(box[2]) if box else 2.0
 
 
 def paragraph(text: str) -> str:

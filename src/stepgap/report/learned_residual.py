@@ -45,7 +45,7 @@ class LearnedResidual:
 def steps_before(run: Run, iteration: int) -> Steps:
     """All steps that were known before a deployment; without those of an earlier run if these are lost."""
     try:
-        known = run.known
+        earlier = run.known
     except InputError:
-        known = Steps(run.recorded.space)
-    return Steps(run.recorded.space) + known + run.recorded.before(iteration)
+        earlier = Steps(run.recorded.space)
+    return Steps(run.recorded.space) + earlier + run.recorded.before(iteration)

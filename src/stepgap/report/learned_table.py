@@ -37,7 +37,7 @@ def learned_sentences(analysis: Analysis) -> list[str]:
         model = f"Deployment {learned.iteration - 1} learned while it ran. A further deployment would begin with {name}"
     if not learned.steps:
         return [f"{model}: {learned.residual.model.description}."]
-    parameters = [parameter for each in learned.residual.regressions for parameter in each.parameters()]
+    parameters = [parameter for regression in learned.residual.regressions for parameter in regression.parameters()]
     believed = learned.residual.kind == POSTERIOR.name
     periodic = run.steps.space.periodic
     besides = f"what returns with the {periodic.name}, and " if periodic and np.isfinite(run.steps.phase).any() else ""
@@ -53,15 +53,16 @@ def learned_tables(run: Run, learned: LearnedResidual | Missing) -> str:
     """Tables of the parameters: those with a value for each input by input, all others by state coordinate."""
     if isinstance(learned, Missing) or not learned.steps:
         return ""
-    found = [{each.name: each for each in regression.parameters()} for regression in learned.residual.regressions]
-    names = list(dict.fromkeys(name for parameters in found for name in parameters))
-    by_input = [name for name in names if any(np.ndim(each[name].value) for each in found if name in each)]
-    tables = [_by_input(run, learned, [each.get(name) for each in found]) for name in by_input]
+    regressions = learned.residual.regressions
+    models = [{parameter.name: parameter for parameter in regression.parameters()} for regression in regressions]
+    names = list(dict.fromkeys(name for parameters in models for name in parameters))
+    by_input = [name for name in names if any(np.ndim(model[name].value) for model in models if name in model)]
+    tables = [_by_input(run, learned, [model.get(name) for model in models]) for name in by_input]
     rest = [name for name in names if name not in by_input]
     heads = ["coordinate", *rest, "leave-one-out RMSE", "RMS of error / std", "within 95 %"]
     rows = [
-        [with_unit(quantity), *(_format(each.get(name)) for name in rest), *_left_out(learned, row)]
-        for row, (quantity, each) in enumerate(zip(run.space.state, found, strict=True))
+        [with_unit(quantity), *(_format(model.get(name)) for name in rest), *_left_out(learned, row)]
+        for row, (quantity, model) in enumerate(zip(run.space.state, models, strict=True))
     ]
     return "".join(tables) + table("The model of each coordinate, in its unit", heads, rows)
 
@@ -72,8 +73,8 @@ def _by_input(run: Run, learned: LearnedResidual, parameters: list[Parameter | N
     rows = []
     for row, quantity in enumerate(input_quantities(run.space, learned.residual.history_inputs)):
         values = learned.residual.regressions[0].points[:, row]
-        known = f"{decimal(values.min())} … {decimal(values.max())}"
-        rows.append([with_unit(quantity), known, *(_format(parameter, row) for parameter in parameters)])
+        ends = f"{decimal(values.min())} … {decimal(values.max())}"
+        rows.append([with_unit(quantity), ends, *(_format(parameter, row) for parameter in parameters)])
     heads = ["input", "range of the data", *(f"for {quantity.name}" for quantity in run.space.state)]
     return table(f"{name[:1].upper()}{name[1:]}, {UNIT_NOTES[unit]}", heads, rows)
 
@@ -85,7 +86,8 @@ def _format(parameter: Parameter | None, row: int = 0) -> str:
 
 def _left_out(learned: LearnedResidual, row: int) -> list[str]:
     """Errors and coverage of the leave-one-out predictions for a state coordinate."""
-    values, (mean, _) = learned.residual.regressions[row].values, learned.leave_one_out[row]
+    values = learned.residual.regressions[row].values
+    mean, _ = learned.leave_one_out[row]
     standardised = learned.standardised_errors[row]
     inside = f"{100 * float(np.mean(np.abs(standardised) <= INTERVAL_95)):.1f} %"
     return [decimal(_rms(values - mean)), decimal(_rms(standardised)), inside]
@@ -100,14 +102,8 @@ def coverage_table(run: Run) -> str:
     rows = []
     for iteration in run.steps.iterations:
         held = list(zip(*interval_coverage(run.steps.of_iteration(iteration)), strict=True))
-        if any(known for _, known in held):
-            rows.append(
-                [str(iteration), *(f"{n} of {known} ({100 * n / known:.1f} %)" if known else "–" for n, known in held)]
-            )
-    if not rows:
-        return ""
-    return table(
-        "Steps that ended within their 95 % prediction interval",
-        ["deployment", *run.space.state_names],
-        rows,
-    )
+        if any(count for _, count in held):
+            cells = [f"{n} of {count} ({100 * n / count:.1f} %)" if count else "–" for n, count in held]
+            rows.append([str(iteration), *cells])
+    heads = ["deployment", *run.space.state_names]
+    return table("Steps that ended within their 95 % prediction interval", heads, rows) if rows else ""

@@ -28,12 +28,7 @@ _SPREAD: Final = 0.8  # Part of the half ranges in which these points lie
 
 
 def check_map(nominal: StepMap, rng: np.random.Generator) -> Iterator[PartResult]:
-    """Whether a surrogate predicts enough, and the map steps from the middle of the ranges, always to the same state.
-
-    Args:
-        nominal: The map.
-        rng: Chooses the points.
-    """
+    """Whether a surrogate predicts enough, and the map steps from the middle of the ranges, always to one state."""
     space = nominal.space
     text = ""
     if isinstance(nominal, SurrogateMap):
@@ -53,12 +48,11 @@ def check_map(nominal: StepMap, rng: np.random.Generator) -> Iterator[PartResult
         advice = f"Of random steps within the ranges, {failed:.0%} fail. Choose ranges about a motion of the robot."
         if failed == 1:
             advice = "Nor does it anywhere else: compare the units of the ranges with those of the map."
-        found = f"From the middle of all ranges it makes no step ({error.status.label})."
-        yield PartResult("map", "wrong", f"{found} {advice}{text}")
+        fault = f"From the middle of all ranges it makes no step ({error.status.label})."
+        yield PartResult("map", "wrong", f"{fault} {advice}{text}")
     else:
-        yield PartResult(
-            "map", "ok", f"From the middle of all ranges it makes a step; equal steps end in equal states.{text}"
-        )
+        sentence = f"From the middle of all ranges it makes a step; equal steps end in equal states.{text}"
+        yield PartResult("map", "ok", sentence)
 
 
 def _broken_rule(nominal: StepMap, rng: np.random.Generator) -> str:
@@ -126,12 +120,7 @@ _OFTEN: Final = 0.25  # Part of the points at which a derivative is wrong from w
 
 
 def check_jacobian(nominal: StepMap, rng: np.random.Generator) -> Iterator[PartResult]:
-    """Whether the formula of the derivatives agrees with differences, entry by entry.
-
-    Args:
-        nominal: The map.
-        rng: Chooses the points.
-    """
+    """Whether the formula of the derivatives agrees with differences, entry by entry."""
     inner = nominal.inner if isinstance(nominal, MapInSpace) else nominal
     if has_no_formula(inner) or isinstance(inner, DifferencedMap):
         yield PartResult("jacobian", "ok", "It has no formula: differences of the map are used.")
@@ -141,11 +130,8 @@ def check_jacobian(nominal: StepMap, rng: np.random.Generator) -> Iterator[PartR
     scale = np.concatenate([space.state_scale, space.command_scale]) / space.state_scale[:, None]
     given = nominal.jacobian(states, commands)
     if np.shape(given) != (_POINTS, *scale.shape):
-        yield PartResult(
-            "jacobian",
-            "wrong",
-            f"At {_POINTS} points it has the shape {np.shape(given)}; it must be {(_POINTS, *scale.shape)}.",
-        )
+        text = f"At {_POINTS} points it has the shape {np.shape(given)}; it must be {(_POINTS, *scale.shape)}."
+        yield PartResult("jacobian", "wrong", text)
         return
     differences = np.array([difference_jacobian(nominal, states, commands, step) for step in _DIFFERENCES])
     doubt = np.ptp(differences, axis=0)
@@ -157,12 +143,10 @@ def check_jacobian(nominal: StepMap, rng: np.random.Generator) -> Iterator[PartR
     if not len(wrong):
         yield PartResult("jacobian", "ok", "Its formula agrees with differences of the map.")
         return
-    sentences = [
-        _entry_in_words(
-            space, row, column, *_example(off[:, row, column], given[:, row, column], numeric[:, row, column])
-        )
-        for row, column in wrong.tolist()
-    ]
+    sentences = []
+    for row, column in wrong.tolist():
+        example = _example(off[:, row, column], given[:, row, column], numeric[:, row, column])
+        sentences.append(_entry_in_words(space, row, column, *example))
     advice = "Correct the formula, or write `jacobian = difference_jacobian`"
     yield PartResult("jacobian", "wrong", f"{'; '.join(sentences)}. {advice}.")
 
@@ -236,10 +220,6 @@ def check_smooth(nominal: StepMap, rng: np.random.Generator) -> Iterator[PartRes
 
     Along each line, the interval whose change differs most from those beside it is divided again and again. What
     changes smoothly changes eight times less within each part; a jump stays as it is.
-
-    Args:
-        nominal: The map.
-        rng: Chooses the lines.
     """
     lines = _Lines.drawn(nominal, rng)
     rows = np.arange(_LINES)
@@ -268,12 +248,7 @@ def check_smooth(nominal: StepMap, rng: np.random.Generator) -> Iterator[PartRes
 
 
 def check_authority(nominal: StepMap, held: Reference) -> Iterator[PartResult]:
-    """How far each command moves each state within its bounds, about the first target.
-
-    Args:
-        nominal: The map.
-        held: Targets that are held.
-    """
+    """How far each command moves each state within its bounds, about the first target."""
     space = nominal.space
     point = fixed_point(nominal, held.targets[0])
     sentences = []
@@ -286,9 +261,8 @@ def check_authority(nominal: StepMap, held: Reference) -> Iterator[PartResult]:
         if not done.any():
             continue
         moved = np.ptp(reached.next_state[done], axis=0) / space.state_scale
-        parts = [
-            f"{each.name} by {size:.2g}" for each, size in zip(space.state, moved, strict=True) if size >= SMALL_PART
-        ]
+        sizes = zip(space.state_names, moved, strict=True)
+        parts = [f"{name} by {size:.2g}" for name, size in sizes if size >= SMALL_PART]
         if parts:
             failed = f" ({np.mean(~done):.0%} of its range fails)" if not done.all() else ""
             sentences.append(f"{quantity.name} moves {listed(parts)}{failed}")

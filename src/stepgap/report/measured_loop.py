@@ -49,9 +49,6 @@ class MeasuredLoop:
 def measured_loop(steps: Steps) -> MeasuredLoop | None:
     """Computes the largest multiplier of the closed loop from the steps of one deployment at unchanged targets.
 
-    Args:
-        steps: The steps.
-
     Returns:
         None if the steps are too few, or if their errors do not vary.
     """
@@ -68,11 +65,11 @@ def measured_loop(steps: Steps) -> MeasuredLoop | None:
     matrix = _fitted(errors, used)
     offsets = _visit_means(errors[:, 1:] - errors[:, :-1] @ matrix.T, used)
     noise = (errors[:, 1:] - errors[:, :-1] @ matrix.T - offsets)[used] * np.sqrt(count / degrees_of_freedom)
-    found = _largest_multiplier(matrix)
+    largest = _largest_multiplier(matrix)
     drawn = _largest_multiplier(_fitted(_continued(errors, used, matrix, offsets, noise), used))
     low, high = np.percentile(drawn, [2.5, 97.5])
-    ends = np.maximum([2 * found - high, 2 * found - low], 0.0)
-    return MeasuredLoop(steps.iterations[0], count, float(max(2 * found - drawn.mean(), 0.0)), ends)
+    ends = np.maximum([2 * largest - high, 2 * largest - low], 0.0)
+    return MeasuredLoop(steps.iterations[0], count, float(max(2 * largest - drawn.mean(), 0.0)), ends)
 
 
 def _largest_multiplier(matrix: Array) -> Array:

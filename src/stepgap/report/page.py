@@ -26,14 +26,7 @@ from stepgap.report.learned_table import coverage_table, learned_sentences, lear
 from stepgap.report.reasons import Reason
 from stepgap.report.replay_view import REPLAY_SCRIPT, replay_view
 from stepgap.report.sentences import floor_sentences, headline, published_sentence, recorded, sentences
-from stepgap.report.tables import (
-    band_table,
-    changed_settings,
-    error_table,
-    summary_table,
-    times_in_words,
-    times_table,
-)
+from stepgap.report.tables import band_table, changed_settings, error_table, summary_table, times_in_words, times_table
 
 CONTENTS: Final = {
     "figures": "Figures",
@@ -65,15 +58,14 @@ def report_html(analysis: Analysis, figures: Sequence[DrawnFigure]) -> str:
 
     Args:
         analysis: The run, and what was computed from it.
-        figures: Its figures.
     """
     run = analysis.run
     title = f"StepGap report: {run.folder.resolve().name}"
     pictures = {
         name: [
-            picture(each.drawing, each.prefix, each.caption, each is figures[0])
-            for each in figures
-            if each.section == name
+            picture(figure.drawing, figure.prefix, figure.caption, figure is figures[0])
+            for figure in figures
+            if figure.section == name
         ]
         for name in CONTENTS
     }
@@ -146,8 +138,8 @@ def _diagnosis(analysis: Analysis) -> list[str]:
     """The diagnosis without the causes that the first screen has."""
     causes = [reason.sentence for reason in analysis.reasons]
     reach = [] if isinstance(analysis.gait, Missing) else reach_sentences(analysis.gait)
-    found = [*diagnosis_sentences(analysis.run), *reach]
-    return [text for text in found if not any(text in cause or cause in text for cause in causes)]
+    texts = [*diagnosis_sentences(analysis.run), *reach]
+    return [text for text in texts if not any(text in cause or cause in text for cause in causes)]
 
 
 def _gait(analysis: Analysis, pictures: Sequence[str]) -> list[str]:
@@ -162,14 +154,14 @@ def _gait(analysis: Analysis, pictures: Sequence[str]) -> list[str]:
 def missing_parts(analysis: Analysis) -> list[str]:
     """Lists the parts that are missing in the report of a run, each with the reason in brackets."""
     run = analysis.run
-    found = []
+    parts = []
     if run.cut_off:
-        found.append("the last line of steps.csv (it is cut off)")
+        parts.append("the last line of steps.csv (it is cut off)")
     if not run.deployments:
-        found.append("errors (no deployment is finished according to summary.json)")
+        parts.append("errors (no deployment is finished according to summary.json)")
     if isinstance(analysis.learned, Missing) and run.residual_name(run.shown_iterations[-1]) != "none":
-        found.append(f"the learned model ({analysis.learned.reason})")
-    return [*found, *_by_reason({"settings": run.defaults, "gait": analysis.gait, "replay": analysis.replay})]
+        parts.append(f"the learned model ({analysis.learned.reason})")
+    return [*parts, *_by_reason({"settings": run.defaults, "gait": analysis.gait, "replay": analysis.replay})]
 
 
 def _by_reason(parts: Mapping[str, object]) -> list[str]:
@@ -220,13 +212,12 @@ def _settings(run: Run) -> str:
 
 def _file_list(run: Run) -> str:
     """Table of the files in the run folder, each with a relative link."""
-    found = [
-        (path.relative_to(run.folder).as_posix(), content)
+    rows = [
+        [path.relative_to(run.folder).as_posix(), content]
         for pattern, content in FILES.items()
         for path in sorted(run.folder.glob(pattern))
         if path.is_file()
     ]
-    links = {name: quote(name) for name, _ in found}
+    links = {name: quote(name) for name, _ in rows}
     note = paragraph("The links lead to files beside this page, in the folder of the run.")
-    rows = table("", ["file", "content"], [list(each) for each in found], links)
-    return f'{note}<div class="left">{rows}</div>'
+    return f'{note}<div class="left">{table("", ["file", "content"], rows, links)}</div>'

@@ -43,8 +43,7 @@ def as_pixels(steps: Steps) -> dict[str, Any]:
 
 def ends_of_steps(steps: Steps, index: int) -> Array:
     """One coordinate of the next states, NaN where there was none; shape (N,)."""
-    completed = steps.status == StepStatus.OK
-    return np.where(completed, steps.next_state[:, index], np.nan)
+    return np.where(steps.status == StepStatus.OK, steps.next_state[:, index], np.nan)
 
 
 def draw_tracking(panel: "Axes", steps: Steps, index: int, name: str, style: dict[str, Any]) -> None:

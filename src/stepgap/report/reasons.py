@@ -70,8 +70,8 @@ def reasons(run: Run) -> list[Reason]:
     if not achieved.last.failed_steps and not achieved.far_rows and not _is_worse(run, achieved):
         return jumps
     for decisive in (_known_before, _too_weak, _response, _worse):
-        if found := list(decisive(run, achieved)):
-            return found[:MOST_REASONS]
+        if causes := list(decisive(run, achieved)):
+            return causes[:MOST_REASONS]
     reach = list(_reach(run, achieved))
     others = [] if reach else jumps  # between two bounds a command jumps
     possible = chain(reach, _changes(run, achieved), others, _goes_on(run, achieved))
@@ -135,7 +135,8 @@ def _known_before(run: Run, achieved: Achievement) -> Iterator[Reason]:
 
 def _is_worse(run: Run, achieved: Achievement) -> bool:
     """Whether the robot fell, or did clearly worse, with what was learned, but not with the nominal map."""
-    first, last = achieved.first, achieved.last
+    first = achieved.first
+    last = achieved.last
     if achieved.predicted or not achieved.learned or first.failed_steps:
         return False
     scale = run.space.state_scale[achieved.rows]
@@ -147,7 +148,8 @@ def _worse(run: Run, achieved: Achievement) -> Iterator[Reason]:
     """A robot that did worse with what was learned than with the nominal map: by commands that jump, or otherwise."""
     if not _is_worse(run, achieved):
         return
-    first, last = achieved.first, run.steps.of_iteration(achieved.last.iteration).tracking()
+    first = achieved.first
+    last = run.steps.of_iteration(achieved.last.iteration).tracking()
     if jumps := list(_jumps(run, last)):
         yield from jumps
         return

@@ -82,8 +82,6 @@ def reference_gait(run: Run, nominal: StepMap, learned: LearnedResidual | Missin
     """Computes the limit cycles at the targets of the last deployment.
 
     Args:
-        run: The run.
-        nominal: Map of the physics model.
         learned: Learned residual, which is added to the nominal map, or the reason why there is none.
 
     Raises:
@@ -160,6 +158,6 @@ def _gait(name: str, step_map: StepMap, targets: Array, centre: Array, changes: 
 
 def _effect(step_map: StepMap, points: Sequence[FixedPoint | None], unit: Array) -> CommandEffect | None:
     """Effect of the commands, by the median of the derivatives at some points."""
-    found = [step_map.jacobian(point.state, point.command) for point in points if point is not None]
-    known = [jacobian for jacobian in found if np.isfinite(jacobian).all()]
-    return command_effect(step_map.space, np.median(known, axis=0), unit) if known else None
+    jacobians = [step_map.jacobian(point.state, point.command) for point in points if point is not None]
+    finite = [jacobian for jacobian in jacobians if np.isfinite(jacobian).all()]
+    return command_effect(step_map.space, np.median(finite, axis=0), unit) if finite else None

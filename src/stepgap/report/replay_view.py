@@ -50,8 +50,8 @@ def replay_view(run: Run, replay: Replay | Missing) -> str:
     scene = replay.scene
     space = run.steps.space
     names = list(scene.points)
-    known = scene.height in space.state_names
-    height = space.state_names.index(scene.height) if known else None
+    has_height = scene.height in space.state_names
+    height = space.state_names.index(scene.height) if has_height else None
     above = "" if height is None else space.state[height].above
     data = {
         "points": list(scene.points.values()),
@@ -71,7 +71,7 @@ def replay_view(run: Run, replay: Replay | Missing) -> str:
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     kept = f'<script type="application/json" id="replay-data">{text}</script>'
     signals = f"{CHARTS}\n" if scene.signals else ""
-    return f'{CONTROLS}\n{signals}<p class="note">{safe(_legend(replay, known))}</p>\n{kept}'
+    return f'{CONTROLS}\n{signals}<p class="note">{safe(_legend(replay, has_height))}</p>\n{kept}'
 
 
 def _legend(replay: Replay, height: bool) -> str:
@@ -117,7 +117,7 @@ def _packed(number: int, motion: Motion, scene: Scene, log: Steps, above: str) -
     relative = (motion.positions - body[:, None]).reshape(len(body), -1)
     channels = np.column_stack([motion.step, body, relative, motion.touching, motion.signals])[::every].T
     ends = (1 + len(body.T)) * [LEVELS] + (len(channels) - 1 - len(body.T)) * [COARSE_LEVELS]
-    ranges = [[float(each.min()), float(each.max()), end] for each, end in zip(channels, ends, strict=True)]
+    ranges = [[float(channel.min()), float(channel.max()), end] for channel, end in zip(channels, ends, strict=True)]
     scaled = [_levels(channel, end) for channel, end in zip(channels, ends, strict=True) if np.ptp(channel)]
     frames = channels.shape[1]
     levels = np.array(scaled, np.int64).reshape(-1, frames)

@@ -58,12 +58,12 @@ class PartResult:
 
 def results_of(part: str, results: Iterator[PartResult]) -> list[PartResult]:
     """The results for a part; an explained error ends them with one more, which is wrong."""
-    found = list[PartResult]()
+    collected = list[PartResult]()
     try:
-        found.extend(results)
+        collected.extend(results)
     except StepGapError as error:
-        found.append(PartResult(part, "wrong", f"{capitalised(str(error))}."))
-    return found
+        collected.append(PartResult(part, "wrong", f"{capitalised(str(error))}."))
+    return collected
 
 
 def half_ranges(space: StepSpace, values: Array) -> str:
@@ -81,8 +81,6 @@ def check_targets(nominal: StepMap, reference: Reference, held: bool, file: Path
     """Whether the map holds the targets of a reference.
 
     Args:
-        nominal: The map.
-        reference: The reference.
         held: Whether it has a `held_reference`.
         file: File of that; None if it could not be written.
     """
@@ -91,29 +89,23 @@ def check_targets(nominal: StepMap, reference: Reference, held: bool, file: Path
     if not missed:
         yield PartResult("targets", "ok", f"By the map, a command holds each of the {count} targets of the reference.")
         return
-    found = f"By the map, no command holds {missed} of the {count} targets of the reference"
+    fault = f"By the map, no command holds {missed} of the {count} targets of the reference"
     if not held:
         advice = "Choose ranges about a motion that the robot repeats, or wider bounds of the commands."
-        yield PartResult("targets", "wrong", f"{found}, or a state near one of them. {advice}")
+        yield PartResult("targets", "wrong", f"{fault}, or a state near one of them. {advice}")
     else:
         where = f": --reference {file}" if file else " were found, but could not be written into this folder."
-        yield PartResult("targets", "wrong", f"{found}. Held states near them{where}")
+        yield PartResult("targets", "wrong", f"{fault}. Held states near them{where}")
 
 
 def check_commands(nominal: StepMap, held: Reference) -> Iterator[PartResult]:
-    """Whether the commands move what is tracked, by the map at the first target.
-
-    Args:
-        nominal: The map.
-        held: Targets that are held.
-    """
+    """Whether the commands move what is tracked, by the map at the first target."""
     space = nominal.space
     point = fixed_point(nominal, held.targets[0])
     jacobian = nominal.jacobian(point.state, point.command)
     if not np.isfinite(jacobian).all():
-        yield PartResult(
-            "commands", "left out", "A step near the first target fails, so the map has no derivative there."
-        )
+        text = "A step near the first target fails, so the map has no derivative there."
+        yield PartResult("commands", "left out", text)
         return
     effect = command_effect(space, jacobian, SMALL_PART * space.state_scale)
     sentences = effect_sentences(space, effect, "the map", HALF_RANGES)
@@ -133,15 +125,15 @@ def check_placing(robot: Robot, seed: int) -> Iterator[PartResult]:
     space = robot.space
     rng = random_stream(seed, 0, 4)
     states = space.state_centre + space.state_scale * rng.uniform(-1, 1, (PLACED_STATES, len(space.state)))
-    found = [robot.placed(state) for state in states]
-    if any(each is None for each in found):
+    placed = [robot.placed(state) for state in states]
+    if any(state is None for state in placed):
         yield PartResult("placing", "left out", "The robot has no model that is put into a state.")
         return
-    error = np.max(np.abs(np.array(found) - states), axis=0) / space.state_scale
+    error = np.max(np.abs(np.array(placed) - states), axis=0) / space.state_scale
     wrong = ~(error <= PLACED_ERROR)
     if wrong.any():
-        names = [f"{name} by up to {each:.2g}" for name, each in zip(space.state_names, error, strict=True)]
-        parts = ", ".join(name for name, is_wrong in zip(names, wrong, strict=True) if is_wrong)
+        sizes = zip(space.state_names, error, wrong, strict=True)
+        parts = ", ".join(f"{name} by up to {size:.2g}" for name, size, is_wrong in sizes if is_wrong)
         yield PartResult(
             "placing",
             "wrong",
@@ -159,9 +151,7 @@ _NOISY: Final = 0.5  # Noise of a step from which on it hides the state [half ra
 _OFTEN_OUTSIDE: Final = 0.25  # Part of the states of a trial outside a range of use from which on it is a finding
 _OUTSIDE: Final = 0.1  # Part of the states outside, where the map predicts them, too, from which on it is one
 _FEW_OUTSIDE: Final = 2  # Number of states outside that is no finding
-_LARGE_GAP: Final = (
-    1.0  # Error of the map from which on it predicts no better than the middle of the range [half ranges]
-)
+_LARGE_GAP: Final = 1.0  # Error from which on the map predicts no better than the middle of the range [half ranges]
 
 
 def check_robot_steps(run: Run, probes: Steps) -> Iterator[PartResult]:
@@ -170,7 +160,6 @@ def check_robot_steps(run: Run, probes: Steps) -> Iterator[PartResult]:
     What to do follows from what is found: a cause takes the place of the advice on a symptom.
 
     Args:
-        run: A trial.
         probes: Steps whose commands vary at random.
     """
     nominal = run.needed(run.nominal)
@@ -268,15 +257,16 @@ _CONSTANT: Final = 0.8  # Part of an error that is the same in all steps from wh
 
 def _response(steps: Steps, nominal: StepMap, noise: Array) -> Iterator[PartResult]:
     """Whether the robot responds to state and command as the map says, without jumps, and to nothing else."""
-    found = measured_derivatives(steps, nominal)
+    derivatives = measured_derivatives(steps, nominal)
     sentences = frozen_states(steps)
-    if found and not sentences:
-        sentences = [sentence for sentence in (break_of(found),) if sentence]
-    if not sentences and (found is None or found.contradicting.any() or found.unexplained > REMEMBERED):
-        sentences = causes(steps, nominal, found)
-    evidence = contradictions(found) if found else []
-    least = LEAST_REMEMBERED if found and (evidence or found.doubtful) else REMEMBERED
-    remembered = list(unmeasured_state(found, noise, least)) if found and not sentences else []
+    if derivatives and not sentences:
+        sentences = [sentence for sentence in (break_of(derivatives),) if sentence]
+    differs = derivatives is None or derivatives.contradicting.any() or derivatives.unexplained > REMEMBERED
+    if differs and not sentences:
+        sentences = causes(steps, nominal, derivatives)
+    evidence = contradictions(derivatives) if derivatives else []
+    least = LEAST_REMEMBERED if derivatives and (evidence or derivatives.doubtful) else REMEMBERED
+    remembered = list(unmeasured_state(derivatives, noise, least)) if derivatives and not sentences else []
     if evidence and not sentences and not remembered:
         advice = "No single mistake explains this: compare these effects in the map with those in the robot's program."
         sentences = [*evidence, advice]
@@ -285,14 +275,14 @@ def _response(steps: Steps, nominal: StepMap, noise: Array) -> Iterator[PartResu
     if sentences:
         yield PartResult("response", "wrong", " ".join(sentences))
         return
-    if found is None:
+    if derivatives is None:
         text = "There are too few steps that the map predicts to compare the effects of state and command with it."
         yield PartResult("response", "left out", text)
         return
     if evidence:
         yield PartResult("response", "left out", "The effects cannot be told from what is wrong under `memory`.")
     else:
-        text = f"In {len(found.steps)} steps, state and command have the effects that the map expects."
+        text = f"In {len(derivatives.steps)} steps, state and command have the effects that the map expects."
         yield PartResult("response", "ok", text)
     nothing = "The error of a step does not depend on the steps before."
     yield PartResult("memory", "wrong" if remembered else "ok", " ".join(remembered) or nothing)

@@ -12,7 +12,7 @@ range.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,6 +102,13 @@ class Derivatives:
         by_state = self._reversed & (np.abs(self.by_map) > 3 * _WEIGHTY)
         return np.hstack([by_state[:, :n], wrong[:, n:]])
 
+    def gain(self, entries: Any) -> float:
+        """Factor of some derivatives of the map that comes nearest to the robot, of what the steps show."""
+        seen = np.isfinite(self.margin[entries])
+        by_map = self.by_map[entries][seen]
+        squares = float(by_map @ by_map)
+        return float(by_map @ self.by_robot[entries][seen]) / squares if squares else 0.0
+
     def in_words(self, row: int, column: int) -> str:
         """One derivative of map and robot."""
         name = f"∂{self.space.state[row].name}/∂{self.space.names[column]}"
@@ -115,12 +122,7 @@ def _left(basis: Array, values: Array) -> Array:
 
 
 def measured_derivatives(steps: Steps, nominal: StepMap) -> Derivatives | None:
-    """Compares map and robot in some steps; None if they are too few, or the map does not predict them.
-
-    Args:
-        steps: The steps.
-        nominal: The map.
-    """
+    """Compares map and robot in some steps; None if they are too few, or the map does not predict them."""
     space = steps.space
     n = len(space.state)
     predicted = nominal.evaluate(steps.state, steps.requested).next_state
@@ -163,21 +165,19 @@ def frozen_states(steps: Steps) -> list[str]:
     ]
 
 
-def contradictions(found: Derivatives) -> list[str]:
+def contradictions(derivatives: Derivatives) -> list[str]:
     """Sentences on what contradicts the map, derivative by derivative, the largest differences first."""
-    entries = np.argwhere(found.contradicting)
-    entries = entries[np.argsort(-np.abs(found.by_robot - found.by_map)[tuple(entries.T)])].tolist()
-    listed_ones = "; ".join(found.in_words(*entry) for entry in entries[:_MOST_ENTRIES])
+    entries = np.argwhere(derivatives.contradicting)
+    entries = entries[np.argsort(-np.abs(derivatives.by_robot - derivatives.by_map)[tuple(entries.T)])].tolist()
+    listed_ones = "; ".join(derivatives.in_words(*entry) for entry in entries[:_MOST_ENTRIES])
     more = f"; and {len(entries) - _MOST_ENTRIES} others" if len(entries) > _MOST_ENTRIES else ""
     return [f"In half ranges, {listed_ones}{more}."] if entries else []
 
 
-def causes(steps: Steps, nominal: StepMap, found: Derivatives | None) -> list[str]:
+def causes(steps: Steps, nominal: StepMap, derivatives: Derivatives | None) -> list[str]:
     """The mistake that explains the steps best, and others that do equally well; empty if none explains them.
 
     Args:
-        steps: Some steps of a robot.
-        nominal: The map.
         found: Derivatives of map and robot; None if the map predicts too few of the steps.
     """
     scale = steps.space.state_scale
@@ -186,7 +186,7 @@ def causes(steps: Steps, nominal: StepMap, found: Derivatives | None) -> list[st
     if np.isfinite(error).all(axis=1).mean() < _PREDICTED:  # a map that predicts nothing leaves all to be explained
         error = ends - steps.space.state_centre / scale
     tried = []
-    for sentence, predicted in _mistakes(steps, nominal, found):
+    for sentence, predicted in _mistakes(steps, nominal, derivatives):
         remaining = ends - predicted / scale
         rows = np.isfinite(remaining + error).all(axis=1)
         if rows.sum() < max(_FEWEST, _PREDICTED * np.isfinite(error).all(axis=1).sum()):
@@ -208,7 +208,7 @@ def _squares(values: Array) -> float:
     return max(float(np.sum(values**2)), 1e-300)
 
 
-def _mistakes(steps: Steps, nominal: StepMap, found: Derivatives | None) -> Iterator[tuple[str, Array]]:
+def _mistakes(steps: Steps, nominal: StepMap, derivatives: Derivatives | None) -> Iterator[tuple[str, Array]]:
     """Mistakes that are often made, each with what the map predicts of the steps (N, n) if it was made."""
     space = steps.space
     state = steps.state
@@ -217,13 +217,13 @@ def _mistakes(steps: Steps, nominal: StepMap, found: Derivatives | None) -> Iter
     def ends(states: Array, commands: Array) -> Array:
         return nominal.evaluate(states, commands).next_state
 
-    gains = _command_gains(found) if found else {}
+    gains = _command_gains(derivatives) if derivatives else {}
     for chosen in [[column] for column in gains] + ([list(gains)] if len(gains) > 1 else []):
         factors = np.ones(len(space.command))
         factors[chosen] = [gains[column] for column in chosen]
-        sentence = "; ".join(_gain_in_words(found, column, gains[column]) for column in chosen) if found else ""
-        yield sentence, ends(state, command * factors)
-    for row, gain in _state_gains(space, found):
+        words = [_gain_in_words(derivatives, column, gains[column]) for column in chosen] if derivatives else []
+        yield "; ".join(words), ends(state, command * factors)
+    for row, gain in _state_gains(space, derivatives):
         factors = np.ones(len(space.state))
         factors[row] = gain
         yield _scale_in_words(space.state[row], gain), factors * ends(state / factors, command)
@@ -265,33 +265,26 @@ def _earlier(steps: Steps, count: int) -> Array:
     return earlier
 
 
-def _command_gains(found: Derivatives) -> dict[int, float]:
+def _command_gains(derivatives: Derivatives) -> dict[int, float]:
     """Ratio of robot to map of the commands some effects of which contradict the map, by their numbers."""
-    n = len(found.space.state)
+    n = len(derivatives.space.state)
     return {
-        column: _ratio_of(found.by_map[:, n + column], found.by_robot[:, n + column], found.margin[:, n + column])
-        for column in range(len(found.space.command))
-        if found.contradicting[:, n + column].any()
+        column: derivatives.gain(np.s_[:, n + column])
+        for column in range(len(derivatives.space.command))
+        if derivatives.contradicting[:, n + column].any()
     }
 
 
-def _state_gains(space: StepSpace, found: Derivatives | None) -> Iterator[tuple[int, float]]:
+def _state_gains(space: StepSpace, derivatives: Derivatives | None) -> Iterator[tuple[int, float]]:
     """Factors with which each state may be measured: −1, those of other units, and what its responses say."""
     n = len(space.state)
     for row, quantity in enumerate(space.state):
         usual = [-1.0, *_UNITS.get(quantity.unit, {})]
         yield from ((row, factor) for factor in usual)
-        if found and found.contradicting[row].any():
-            gain = _ratio_of(found.by_map[row, n:], found.by_robot[row, n:], found.margin[row, n:])
+        if derivatives and derivatives.contradicting[row].any():
+            gain = derivatives.gain(np.s_[row, n:])
             if abs(gain) > _SMALLEST_GAIN and not any(1 / _ALIKE < gain / factor < _ALIKE for factor in usual):
                 yield row, gain
-
-
-def _ratio_of(by_map: Array, by_robot: Array, margin: Array) -> float:
-    """Factor of the map that comes nearest to the robot, of what the steps show."""
-    seen = np.isfinite(margin)
-    squares = float(by_map[seen] @ by_map[seen])
-    return float(by_map[seen] @ by_robot[seen]) / squares if squares else 0.0
 
 
 _SMALLEST_GAIN: Final = 0.12  # Factor of an effect below which there is none
@@ -310,12 +303,12 @@ _GAINS: Final = {180 / np.pi: "degrees and radians", 1000.0: "a thousand", 100.0
 """Factors of commands that have a usual reason."""
 
 
-def _gain_in_words(found: Derivatives, column: int, gain: float) -> str:
+def _gain_in_words(derivatives: Derivatives, column: int, gain: float) -> str:
     """What a factor of a command means, and what to do."""
-    n = len(found.space.state)
-    command = found.space.command[column].name
-    effects = np.maximum(np.abs(found.by_map), np.abs(found.by_robot))[:, n + column] > _WEIGHTY
-    moved = listed([each.name for each, moves in zip(found.space.state, effects, strict=True) if moves])
+    n = len(derivatives.space.state)
+    command = derivatives.space.command[column].name
+    effects = np.maximum(np.abs(derivatives.by_map), np.abs(derivatives.by_robot))[:, n + column] > _WEIGHTY
+    moved = listed([quantity.name for quantity, moves in zip(derivatives.space.state, effects, strict=True) if moves])
     if abs(gain) < _SMALLEST_GAIN:
         return (
             f"{command} has no effect on {moved} in the robot; look whether the robot's program takes this command, "
@@ -366,40 +359,36 @@ _KINKS: Final = 15  # Number of places at which a kink is tried
 _BESIDE: Final = 4  # Number of steps on each side of a jump, at least
 
 
-def break_of(found: Derivatives) -> str:
+def break_of(derivatives: Derivatives) -> str:
     """A sentence on a jump of the robot's next state; empty if there is none.
 
     Args:
         found: Derivatives of map and robot.
     """
-    residual = found.residual
+    residual = derivatives.residual
     squares = np.sum(residual**2, axis=0)
     best = (0.0, 0, 0, 0.0)
-    for column in range(1, found.basis.shape[1]):
-        values = np.sort(found.basis[:, column])
+    for column in range(1, derivatives.basis.shape[1]):
+        values = np.sort(derivatives.basis[:, column])
         for place in 0.5 * (values[_BESIDE - 1 : -_BESIDE] + values[_BESIDE : len(values) - _BESIDE + 1]):
-            side = (found.basis[:, column] > place).astype(float)
-            shares = _explained(found, side[:, None], residual) / np.maximum(squares, 1e-300)
+            side = (derivatives.basis[:, column] > place).astype(float)
+            shares = _explained(derivatives, side[:, None], residual) / np.maximum(squares, 1e-300)
             row = int(np.argmax(np.where(squares > len(residual) * (0.2 * _SMALLEST_BREAK) ** 2, shares, 0)))
             best = max(best, (float(shares[row]), row, column, float(place)))
     share, row, column, place = best
     if share < _BREAK_EXPLAINS:
         return ""
-    z = found.basis[:, column]
+    z = derivatives.basis[:, column]
     side = (z > place).astype(float)
-    weights = np.linalg.lstsq(np.column_stack([found.basis, side]), found.error[:, row], rcond=1e-9)[0]
+    weights = np.linalg.lstsq(np.column_stack([derivatives.basis, side]), derivatives.error[:, row], rcond=1e-9)[0]
     places = np.quantile(z, np.linspace(0.1, 0.9, _KINKS))
-    kinks = [_explained(found, np.maximum(z - at, 0)[:, None], residual)[row] for at in places]
-    kinks += [
-        _explained(found, np.clip((z - at) / width, -1, 1)[:, None], residual)[row]
-        for width in _RAMPS
-        for at in (*places, place)
-    ]
-    cubic = _explained(found, np.column_stack([z**2, z**3]), residual)[row]
-    smooth = max(*kinks, cubic) / squares[row]
+    shapes = [np.maximum(z - at, 0)[:, None] for at in places]
+    shapes += [np.clip((z - at) / width, -1, 1)[:, None] for width in _RAMPS for at in (*places, place)]
+    shapes.append(np.column_stack([z**2, z**3]))
+    smooth = max(_explained(derivatives, shape, residual)[row] for shape in shapes) / squares[row]
     if abs(weights[-1]) < _SMALLEST_BREAK or 1 - share > _SMOOTHER * (1 - smooth):
         return ""
-    space = found.space
+    space = derivatives.space
     name = space.names[column - 1]
     quantity = (*space.state, *space.command)[column - 1]
     middle = 0.5 * (quantity.lower + quantity.upper)
@@ -412,9 +401,9 @@ def break_of(found: Derivatives) -> str:
     return f"{text}: {advice}."
 
 
-def _explained(found: Derivatives, columns: Array, residual: Array) -> Array:
+def _explained(derivatives: Derivatives, columns: Array, residual: Array) -> Array:
     """By how much further columns (N, k) of the regression reduce the squares of the residual (N, n); shape (n,)."""
-    added = _left(found.basis, columns)
+    added = _left(derivatives.basis, columns)
     after = residual - added @ np.linalg.lstsq(added, residual, rcond=1e-9)[0]
     return np.asarray(np.sum(residual**2, axis=0) - np.sum(after**2, axis=0), float)
 
@@ -426,7 +415,7 @@ _UNEXPLAINED: Final = 0.3  # Smallest deviation that nothing explains and that i
 _ABOVE_NOISE: Final = 3.0  # It is more than this number of deviations of a repeated step
 
 
-def unmeasured_state(found: Derivatives, noise: Array, least: float = REMEMBERED) -> Iterator[str]:
+def unmeasured_state(derivatives: Derivatives, noise: Array, least: float = REMEMBERED) -> Iterator[str]:
     """Sentences on states whose errors depend on more than state and command.
 
     Args:
@@ -434,24 +423,25 @@ def unmeasured_state(found: Derivatives, noise: Array, least: float = REMEMBERED
         noise: Deviation of a repeated step [half ranges], NaN if it is not known; shape (n,).
         least: Smallest deviation due to the steps before that is a finding [half ranges].
     """
-    basis = found.basis
-    steps = found.steps
-    residual = _left(basis, found.error)
+    basis = derivatives.basis
+    steps = derivatives.steps
+    residual = _left(basis, derivatives.error)
     rows = np.flatnonzero(steps.follows & np.roll(steps.follows, 1))
-    known = basis[rows]
-    if len(rows) < 2 * known.shape[1]:
+    explaining = basis[rows]
+    if len(rows) < 2 * explaining.shape[1]:
         return
-    for row, quantity in enumerate(found.space.state):
-        before = np.column_stack([residual[rows - 1, row], residual[rows - 2, row], found.basis[rows - 1, 1:]])
-        error = found.error[rows, row]
-        total = _squares(_left(known, error)) / max(len(rows) - known.shape[1], 1)
-        both = np.column_stack([known, before])
+    for row, quantity in enumerate(derivatives.space.state):
+        before = np.column_stack([residual[rows - 1, row], residual[rows - 2, row], derivatives.basis[rows - 1, 1:]])
+        error = derivatives.error[rows, row]
+        total = _squares(_left(explaining, error)) / max(len(rows) - explaining.shape[1], 1)
+        both = np.column_stack([explaining, before])
         left = _squares(_left(both, error)) / max(len(rows) - both.shape[1], 1)
         part = 1 - left / total
         unexplained = float(np.sqrt(total))
         noisy = max(_UNEXPLAINED, _ABOVE_NOISE * float(np.nan_to_num(noise[row])))
         # Curvature looks like memory, since states of neighbouring steps are alike.
-        if _curved(found, residual, row) >= _MOST_OF_IT:
+        curved = _explained(derivatives, basis[:, 1:] ** 2, residual)[row] / _squares(residual[:, row])
+        if curved >= _MOST_OF_IT:
             continue
         if part > _MOST_OF_IT and np.sqrt(part) * unexplained > least:
             yield (
@@ -466,10 +456,3 @@ def unmeasured_state(found: Derivatives, noise: Array, least: float = REMEMBERED
                 "measured, or the robot is not smooth: look for what else differs between two steps from one state "
                 "with one command."
             )
-
-
-def _curved(found: Derivatives, residual: Array, row: int) -> float:
-    """Part of the unexplained squares of a state that squares of state and command explain."""
-    columns = found.basis[:, 1:] ** 2
-    total = float(np.sum(residual[:, row] ** 2))
-    return float(_explained(found, columns, residual)[row]) / max(total, 1e-300)

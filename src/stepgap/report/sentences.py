@@ -42,9 +42,9 @@ def headline(run: Run) -> str:
 
 def sentences(run: Run) -> list[str]:
     """Sentences on what is unusual: failed steps, limits, targets that were not held, unfinished deployments."""
-    failed = [deployment for deployment in run.deployments if deployment.failed_steps]
+    ended = [capitalised(_ended(run, deployment)) for deployment in run.deployments if deployment.failed_steps]
     return [
-        *(f"{capitalised(_ended(run, each))}; its errors include only the steps before." for each in failed),
+        *(f"{sentence}; its errors include only the steps before." for sentence in ended),
         *_grounds(run),
         *_limits(run),
         *drift_sentences(run),
@@ -108,9 +108,8 @@ def floor_sentences(run: Run) -> list[str]:
     if not rows or not run.deployments:
         return []
     if Achievement(run).is_without_noise:
-        return [
-            "Steps that are repeated with the same command end alike: the plant has no noise, and so no noise floor."
-        ]
+        text = "Steps that are repeated with the same command end alike: the plant has no noise, and so no noise floor."
+        return [text]
     values = _with_intervals(run, run.noise_floor, run.noise_floor_interval, rows)
     count = f"from {_count(run.noise_floor_steps, 'step')}, " if run.noise_floor_steps else ""
     if run.summary.noise_floor_measured:
@@ -153,8 +152,8 @@ def _grounds(run: Run) -> list[str]:
     for name in dict.fromkeys(quantity.above for quantity in run.space.state if quantity.above):
         column = space.context_names.index(name)
         context = run.steps.context[:, column]
-        known = context[np.isfinite(context)]
-        if not len(known):
+        measured = context[np.isfinite(context)]
+        if not len(measured):
             continue
         changes = np.abs(np.diff(context, prepend=np.nan))[run.steps.follows]
         largest = np.nanmax(np.append(changes, 0.0))
@@ -162,7 +161,7 @@ def _grounds(run: Run) -> list[str]:
         unit = space.context[column].unit
         lines.append(
             f"{capitalised(above)} is measured above the {name} that each step found, which lay between "
-            f"{decimal(known.min(), 2)} and {decimal(known.max(), 2)} {unit} and changed by up to "
+            f"{decimal(measured.min(), 2)} and {decimal(measured.max(), 2)} {unit} and changed by up to "
             f"{decimal(largest, 2)} {unit} from a step to the next."
         )
     return lines

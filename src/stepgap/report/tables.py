@@ -22,8 +22,8 @@ DASH = "–"  # Mark of a missing value in a table
 
 def column_table(caption: str, columns: Mapping[str, Sequence[str]]) -> str:
     """HTML table of columns by their heads, without those that have no value."""
-    known = {head: cells for head, cells in columns.items() if set(cells) != {DASH}}
-    return table(caption, list(known), list(zip(*known.values(), strict=True)))
+    filled = {head: cells for head, cells in columns.items() if set(cells) != {DASH}}
+    return table(caption, list(filled), list(zip(*filled.values(), strict=True)))
 
 
 # Errors before and after learning
@@ -62,8 +62,8 @@ def _with_ends(values: Array, ends: Array) -> list[str]:
     """Numbers with the ends of their intervals (2, n), where these are known."""
     cells = []
     for value, low, high in zip(values, *ends, strict=True):
-        known = np.isfinite([value, low, high]).all()
-        cells.append(f"{decimal(value)} ({decimal(low)} to {decimal(high)})" if known else decimal(value))
+        has_ends = np.isfinite([value, low, high]).all()
+        cells.append(f"{decimal(value)} ({decimal(low)} to {decimal(high)})" if has_ends else decimal(value))
     return cells
 
 
@@ -75,27 +75,27 @@ def error_table(run: Run, row: int) -> str:
     published = run.compared_result
     entries = {deployment.iteration: deployment for deployment in run.deployments}
     errors = {measure: [entry.errors[measure][row] for entry in run.deployments] for measure in MEASURES}
-    known = [measure for measure in MEASURES if measure in MEASURED or np.isfinite(errors[measure]).any()]
+    shown = [measure for measure in MEASURES if measure in MEASURED or np.isfinite(errors[measure]).any()]
     decimals = _decimals(np.array(list(errors.values())))
     lines = []
     for iteration in sorted(set(entries) | set(range(published.last + 1) if published else ())):
         entry = entries.get(iteration)
         counts = [entry.residual, str(entry.steps), end_in_a_word(run, entry)] if entry else [DASH] * 3
         line = f'<tr><th scope="row">{iteration}</th>{"".join(f"<td>{safe(count)}</td>" for count in counts)}'
-        line += _cells([entry.errors[measure][row] if entry else None for measure in known], "run", decimals)
+        line += _cells([entry.errors[measure][row] if entry else None for measure in shown], "run", decimals)
         if published:
             line += _cells([published.error(measure, iteration, row) for measure in MEASURED], "paper")
         lines.append(f"{line}</tr>")
     return (
         f'<div class="wide"><table><caption>Error of {safe(with_unit(run.space.state[row]))}</caption>'
-        f"<thead>{_heads(run.plant, published, known)}</thead><tbody>\n" + "\n".join(lines) + "\n</tbody></table></div>"
+        f"<thead>{_heads(run.plant, published, shown)}</thead><tbody>\n" + "\n".join(lines) + "\n</tbody></table></div>"
     )
 
 
-def _heads(plant: str, published: PublishedResult | None, known: Sequence[str]) -> str:
+def _heads(plant: str, published: PublishedResult | None, measures: Sequence[str]) -> str:
     """The two header rows: the source of the numbers, and the names of the columns."""
-    sources = f'<th colspan="4"></th><th colspan="{len(known)}" scope="colgroup">this run: {safe(plant)}</th>'
-    heads = ("deployment", "residual", "steps", "end", *map(_title, known))
+    sources = f'<th colspan="4"></th><th colspan="{len(measures)}" scope="colgroup">this run: {safe(plant)}</th>'
+    heads = ("deployment", "residual", "steps", "end", *map(_title, measures))
     columns = "".join(f'<th scope="col">{head}</th>' for head in heads)
     if published:
         source = f"{safe(published.source)}: hardware"
@@ -158,7 +158,6 @@ def steps_in_words(deployments: Sequence[Steps], band: Array, end: str) -> str:
     """Number of steps until the error stays in the band, for a table.
 
     Args:
-        deployments: The deployments, in their order.
         band: Largest RMSE of each state coordinate; shape (n,).
         end: How the last deployment ended, as from `end_in_a_word`.
     """

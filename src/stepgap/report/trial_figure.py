@@ -22,7 +22,6 @@ def trial_figure(run: Run, kinematics: Kinematics | Missing) -> "Figure":
     """Draws the first steps of a run's only deployment, and the robot if its motion is known.
 
     Args:
-        run: The trial.
         kinematics: How the robot is drawn from its ticks.
     """
     from matplotlib.ticker import MaxNLocator

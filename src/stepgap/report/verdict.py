@@ -118,7 +118,7 @@ class Achievement:
 
     def steps_to_band(self) -> int | None:
         """Number of executed steps after which the errors stay in the band; None if they do not, or it is unknown."""
-        logs = [self.run.steps.of_iteration(each.iteration) for each in self.run.deployments]
+        logs = [self.run.steps.of_iteration(deployment.iteration) for deployment in self.run.deployments]
         return executed_steps_to_band(logs, self.band[1])
 
     def beyond(self) -> dict[int, float]:
@@ -154,7 +154,8 @@ class Achievement:
 
     def verdict_in_words(self, row: int) -> str:
         """Comparison of the errors of a coordinate with its noise floor, for a table."""
-        floor, (low, high) = self.floor[row], self.run.noise_floor_interval[:, row]
+        floor = self.floor[row]
+        low, high = self.run.noise_floor_interval[:, row]
         if np.isnan(floor) or np.isnan(self.after[row]):
             return "no noise" if self.is_without_noise else "–"
         if self.is_doubtful(row):
@@ -196,8 +197,6 @@ def clear_change(before: float, after: float, ends: Array) -> float:
     """Whether an error became larger (1) or smaller (−1), or neither by more than its intervals explain (0).
 
     Args:
-        before: Error before.
-        after: Error after.
         ends: 95 % intervals of both; shape (2, 2), NaN where they are not known.
     """
     explained = np.log(ABOUT)

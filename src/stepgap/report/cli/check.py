@@ -4,7 +4,6 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
-from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from stepgap.base.errors import InputError
-from stepgap.base.output_files import check_new, format_by_name, free_name, write_new
+from stepgap.base.output_files import check_new, free_name
 from stepgap.cli.nominal import kept_reference, kept_surrogate, nominal_with_progress
 from stepgap.cli.options import FileName, Flag, Name, Overrides, Program
 from stepgap.cli.terminal import announces_compilation, warn
@@ -21,7 +20,6 @@ from stepgap.cli.terminal import announces_compilation, warn
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.control.reference import Reference
     from stepgap.experiment.nominal import Nominal
-    from stepgap.experiment.run import Run
     from stepgap.experiment.settings import Experiment
     from stepgap.report.robot_check import PartResult
 
@@ -154,8 +152,8 @@ def _of_motion(
         text = f"Plant '{settings.plant}' is no simulation. Give the program of the robot after two dashes, or a plant."
         yield PartResult("motion", "left out", text)
         return
-    for each in settings.robot.findings() if settings.simulated else ():
-        yield PartResult(each.part, "ok" if each.right else "wrong", each.sentence)
+    for finding in settings.robot.findings() if settings.simulated else ():
+        yield PartResult(finding.part, "ok" if finding.right else "wrong", finding.sentence)
     yield from _of_trial(settings, nominal, trial_reference(settings, held), out, program, probing)
 
 
@@ -168,9 +166,12 @@ def _of_trial(
     probing: bool,
 ) -> "Iterator[PartResult]":
     from stepgap.cli.progress import progress_bar
+    from stepgap.experiment.replay import kinematics_of
     from stepgap.experiment.trial import probing_steps, trial_run
     from stepgap.learning.steps import Steps
+    from stepgap.report.drawing import write_picture
     from stepgap.report.robot_check import check_robot_steps, check_section, results_of
+    from stepgap.report.trial_figure import trial_figure
 
     with TemporaryDirectory() as folder, TemporaryDirectory() as other:
         with progress_bar("steps") as progress:
@@ -180,23 +181,7 @@ def _of_trial(
                 probes = probing_steps(settings, nominal, targets, Path(other), program, progress)
         yield from results_of("motion", check_robot_steps(run, probes))
         yield from results_of("section", check_section(run.ticks.get(0)))
-        _draw(run, out)
-
-
-def _draw(run: "Run", out: Path | None) -> None:
-    """Writes the picture of a trial, and prints its path."""
-    from matplotlib.backend_bases import FigureCanvasBase
-
-    from stepgap.experiment.replay import kinematics_of
-    from stepgap.report.own_style import own_style
-    from stepgap.report.trial_figure import trial_figure
-
-    path = out or free_name(Path("check.png"))
-    content = BytesIO()
-    form = format_by_name(path, FigureCanvasBase.filetypes)
-    with own_style():
-        trial_figure(run, kinematics_of(run)).savefig(content, dpi=150, format=form)
-    write_new(path, "--out", content.getvalue())
+        write_picture(out or free_name(Path("check.png")), lambda: trial_figure(run, kinematics_of(run)))
 
 
 def _row(result: "PartResult") -> str:

@@ -1,6 +1,5 @@
 """The verb `stepgap gait`."""
 
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,12 +7,14 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from stepgap.base.errors import InputError
-from stepgap.base.output_files import check_new, format_by_name, free_name, write_new
+from stepgap.base.output_files import check_new, free_name
 from stepgap.cli.nominal_steps import DEFAULT_GRID, map_rows, named_values, print_step, write_table
 from stepgap.cli.options import Flag, Integer, NamedValues, Overrides
 from stepgap.cli.terminal import announces_compilation, warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
+    from matplotlib.figure import Figure
+
     from stepgap.step import StepMap
 
 
@@ -79,11 +80,8 @@ def gait(
 
 def _draw_gait(nominal: "StepMap", wanted: list[float], out: Path | None) -> None:
     """Prints and draws the limit cycle at a state, and the set that one step can reach."""
-    from matplotlib.backend_bases import FigureCanvasBase
-
     from stepgap.control.limit_cycle import fixed_point, reachable_set
-    from stepgap.report.gait import describe_gait, gait_figure
-    from stepgap.report.own_style import own_style
+    from stepgap.report.drawing import write_picture
     from stepgap.step import StepFailed
 
     try:
@@ -92,10 +90,11 @@ def _draw_gait(nominal: "StepMap", wanted: list[float], out: Path | None) -> Non
         where = named_values(nominal.space.state, wanted)
         raise InputError(f"{where}: no command makes a step from this state ({error})") from None
     reachable = reachable_set(nominal, point.state)
-    picture = out or free_name(Path("gait.png"))
-    content = BytesIO()
-    with own_style():
-        form = format_by_name(picture, FigureCanvasBase.filetypes)
+
+    def described_figure() -> "Figure":
+        from stepgap.report.gait import describe_gait, gait_figure
+
         print(describe_gait(nominal, point, reachable))
-        gait_figure(nominal.space, point, reachable).savefig(content, dpi=150, format=form)
-    write_new(picture, "--out", content.getvalue())
+        return gait_figure(nominal.space, point, reachable)
+
+    write_picture(out or free_name(Path("gait.png")), described_figure)

@@ -25,7 +25,7 @@ def report(folder: Path, /, *others: Path, figures: Flag = False, open: Flag = F
     if others:
         raise InputError(f"a report is that of one run; compare several by: stepgap compare {folder} {others[0]}")
     kinds = [
-        load_plugin(REPORTS, "report", name, lambda found: isinstance(found, FolderReport), "a FolderReport")
+        load_plugin(REPORTS, "report", name, lambda kind: isinstance(kind, FolderReport), "a FolderReport")
         for name in plugin_names(REPORTS)
     ]
     other = next((kind for kind in kinds if kind.holds(folder)), None)

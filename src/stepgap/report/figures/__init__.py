@@ -80,7 +80,6 @@ def run_figure(run: Run, name: str) -> "Figure":
     """Draws one figure of the report of a run.
 
     Args:
-        run: The run.
         name: Name of the figure's file, such as `tracking`.
 
     Raises:

@@ -26,23 +26,15 @@ def reference_gait_figure(gait: ReferenceGait) -> "Figure":
     plane, sizes = figure.subplots(1, 2, width_ratios=[1.5, 1])
     sizes.axhline(1, color=GREY, linewidth=1)
     looks = ({"color": VERMILLION, "linestyle": "-.", "marker": "x"}, {"color": BLUE, "linestyle": "-", "marker": "o"})
-    for each, look in zip(gait.maps, looks, strict=False):
-        border = each.reachable.boundary
+    for cycles, look in zip(gait.maps, looks, strict=False):
+        border = cycles.reachable.boundary
         line = {name: look[name] for name in ("color", "linestyle")}
-        plane.plot(
-            *np.vstack([border, border[:1]]).T,
-            **line,
-            linewidth=1.3,
-            label=f"boundary of the reachable set, {each.name} map",
-        )
-        found = [
-            (row, abs(value))
-            for row, point in enumerate(each.points, 1)
-            if point
-            for value in point.floquet_multipliers
-        ]
+        label = f"boundary of the reachable set, {cycles.name} map"
+        plane.plot(*np.vstack([border, border[:1]]).T, **line, linewidth=1.3, label=label)
+        points = [(row, point) for row, point in enumerate(cycles.points, 1) if point]
+        multipliers = [(row, abs(value)) for row, point in points for value in point.floquet_multipliers]
         mark = {"color": look["color"], "marker": look["marker"], "markerfacecolor": "none", "linestyle": ""}
-        sizes.plot(*np.array(found).reshape(-1, 2).T, **mark, label=f"open loop, {each.name} map")
+        sizes.plot(*np.array(multipliers).reshape(-1, 2).T, **mark, label=f"open loop, {cycles.name} map")
     plane.plot(*gait.targets.T, ".", color=BLACK, label="targets")
     plane.plot(*gait.centre, "s", markersize=7, markerfacecolor="none", color=BLACK, label="start of the step")
     first, second = gait.space.state

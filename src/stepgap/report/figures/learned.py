@@ -30,7 +30,6 @@ def surface_figure(space: StepSpace, learned: LearnedResidual, centre: Array) ->
     centre. Inputs from the step before are zero.
 
     Args:
-        space: State and command.
         learned: Residual with its points.
         centre: State and command; shape (n + m,).
     """
@@ -38,9 +37,8 @@ def surface_figure(space: StepSpace, learned: LearnedResidual, centre: Array) ->
     points = learned.residual.regressions[0].points[:, : len(centre)]
     quantities = [*space.state, *space.command]
     figure = new_figure(0.3 + 2.6 * len(space.state))
-    for row, (panels, quantity) in enumerate(
-        zip(figure.subplots(len(space.state), 2, squeeze=False), space.state, strict=True)
-    ):
+    grid_of_panels = figure.subplots(len(space.state), 2, squeeze=False)
+    for row, (panels, quantity) in enumerate(zip(grid_of_panels, space.state, strict=True)):
         across, up = influential(residual, points, centre, row)
         x, y = (_range(points[:, index]) for index in (across, up))
         grid = np.broadcast_to(centre, (SURFACE_GRID, SURFACE_GRID, len(centre))).copy()
@@ -53,11 +51,9 @@ def surface_figure(space: StepSpace, learned: LearnedResidual, centre: Array) ->
         for panel, (title, values) in zip(panels, surfaces.items(), strict=True):
             filled = panel.contourf(x, y, values[..., row], levels=12, cmap="cividis")
             figure.colorbar(filled, ax=panel, format="%.3g")
+            dots = {"marker": ".", "markersize": 4, "markeredgecolor": "white", "markeredgewidth": 0.3, "linestyle": ""}
             fast = {"rasterized": points.size > MOST_VECTORS}
-            dots = {"linestyle": "", "marker": ".", "markersize": 4, "markeredgecolor": "white", **fast}
-            panel.plot(
-                points[:, across], points[:, up], **dots, markeredgewidth=0.3, color=BLACK, label="recorded step"
-            )
+            panel.plot(points[:, across], points[:, up], **dots, **fast, color=BLACK, label="recorded step")
             panel.set(xlabel=axis_label(quantities[across]), ylabel=axis_label(quantities[up]))
             panel.set_title(title, loc="left", fontsize="medium")
     return figure
@@ -99,13 +95,10 @@ def _caption(analysis: Analysis) -> str:
     gait = analysis.gait
     space = analysis.run.space
     at = "the median of these steps"
-    others = ""
     if not isinstance(gait, Missing) and (point := gait.centre_point) is not None:
         what = "the limit cycle of" if point.held else "the step that ends nearest to"
         at = f"{what} the target {gait.centre_named}, the nearest to the median of all"
-    if len(space.names) > 2:
-        others += f" All other inputs have their values at {at}."
-    return _CAPTION.format(others)
+    return _CAPTION.format(f" All other inputs have their values at {at}." * (len(space.names) > 2))
 
 
 SURFACE = RunFigure(

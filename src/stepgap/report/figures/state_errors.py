@@ -51,7 +51,7 @@ def state_error_figure(run: Run) -> "Figure":
             for label, (error, colour, marker) in kinds.items():
                 panel.plot(_inputs(steps)[:, column], error[:, row], marker, color=colour, label=label, **dots)
             clear_frame(panel)
-    _label(figure, panels, [run.space.state[row] for row in rows], [_quantities(steps)[each] for each in columns])
+    _label(figure, panels, [run.space.state[row] for row in rows], [_quantities(steps)[column] for column in columns])
     return figure
 
 
@@ -144,7 +144,7 @@ def _caption(analysis: Analysis) -> str:
         text += (
             " Where the map predicted that the target would be reached, the two errors are equal: dots are in circles."
         )
-    hidden = [each.name for column, each in enumerate(_quantities(steps)) if column not in columns]
+    hidden = [quantity.name for column, quantity in enumerate(_quantities(steps)) if column not in columns]
     if hidden:
         text += f" Not drawn, because the errors vary less with them: {', '.join(hidden)}."
     if len(rows) < len(steps.space.state):

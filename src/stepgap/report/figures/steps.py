@@ -17,17 +17,7 @@ from stepgap.learning.steps import Steps
 from stepgap.records.missing import Missing
 from stepgap.records.text import capitalised, unit_suffix
 from stepgap.report.analysis import Analysis
-from stepgap.report.drawing import (
-    BLACK,
-    BLUE,
-    GREY,
-    LIGHT,
-    SKY,
-    VERMILLION,
-    axis_label,
-    plain,
-    unit_label,
-)
+from stepgap.report.drawing import BLACK, BLUE, GREY, LIGHT, SKY, VERMILLION, axis_label, plain, unit_label
 from stepgap.report.figures import RunFigure
 from stepgap.report.plots import (
     as_pixels,
@@ -65,7 +55,7 @@ def tracking_figure(run: Run) -> "Figure":
     """
     first = run.shown_iterations[0]
     last = run.shown_iterations[-1]
-    grounds = list(dict.fromkeys(each.above for each in run.space.state if each.above))
+    grounds = list(dict.fromkeys(quantity.above for quantity in run.space.state if quantity.above))
     figure, panels = step_panels(len(run.space.state) + len(grounds))
     longest = max((run.steps.of_iteration(number).tracking() for number in run.steps.iterations), key=len)
     show_steps(panels, run.steps)
@@ -151,7 +141,6 @@ def map_figure(run: Run, index: int) -> "Figure":
     """Predicted and measured next state, and the standard deviation of the prediction (Figs. 6 and 7).
 
     Args:
-        run: The run.
         index: Index of the state coordinate.
     """
     figure, (upper, lower) = step_panels(2)
@@ -186,7 +175,7 @@ def _name(run: Run, iteration: int) -> str:
 
 def _deployment_label(run: Run) -> str:
     """Label of the axis of deployments, with the maps that they used."""
-    nominal = [each.iteration for each in run.deployments if each.residual == "none"]
+    nominal = [deployment.iteration for deployment in run.deployments if deployment.residual == "none"]
     if nominal == [0]:
         return f"Deployment (0: nominal map{'; later ones: corrected map' * (len(run.deployments) > 1)})"
     return "Deployment" if nominal or not run.deployments else "Deployment (all of this run: corrected map)"
@@ -246,13 +235,14 @@ def _tracking_caption(analysis: Analysis) -> str:
 
 
 def _command_caption(analysis: Analysis) -> str:
-    run, (which, _) = analysis.run, _first_and_last(analysis.run)
+    run = analysis.run
+    which, _ = _first_and_last(run)
     drawn = {run.shown_iterations[0], run.shown_iterations[-1]}
     cut = any(cut_commands(run.steps.of_iteration(number)).any() for number in drawn)
-    known = not isinstance(run.nominal, Missing)
+    has_bounds = not isinstance(run.nominal, Missing)
     return (
-        f"Requested commands {which}.{' Dotted: their bounds.' * known}"
-        f"{' Triangles: limits of the robot removed a part.' * (known and cut)}"
+        f"Requested commands {which}.{' Dotted: their bounds.' * has_bounds}"
+        f"{' Triangles: limits of the robot removed a part.' * (has_bounds and cut)}"
     )
 
 
@@ -299,7 +289,7 @@ def _reasons(run: Run, row: int, iterations: Sequence[int]) -> str:
     if not any(np.ptp(std) > VISIBLE * std.max() for std in stds):
         return ""
     targets = [steps.tracking().target for steps in drawn]
-    changes = any(not same_target(each[1:], each[:-1]).all() for each in targets)
+    changes = any(not same_target(target[1:], target[:-1]).all() for target in targets)
     farther = " It is larger where state and command are farther from recorded ones"
     text = f"{farther}{', often after a change of the target' * changes}."
     if not isinstance(run.settings, Missing) and run.settings.learning.drift:
@@ -309,8 +299,8 @@ def _reasons(run: Run, row: int, iterations: Sequence[int]) -> str:
 
 def _held(run: Run, iteration: int, row: int) -> str:
     """Number of measurements of a deployment within the band, as text; empty where there was no band."""
-    inside, known = (int(counts[row]) for counts in interval_coverage(run.steps.of_iteration(iteration)))
-    return f"{inside} of {known} measurements ({100 * inside / known:.0f} %) in deployment {iteration}" if known else ""
+    inside, count = (int(counts[row]) for counts in interval_coverage(run.steps.of_iteration(iteration)))
+    return f"{inside} of {count} measurements ({100 * inside / count:.0f} %) in deployment {iteration}" if count else ""
 
 
 TRACKING = RunFigure(
