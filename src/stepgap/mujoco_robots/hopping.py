@@ -7,7 +7,10 @@ from stepgap.base.compiled import compiled
 from stepgap.mujoco_robots.mjcf.mjcf_robot import ControlLaw
 from stepgap.step import Array
 
-FLIGHT, COMPRESSION, THRUST = 0, 1, 2  # Phases of a step
+FLIGHT = 0
+COMPRESSION = 1
+THRUST = 2
+"""Phases of a step."""
 
 
 @compiled

@@ -165,7 +165,7 @@ def _coordinates(model: Any) -> dict[str, int]:
     """Addresses of the height in `qpos` and `qvel`, and of the forward speed in `qvel`, as far as joints have them."""
     import mujoco
 
-    found: dict[str, int] = {}
+    addresses: dict[str, int] = {}
     for number in range(model.njnt):
         position = int(model.jnt_qposadr[number])
         rate = int(model.jnt_dofadr[number])
@@ -174,10 +174,10 @@ def _coordinates(model: Any) -> dict[str, int]:
             return {"height": position + 2, "rise": rate + 2, "speed": rate}
         if model.jnt_type[number] == mujoco.mjtJoint.mjJNT_SLIDE and model.body_parentid[model.jnt_bodyid[number]] == 0:
             if axis[2] > 0.9:
-                found |= {"height": position, "rise": rate}
+                addresses |= {"height": position, "rise": rate}
             elif axis[0] > 0.9:
-                found |= {"speed": rate}
-    return found
+                addresses |= {"speed": rate}
+    return addresses
 
 
 def _digest(model: Any) -> str:

@@ -88,17 +88,17 @@ def copied_model(model: Path, folder: Path) -> Parts:
 
 def _code_of_model(starter: str, name: str, class_name: str, parts: Parts) -> str:
     """Code of a robot from a model, whose names are literals in ASCII, so that they are never code."""
-    known = {"height": 0, "rise": 0, "speed": 0} | parts.coordinates
-    start = parts.start[known["height"]] if parts.start else 0.0
+    addresses = {"height": 0, "rise": 0, "speed": 0} | parts.coordinates
+    start = parts.start[addresses["height"]] if parts.start else 0.0
     low, high = (start * 0.8, start * 1.2) if start > 0.01 else (start - 0.1, start + 0.1)
     return Template(starter).substitute(
-        {key: str(value) for key, value in known.items()},
+        {key: str(value) for key, value in addresses.items()},
         name=name,
         joints=ascii(parts.joints),
         actuators=ascii(parts.actuators),
         geoms=_dictionary(parts.geoms),
         touching=ascii(parts.touching),
-        place=_PLACES[len(parts.coordinates) == len(known)],
+        place=_PLACES[len(parts.coordinates) == len(addresses)],
         low=f"{low:.3f}",
         high=f"{high:.3f}",
         fallen=f"{start - 2.5 * (start - low):.3f}",

@@ -40,12 +40,10 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> tuple[lis
     from stepgap.mujoco_robots.mjcf.model_files import MODEL_FILE
     from stepgap.mujoco_robots.trial import parts_of_network
     from stepgap.mujoco_robots.velocity.policy.onnx_file import read_network
-    from stepgap.mujoco_robots.velocity.policy.policy_model import standing_height
-    from stepgap.mujoco_robots.velocity.policy.policy_robot import PolicyFile, PolicyRobot
     from stepgap.mujoco_robots.velocity.policy.proposal import completed_model, driven_joints, propose_policy
     from stepgap.mujoco_robots.velocity.policy.training_files import training_of
-    from stepgap.mujoco_robots.velocity.walking_robot import Walk
 
+    # Network and model are copied.
     try:
         content = read_network(policy)
         network = parts_of_network(policy)
@@ -53,44 +51,60 @@ def write_policy(folder: Path, name: str, policy: Path, mjcf: Path) -> tuple[lis
         raise InputError(f"--policy {error}") from None
     create(folder / NETWORK_FILE, content)
     parts = copied_model(mjcf, folder)
-    model = folder / MODEL_FILE
+
+    # What training and model say of the policy is written, and what the model lacks.
     try:
         training = training_of(network, policy, list(parts.addresses), driven_joints(parts))
     except ValueError as error:
         raise InputError(f"--policy {error}") from None
-    found = propose_policy(network, parts, training)
-    ranges = _ranges(training.commands if training else {})
-    known = {"policy": NETWORK_FILE, "model": MODEL_FILE, **found.values}
-    joints = known.get("joints", [])
-    positions = known.get("default_joint_pos", [])
-    text, added = completed_model(model.read_text("utf-8"), parts, joints)
+    proposal = propose_policy(network, parts, training)
+    settings = {"policy": NETWORK_FILE, "model": MODEL_FILE, **proposal.values}
+    model = folder / MODEL_FILE
+    text, added = completed_model(model.read_text("utf-8"), parts, settings.get("joints", []))
     if added:
         write_whole(model, text)
-    create(folder / POLICY_FILE, _policy_toml(found._replace(values=known)))
-    missing = _missing(known, found.advice)
-    seconds, gait = step_seconds(known), ""
+    create(folder / POLICY_FILE, _policy_toml(proposal._replace(values=settings)))
+
+    # A walk shows how long a step is.
+    missing = _missing(settings, proposal.advice)
+    ranges = _ranges(training.commands if training else {})
     try:
-        height = standing_height(joints, positions, model)
-        if not missing:
-            walk = Walk(seconds=seconds, fall_height=0.5 * height, **ranges)
-            robot = PolicyRobot(policy=PolicyFile(str(folder / POLICY_FILE)), walk=walk)
-            seconds, gait = _seconds_by_gait(robot)
+        seconds, fall_height, gait = _walk_of(folder, settings, ranges, is_complete=not missing)
     except ValueError as error:
         raise InputError(f"--policy {policy}, --mjcf {mjcf}: {str(error).replace(f'{folder}/', '')}") from None
-    todo = f"\n**First fill in {', '.join(missing)} in `policy.toml`.**\n" if missing else ""
     values = {
         "name": readme_name(name),
         "seconds": f"{seconds:.4g}",
-        "fall_height": f"{0.5 * height:.3f}",
-        "todo": todo,
-        "ranges": "".join(f"\n[walk.{key}]\n{_lines_of(each)}" for key, each in ranges.items()),
-        "added": "",
+        "fall_height": f"{fall_height:.3f}",
+        "todo": f"\n**First fill in {', '.join(missing)} in `policy.toml`.**\n" if missing else "",
+        "ranges": "".join(f"\n[walk.{key}]\n{_lines_of(ends)}" for key, ends in ranges.items()),
+        "added": f" It had no {' and no '.join(added)}, so they were added." if added else "",
     }
-    if added:
-        values["added"] = f" It had no {' and no '.join(added)}, so they were added."
     for target, source in {"experiment.toml": "policy.toml.txt", "README.md": "README_policy.md.txt"}.items():
         create(folder / target, Template(starter_text(source, TEXTS)).substitute(values))
     return missing, gait
+
+
+def _walk_of(
+    folder: Path, settings: Mapping[str, Any], ranges: Mapping[str, Any], is_complete: bool
+) -> tuple[float, float, str]:
+    """Duration of a step [s], height below which the robot has fallen [m], and what a walk shows of the gait.
+
+    Without all settings, the robot stands, but does not walk.
+    """
+    from stepgap.mujoco_robots.mjcf.model_files import MODEL_FILE
+    from stepgap.mujoco_robots.velocity.policy.policy_model import standing_height
+    from stepgap.mujoco_robots.velocity.policy.policy_robot import PolicyFile, PolicyRobot
+    from stepgap.mujoco_robots.velocity.walking_robot import Walk
+
+    seconds = step_seconds(settings)
+    positions = settings.get("default_joint_pos", [])
+    fall_height = 0.5 * standing_height(settings.get("joints", []), positions, folder / MODEL_FILE)
+    if not is_complete:
+        return seconds, fall_height, ""
+    walk = Walk(seconds=seconds, fall_height=fall_height, **ranges)
+    seconds, gait = _seconds_by_gait(PolicyRobot(policy=PolicyFile(str(folder / POLICY_FILE)), walk=walk))
+    return seconds, fall_height, gait
 
 
 def _ranges(commands: Mapping[str, Sequence[float]]) -> dict[str, Any]:
@@ -100,7 +114,8 @@ def _ranges(commands: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     ranges = dict[str, Any]()
     for name, (low, high) in commands.items():
         usual: VelocityRange = getattr(Walk(), name)
-        lower, upper = max(usual.lower, low), min(usual.upper, high)
+        lower = max(usual.lower, low)
+        upper = min(usual.upper, high)
         ranges[name] = VelocityRange(*((lower, upper) if lower < upper else (low, high)), low, high)
     return ranges
 
@@ -130,25 +145,25 @@ def _seconds_by_gait(robot: "PolicyRobot") -> tuple[float, str]:
     return seconds, f"the gait of the model: {words[0].lower()}{words[1:]}"
 
 
-def step_seconds(known: Mapping[str, Any]) -> float:
+def step_seconds(values: Mapping[str, Any]) -> float:
     """Duration of a step [s]: whole periods of a gait with a clock, or else `STEP_SECONDS`.
 
     The mean velocity over a part of a period depends on where in the gait it begins.
     """
     from stepgap.mujoco_robots.velocity.policy.policy_settings import PolicySettings
 
-    if not {"phase_sin", "phase_cos"} & set(known.get("observation", ())):
+    if not {"phase_sin", "phase_cos"} & set(values.get("observation", ())):
         return STEP_SECONDS
-    period = float(known.get("gait_period", PolicySettings.gait_period))
+    period = float(values.get("gait_period", PolicySettings.gait_period))
     return period * max(1, round(STEP_SECONDS / period))
 
 
-def _missing(known: Mapping[str, Any], advice: Mapping[str, Sequence[str]]) -> list[str]:
+def _missing(values: Mapping[str, Any], advice: Mapping[str, Sequence[str]]) -> list[str]:
     """Settings that are not known, and have no default or one that does not fit."""
     from stepgap.mujoco_robots.velocity.policy.policy_settings import PolicySettings
 
-    unknown = [each for each in fields(PolicySettings) if each.name not in known]
-    return [each.name for each in unknown if each.default is MISSING or each.name in advice]
+    unknown = [entry for entry in fields(PolicySettings) if entry.name not in values]
+    return [entry.name for entry in unknown if entry.default is MISSING or entry.name in advice]
 
 
 def _policy_toml(proposal: "Proposal") -> str:
@@ -165,7 +180,8 @@ def _policy_toml(proposal: "Proposal") -> str:
         if entry.name == "scale":
             continue
         advice = proposal.advice.get(entry.name, [])
-        lines += ["", *_comment(texts[entry.name]), *(f"# {_printable(line)}" for line in advice)]
+        shown = ("".join(filter(str.isprintable, line)) for line in advice)  # it may have texts of others
+        lines += ["", *_comment(texts[entry.name]), *(f"# {line}" for line in shown)]
         value = proposal.values.get(entry.name, entry.default)
         if value is not MISSING:
             lines.append(toml_line(entry.name, value))
@@ -180,8 +196,3 @@ def _policy_toml(proposal: "Proposal") -> str:
 
 def _comment(text: str) -> list[str]:
     return [f"# {line}" for line in wrap(text, _WIDTH)]
-
-
-def _printable(text: str) -> str:
-    """A text of others on one line."""
-    return "".join(each for each in text if each.isprintable())

@@ -20,7 +20,8 @@ GROUND_LENGTH: Final = 12.0  # Length after which the ground of a robot from MJC
 
 _BODY: Final = "uneven_ground"
 _OVERLAP: Final = 1.0  # Length by which the boxes go on beyond both ends [m], more than a robot is long
-_HALF_DEPTH, _HALF_WIDTH = 0.5, 2.0  # Half of the height and of the width of a box [m]
+_HALF_DEPTH: Final = 0.5  # Half of the height of a box [m]
+_HALF_WIDTH: Final = 2.0  # Half of its width [m]
 _LEVEL: Final = 0.5  # Smallest upward part of the normal of a contact with the ground; that with a riser is less
 
 
@@ -32,10 +33,10 @@ def above_ground(space: StepSpace, ground: UnevenGround) -> StepSpace:
     """
     if not ground.is_measured:
         return space
-    state = [replace(each, above="ground") if each.name == "height" else each for each in space.state]
+    state = [replace(quantity, above="ground") if quantity.name == "height" else quantity for quantity in space.state]
     slope = ContextQuantity("slope", "", input_scale=0.1 * ground.inputs)
-    found = ContextQuantity("ground", "m"), ContextQuantity("foothold", "m"), slope
-    return replace(space, state=tuple(state), context=(*space.context, *found))
+    measured = ContextQuantity("ground", "m"), ContextQuantity("foothold", "m"), slope
+    return replace(space, state=tuple(state), context=(*space.context, *measured))
 
 
 class BoxGround:
@@ -92,15 +93,14 @@ def _add_box(body: Any, floor: Any, foot: Any, begin: float, length: float, numb
     box.priority = 1  # else MuJoCo mixes its contact with that of the foot, as it is mixed here
     solref = (np.array(floor.solref) + np.array(foot.solref))[None] / 2
     soften(solref, 1 / float(treads.stiffness[number]))
-    box.solref, friction = solref[0], np.maximum(floor.friction, foot.friction)
-    box.friction = friction * [float(treads.friction[number]), 1, 1]
+    box.solref = solref[0]
+    box.friction = np.maximum(floor.friction, foot.friction) * [float(treads.friction[number]), 1, 1]
 
 
 class Footholds:
     """Where the feet of a robot touch the ground, step by step.
 
     Args:
-        model: The model.
         feet: Names of the geoms that stand on the ground.
 
     Raises:

@@ -46,7 +46,6 @@ class MjcfKinematics(Kinematics):
     feet. The state coordinate `height`, if there is one, is taken to be the height of the body.
 
     Args:
-        model: The model.
         space: State and command of the robot.
         place: Puts the model, with its data, into a state at the section; it was reset before.
         tick: Time between two calls of the controller [s].
@@ -152,13 +151,9 @@ def _can_touch(model: Any, geom: int) -> bool:
     return collides and model.geom_type[geom] in (_SPHERE, _CAPSULE)
 
 
-def _name(model: Any, geom: int) -> str:
-    return model.geom(geom).name or f"{model.body(model.geom_bodyid[geom]).name or 'body'}_{geom}"
-
-
 def _ends(model: Any, geom: int) -> dict[str, _End]:
     """The centre of a sphere, or the two ends of another geom along its longest axis, by name."""
-    name = _name(model, geom)
+    name = model.geom(geom).name or f"{model.body(model.geom_bodyid[geom]).name or 'body'}_{geom}"
     size = model.geom_size[geom]
     kind = model.geom_type[geom]
     if kind == _SPHERE:

@@ -123,7 +123,6 @@ class MjcfStepper:
     """A MuJoCo model that is stepped from section to section.
 
     Args:
-        robot: The robot.
         gap: Differences of the model that is stepped.
         rng: Draws the noise of the control signals, and where on uneven ground the robot is put.
         treads: Uneven ground; None where it is flat.
@@ -140,7 +139,8 @@ class MjcfStepper:
         keep_divergence(self._model)
         self._footholds = Footholds(self._model, robot.feet) if robot.ground.is_measured else None
         self._data = mujoco.MjData(self._model)
-        self._section, self._substeps = robot.section(), max(1, round(robot.tick / self._model.opt.timestep))
+        self._section = robot.section()
+        self._substeps = max(1, round(robot.tick / self._model.opt.timestep))
         self._guard_functions = (self._section.guard, *self._section.others)
         self._most_ticks = round(robot.longest_step / robot.tick)
         self.place(robot.start_state)
@@ -156,7 +156,8 @@ class MjcfStepper:
         self._control = self._robot.controller()
         self._late = deque([self._data.ctrl.copy()] * round(self._gap.delay / self._robot.tick))
         self._lagged = self._data.ctrl.copy()
-        self._armed, self._guards = [False] * len(self._guard_functions), [0.0] * len(self._guard_functions)
+        self._armed = [False] * len(self._guard_functions)
+        self._guards = [0.0] * len(self._guard_functions)
         self._last = -1
         if self._section.others:
             values = self._guard_values()
@@ -180,8 +181,8 @@ class MjcfStepper:
     @property
     def context(self) -> tuple[float, ...]:
         """What is measured of the last step; after the robot's own what its feet have found, if that is measured."""
-        found = self._footholds.context if self._footholds else ()
-        return *self._robot.context(self._model, self._data), *found
+        of_feet = self._footholds.context if self._footholds else ()
+        return *self._robot.context(self._model, self._data), *of_feet
 
     def step(
         self,
@@ -262,11 +263,7 @@ class MjcfStepper:
 
 
 class MjcfSimulator:
-    """A step of the model without a gap, for a `SimulatorMap`.
-
-    Args:
-        robot: The robot.
-    """
+    """A step of the model without a gap, for a `SimulatorMap`."""
 
     def __init__(self, robot: MjcfRobot):
         self._stepper = MjcfStepper(robot, MjcfGap.none(), np.random.default_rng(0))
@@ -282,18 +279,12 @@ class MjcfPlant(RepeatablePlant):
     """The model with its reality gap, sensor noise included.
 
     Args:
-        robot: The robot.
-        rng: Draws the noise.
         on_ticks: Called with the ticks of every step at its end, and with the first posture as step 0.
         treads: Uneven ground; None where it is flat.
     """
 
     def __init__(
-        self,
-        robot: MjcfRobot,
-        rng: np.random.Generator,
-        on_ticks: OnTicks | None = None,
-        treads: Treads | None = None,
+        self, robot: MjcfRobot, rng: np.random.Generator, on_ticks: OnTicks | None = None, treads: Treads | None = None
     ):
         self._robot = robot
         self._rng = rng
@@ -332,7 +323,9 @@ class MjcfPlant(RepeatablePlant):
     def repeated(self, command: Array, rng: np.random.Generator, turned: float = 0.0) -> Array:  # noqa: ARG002
         """Next state of a copy with new noise; there is nothing to turn."""
         copied = copy(self)
-        copied._rng, copied._stepper, copied._on_ticks = rng, self._stepper.copy(rng), None
+        copied._rng = rng
+        copied._stepper = self._stepper.copy(rng)
+        copied._on_ticks = None
         return copied.take_step(command).next_state
 
     def stop(self) -> None:
@@ -345,15 +338,15 @@ class MjcfPlant(RepeatablePlant):
 
         def chosen(command: Array) -> Array:
             context = self._stepper.context
-            found = Touchdown(space.above(before, context), space.named_context(context))
-            return commands.replace(at_touchdown, found) if at_touchdown else command
+            touchdown = Touchdown(space.above(before, context), space.named_context(context))
+            return commands.replace(at_touchdown, touchdown) if at_touchdown else command
 
         status = self._step(commands.within, chosen) if np.isfinite(commands.first).all() else StepStatus.INVALID
         true_state = self._stepper.state if status == StepStatus.OK else unknown
         self._state = self._measured(self._rng) if status == StepStatus.OK else unknown
         context = self._stepper.context if status != StepStatus.INVALID else ()
         applied = commands.within
-        state, next_state, true_state = (space.above(each, context) for each in (before, self._state, true_state))
+        state, next_state, true_state = (space.above(values, context) for values in (before, self._state, true_state))
         named = space.named_context(context)
         return StepRecord(state, commands.acted(applied), applied, next_state, status, named, applied, true_state)
 
@@ -375,7 +368,6 @@ class MjcfSimulation(Simulation):
     """The model with its reality gap; the same in all deployments.
 
     Args:
-        robot: The robot.
         world: Draws its ground, if that is uneven.
     """
 

@@ -78,7 +78,8 @@ def _begin(element: ET.Element) -> str:
 LARGEST_XML: Final = 2**24  # Largest total size of the XML files that are read [bytes]
 LARGEST_ASSETS: Final = 2**30  # Largest total size of the assets that are copied [bytes]
 MOST_FILES: Final = 10_000  # Largest number of included files and assets
-MODEL_FILE, ASSETS = "model.xml", "assets"  # Name of the copied model, and of the folder of its assets
+MODEL_FILE: Final = "model.xml"  # Name of the copied model
+ASSETS: Final = "assets"  # Name of the folder of its assets
 _FOLDERS: Final = ("meshdir", "texturedir", "assetdir")  # Attributes of `compiler` that name folders of assets
 
 NAMED_BY_FILE: Final = ("mesh", "hfield", "texture")
@@ -103,17 +104,13 @@ def model_files(path: Path) -> dict[str, str | Path]:
     Raises:
         InputError: A file is missing or is no XML, it does not lie with the model, or the model is too large.
     """
-    found = _Found(path)
-    found.files[MODEL_FILE] = found.text_of(path, f"{ASSETS}/")
-    return found.files
+    copies = _Copies(path)
+    copies.files[MODEL_FILE] = copies.text_of(path, f"{ASSETS}/")
+    return copies.files
 
 
-class _Found:
-    """The files that were found; they have different names in one folder.
-
-    Args:
-        main: The model.
-    """
+class _Copies:
+    """The files that are copied; they have different names in one folder."""
 
     def __init__(self, main: Path):
         self.main = main
@@ -128,15 +125,15 @@ class _Found:
         """XML of a model with its includes, in which its assets are named as in the new folder.
 
         Args:
-            path: The model.
             before: What precedes the names of assets.
         """
         places: dict[ET.Element, Path] = {}
         root = self._expanded(path, path.parent, (), places)
         check_model_size(root, path)
-        folders = [text for each in root.iter("compiler") for key in _FOLDERS if (text := each.attrib.pop(key, ""))]
-        for each in root.iter("compiler"):
-            each.attrib.pop("strippath", "")
+        compilers = list(root.iter("compiler"))
+        folders = [text for compiler in compilers for key in _FOLDERS if (text := compiler.attrib.pop(key, ""))]
+        for compiler in compilers:
+            compiler.attrib.pop("strippath", "")
         urdf = root.tag == "robot"
         if urdf:
             _discard_visuals(root, lambda value: self._own_file(value, [path.parent], folders))
@@ -214,8 +211,8 @@ class _Found:
 
     def _copied(self, source: Path, element: ET.Element, before: str) -> str:
         """The name of a file in the new folder, where it will be copied once."""
-        known = source.resolve()
-        if known not in self._names:
+        real = source.resolve()
+        if real not in self._names:
             self._count()
             with open_regular(source) as file:
                 if file.read(len(GIT_LFS)) == GIT_LFS:
@@ -224,15 +221,15 @@ class _Found:
             number = 2
             while name.lower() in map(str.lower, self._names.values()):
                 name = f"{source.stem}_{number}{source.suffix}"
-                number = number + 1
-            self._names[known] = name
+                number += 1
+            self._names[real] = name
             self.files[f"{ASSETS}/{name}"] = source
             if element.tag == "model":  # of an <attach>: a model with its own assets, which are beside it
                 self.files[f"{ASSETS}/{name}"] = self.text_of(source, "")
             self._bytes += source.stat().st_size
             if self._bytes > LARGEST_ASSETS:
                 raise InputError(f"{self.main}: its files are larger than {LARGEST_ASSETS} bytes together")
-        return f"{before}{self._names[known]}"
+        return f"{before}{self._names[real]}"
 
     def _count(self) -> None:
         self._read += 1
@@ -266,7 +263,7 @@ def _discard_visuals(root: ET.Element, own_file: Callable[[str], Path | None]) -
     """Removes from a URDF what is only seen and has no file with the model; MuJoCo does without it, too."""
     for link in root.iter("link"):
         for visual in link.findall("visual"):
-            named = [text for each in visual.iter() if (text := each.get("filename", "").strip())]
+            named = [text for element in visual.iter() if (text := element.get("filename", "").strip())]
             if not all(map(own_file, named)):
                 link.remove(visual)
 

@@ -35,7 +35,6 @@ def apex(joint: str, threshold: float = 0.05) -> Section:
     """The highest point: the velocity of a vertical slide joint, upward positive, falls through zero.
 
     Args:
-        joint: Name of the joint.
         threshold: Velocity that must have been exceeded [m/s].
     """
     return Section(lambda model, data: float(data.qvel[model.joint(joint).dofadr[0]]), threshold)
@@ -80,7 +79,7 @@ def next_foot(*feet: str | int | tuple[str | int, ...], threshold: float = 0.005
         ValueError: There are fewer than two feet.
     """
     require(len(feet) > 1, "feet", list(feet), "be at least two; the touchdown of one is `touchdown`")
-    first, *others = (_lowest(each if isinstance(each, tuple) else (each,)) for each in feet)
+    first, *others = (_lowest(foot if isinstance(foot, tuple) else (foot,)) for foot in feet)
     return Section(first, threshold, tuple(others))
 
 
@@ -93,8 +92,6 @@ def clearance(model: Any, data: Any, geom: str | int, ground: str = "floor") -> 
     """Distance between a geom and the ground, negative in contact [m].
 
     Args:
-        model: MuJoCo model.
-        data: Its data.
         geom: Name or number of the geom.
         ground: Name of the ground's geom.
     """

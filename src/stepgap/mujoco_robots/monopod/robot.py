@@ -32,10 +32,12 @@ from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.simulator import SimulatorMap
 from stepgap.step import Array, Quantity, StepMap, StepSpace
 
-LEG, SOLE_RADIUS = 0.5, 0.03
-"""Length of the leg from the hip to the middle of the round foot at rest, and radius of that foot [m]."""
-
-TORSO_MASS, UPPER_LEG_MASS, LOWER_LEG_MASS = 9.0, 0.6, 0.25  # Masses [kg]
+LEG = 0.5  # Length of the leg from the hip to the middle of the round foot at rest [m]
+SOLE_RADIUS = 0.03  # Radius of that foot [m]
+TORSO_MASS = 9.0
+UPPER_LEG_MASS = 0.6
+LOWER_LEG_MASS = 0.25
+"""Masses [kg]."""
 
 
 def monopod_xml() -> str:
@@ -297,14 +299,8 @@ class Monopod(MjcfRobot):
     def place(self, model: Any, data: Any, state: Array) -> None:  # noqa: ARG002
         """At an apex, without any turn about the vertical, with the foot where it lands without a command."""
         speed, height, offset, drift, roll, pitch, *rates = state
-        half = 0.5 * roll, 0.5 * pitch
-        about_x, about_y = np.array([[np.cos(a), np.sin(a)] for a in half])
-        quaternion = [
-            about_y[0] * about_x[0],
-            about_y[0] * about_x[1],
-            about_y[1] * about_x[0],
-            -about_y[1] * about_x[1],
-        ]
+        about_x, about_y = np.array([[np.cos(half), np.sin(half)] for half in (0.5 * roll, 0.5 * pitch)])
+        quaternion = np.outer(about_y, about_x).ravel() * [1.0, 1.0, 1.0, -1.0]
         data.qpos[:7] = [0.0, offset, height, *quaternion]
         data.qpos[7:9] = hip_angles(self.gains.law, body_rotation(data.qpos[3:7]), speed, drift, 0.0, 0.0)
         data.qvel[:5] = [speed, drift, 0.0, *rates]

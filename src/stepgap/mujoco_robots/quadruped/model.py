@@ -23,17 +23,23 @@ class LegMount(NamedTuple):
     y: float
 
 
-HIP_X, HIP_Y, THIGH_OFFSET = 0.1934, 0.0465, 0.0955
-"""Distances of a hip from the middle of the trunk and from its middle plane, and of a thigh from the hip [m]."""
+HIP_X = 0.1934  # Distance of a hip from the middle of the trunk [m]
+HIP_Y = 0.0465  # Distance of a hip from the middle plane [m]
+THIGH_OFFSET = 0.0955  # Distance of a thigh from the hip [m]
 THIGH_Y = HIP_Y + THIGH_OFFSET  # Distance of a thigh from the middle plane [m]
 LEGS = tuple(
     LegMount(end + side, HIP_X * (1 if end == "F" else -1), THIGH_Y * (1 if side == "L" else -1))
     for end in "FR"
     for side in "LR"
 )
-LINK, TOE_RADIUS = 0.213, 0.022  # Length of thigh and calf, and radius of the round foot [m]
-THIGH_TORQUE, CALF_TORQUE = 23.7, 45.43  # Largest torques of the motors of thigh and calf [N·m]
-TRUNK_MASS, HIP_MASS, THIGH_MASS, CALF_MASS = 6.921, 0.678, 1.152, 0.241352
+LINK = 0.213  # Length of thigh and of calf [m]
+TOE_RADIUS = 0.022  # Radius of the round foot [m]
+THIGH_TORQUE = 23.7  # Largest torque of the motor of a thigh [N·m]
+CALF_TORQUE = 45.43  # Largest torque of the motor of a calf [N·m]
+TRUNK_MASS = 6.921
+HIP_MASS = 0.678
+THIGH_MASS = 1.152
+CALF_MASS = 0.241352
 """Masses [kg]; that of the calf contains the foot."""
 TOTAL_MASS = TRUNK_MASS + 4 * (HIP_MASS + THIGH_MASS + CALF_MASS)
 
@@ -61,7 +67,6 @@ def machine_xml(name: str, option: str, floor: str, height: float, joints: str, 
         height: Height of the trunk in the first posture [m].
         joints: Joints of the trunk.
         legs: Legs, as by `leg_xml`.
-        actuators: Actuators.
     """
     return f"""
 <mujoco model="{name}">

@@ -5,8 +5,8 @@ from mid-stance on, the step command and a constant thrust are added. Each foot 
 and rear legs differ by a vertical force that holds the pitch. Jᵀ of each leg makes torques of the forces. In flight all
 feet are placed below their hips, ahead by a distance that increases with the speed.
 
-Positions are relative to the hip or the middle
-of the trunk, x forward and z up; angles turn about y, so a positive pitch is nose down.
+Positions are relative to the hip or the middle of the trunk, x forward and z up; angles turn about y, so a positive
+pitch is nose down.
 """
 
 from collections import namedtuple
@@ -167,7 +167,8 @@ def pronk(law, phase, contact, position, velocity, command, torques):
     body_x, body_z = virtual_force(law, x, z, length_rate, phase == THRUST, command[0], command[1])
     moment = -law.pitch_stiffness * pitch - law.pitch_damping * rate - (z * body_x - x * body_z)
     for leg in range(4):
-        pose, end = _leg_pose(position, velocity, leg), 1.0 if leg < 2 else -1.0  # front or rear
+        pose = _leg_pose(position, velocity, leg)
+        end = 1.0 if leg < 2 else -1.0  # front or rear
         if phase == FLIGHT:
             level = landing_z + end * HIP_X * np.sin(pitch)  # so that front and rear feet land together
             foot_x = law.foot_stiffness * (pose.x - landing_x) + law.foot_damping * pose.x_rate

@@ -112,7 +112,8 @@ class Quadruped(MjcfRobot):
     def place(self, model: Any, data: Any, state: Array) -> None:  # noqa: ARG002
         """Level, at an apex, with the feet where they land."""
         speed, height = state
-        data.qpos[1], data.qvel[0] = height, speed
+        data.qpos[1] = height
+        data.qvel[0] = speed
         x, z = foot_placement(self.gains.law, speed)
         bend = acos(hypot(x, z) / (2 * LINK))
         thigh = atan2(-x, -z) + bend

@@ -48,7 +48,8 @@ def landing_velocity(model: Any, data: Any, feet: Sequence[str]) -> Array:
 
 
 GRAVITY = 9.81
-TIME_STEP, LONGEST_STANCE = 0.002, 0.5  # Size of an integration step, and time in which stance must end [s]
+TIME_STEP = 0.002  # Size of an integration step [s]
+LONGEST_STANCE = 0.5  # Time in which stance must end [s]
 
 _OK, _FELL, _NO_TAKE_OFF, _INVALID = (
     int(status) for status in (StepStatus.OK, StepStatus.FELL, StepStatus.NO_TAKE_OFF, StepStatus.INVALID)

@@ -15,8 +15,8 @@ from stepgap.records.text import listed
 from stepgap.step import Array, StepSpace
 
 _SETTLED: Final = 1.0  # Time after a change of command from which on its velocity counts as that of a held command [s]
-_SHORTEST, _LONGEST = 0.15, 1.6
-"""Range in which a period is sought [s]."""
+_SHORTEST: Final = 0.15  # Shortest period that is sought [s]
+_LONGEST: Final = 1.6  # Longest one [s]
 _HIGH: Final = 0.85  # Part of the height of the highest peak that makes an earlier peak the first high one
 _PERIODIC: Final = 0.5  # Height of the peak from which on a gait is called strictly periodic
 _OFF: Final = 0.05  # Largest distance of a step from whole periods that still counts as whole [periods]
@@ -68,13 +68,8 @@ class Gait:
 
     def in_words(self, space: StepSpace) -> str:
         """Period, response and scatter as sentences."""
-        slow = listed(
-            [
-                f"{seconds:.2g} s in {name}"
-                for name, seconds in zip(space.state_names, self.response, strict=True)
-                if np.isfinite(seconds)
-            ]
-        )
+        responses = zip(space.state_names, self.response, strict=True)
+        slow = listed([f"{seconds:.2g} s in {name}" for name, seconds in responses if np.isfinite(seconds)])
         scatter = zip(space.state, np.array(self.scatter) / space.state_scale, strict=True)
         spread = ", ".join(f"{quantity.name} {share:.2g}" for quantity, share in scatter)
         repeats = f"It repeats every {self.period:.3g} s (autocorrelation of its velocities {self.height:.2f})"
@@ -88,7 +83,6 @@ def gait_of(walk: ConstantWalk, seconds: float) -> Gait:
     """What a walk shows of the gait.
 
     Args:
-        walk: The walk.
         seconds: Duration of a step [s].
     """
     interval = walk.interval
@@ -118,13 +112,11 @@ def gait_period(velocities: Array, interval: float) -> tuple[float, float]:
     sums = np.fft.irfft(spectrum, 2 * length, axis=1)[:, :length].sum(axis=(0, 2))
     lags = np.arange(length)
     correlation = sums / (pieces * (length - lags) * max(1, np.count_nonzero(sways)))
-    first, last = round(_SHORTEST / interval), min(round(_LONGEST / interval), length // 2)
-    inner = np.arange(max(first, 1), last)
+    last = min(round(_LONGEST / interval), length // 2)
+    inner = np.arange(max(round(_SHORTEST / interval), 1), last)
     is_peak = (correlation[inner] >= correlation[inner - 1]) & (correlation[inner] > correlation[inner + 1])
     peaks = inner[is_peak]
-    if not len(peaks):
-        return nan, 0.0
-    highest = correlation[peaks].max()
+    highest = correlation[peaks].max(initial=0.0)
     if highest <= 0:
         return nan, 0.0
     peak = peaks[correlation[peaks] > _HIGH * highest][0]

@@ -104,11 +104,7 @@ class TrotGains:
 
 @final
 class Trot(WalkingControl):
-    """The gait of a `TrotGains`.
-
-    Args:
-        gains: The gait.
-    """
+    """The gait of a `TrotGains`."""
 
     period = 0.01
 
@@ -149,7 +145,8 @@ class Trot(WalkingControl):
 
     def _feet(self, moved: Array, lift: Array, stands: NDArray[np.bool_], data: Any) -> Array:
         """Places of the feet relative to their hips: moved (4, 2) and lifted (4,); shape (4, 3)."""
-        gains, (roll, pitch) = self._gains, _tilt(data)
+        gains = self._gains
+        roll, pitch = _tilt(data)
         level = gains.levelling * (pitch * _FEET[:, 0] - roll * _FEET[:, 1])
         height = lift - gains.height - np.where(stands, level, 0.0)
         return np.column_stack([_FEET - _HIPS + moved, height])
@@ -208,7 +205,8 @@ class TrottingRobot(WalkingRobot):
     def stand(self, model: Any, data: Any) -> None:  # noqa: ARG002
         """All feet on the ground, below their hips."""
         data.ctrl[:] = standing(self.gait)
-        data.qpos[2], data.qpos[7:] = self.gait.height + TOE_RADIUS, data.ctrl
+        data.qpos[2] = self.gait.height + TOE_RADIUS
+        data.qpos[7:] = data.ctrl
 
     def walking_control(self) -> Trot:
         """The trot."""

@@ -106,19 +106,13 @@ class WalkingControl(ABC):
     period: float
 
     def start(self, model: Any, data: Any) -> None:  # noqa: B027  (a control without memory needs none)
-        """Forgets the past; the robot stands in its start posture.
-
-        Args:
-            model: MuJoCo model.
-            data: Its data.
-        """
+        """Forgets the past; the robot stands in its start posture."""
 
     @abstractmethod
     def control(self, model: Any, data: Any, command: Array) -> Array:
         """Values of `data.ctrl` until the next call; shape (nu,).
 
         Args:
-            model: MuJoCo model.
             data: Its data, which must not be changed.
             command: Velocity forward, to the left, and of turning to the left; shape (3,) [m/s, m/s, rad/s].
         """
@@ -149,7 +143,7 @@ _WALKS = np.array(
         (0.2, 0.0, 0.0),
     ]
 )
-"""Targets of `walks`, as shares of the upper end of each range of use, or of the lower one."""
+"""Targets of `walks`, as shares for `_of_ranges`."""
 
 
 @dataclass(frozen=True)
@@ -216,8 +210,8 @@ class Walk:
         ranges = [(name, unit, getattr(self, name)) for name, unit in _NAMES]
         pose = zip(StepSpace.pose_names, ("m", "m", "rad"), strict=True)
         return StepSpace(
-            tuple(Quantity(name, unit, each.lower, each.upper) for name, unit, each in ranges),
-            tuple(Quantity(f"command_{name}", u, each.command_lower, each.command_upper) for name, u, each in ranges),
+            tuple(Quantity(name, unit, ends.lower, ends.upper) for name, unit, ends in ranges),
+            tuple(Quantity(f"command_{name}", u, ends.command_lower, ends.command_upper) for name, u, ends in ranges),
             (*(ContextQuantity(name, unit) for name, unit in pose), *self.context),
             is_lagged=True,
             planar_seconds=self.seconds,
@@ -231,10 +225,14 @@ def walks(space: StepSpace, steps: int = 6) -> Reference:
         space: State vx, vy, wz.
         steps: Number of steps at each target.
     """
-    upper, lower = np.array([[each.upper, -each.lower] for each in space.state]).T
-    targets = np.where(_WALKS >= 0, _WALKS * upper, _WALKS * lower)
+    targets = _of_ranges(_WALKS, space)
     segments = [(1 + steps * number, target.tolist()) for number, target in enumerate(targets)]
     return Reference.from_segments(space.state_names, segments, steps=steps * len(targets))
+
+
+def _of_ranges(shares: Array, space: StepSpace) -> Array:
+    """Velocities by shares of the upper end of each range of use, or of the lower one if they are negative."""
+    return np.where(shares >= 0, shares * space.state_upper, -shares * space.state_lower)
 
 
 @dataclass(frozen=True)
@@ -389,7 +387,7 @@ _COMMANDS: Final = np.array(
         (0.4, -0.4, -0.4),
     ]
 )
-"""Commands of that walk, as shares of the upper end of each range of use, or of the lower one."""
+"""Commands of that walk, as shares for `_of_ranges`."""
 
 
 def measured_walk(robot: WalkingRobot) -> ConstantWalk | None:
@@ -398,8 +396,7 @@ def measured_walk(robot: WalkingRobot) -> ConstantWalk | None:
     Args:
         robot: The robot; its commands are shares of its ranges of use.
     """
-    upper, lower = np.array([[quantity.upper, -quantity.lower] for quantity in robot.space.state]).T
-    commands = np.where(_COMMANDS >= 0, _COMMANDS * upper, _COMMANDS * lower)
+    commands = _of_ranges(_COMMANDS, robot.space)
     model = robot.mjcf_model()
     data = mujoco.MjData(model)
     robot.place(model, data, np.zeros(3))
@@ -425,8 +422,8 @@ def gait_finding(robot: WalkingRobot) -> RobotFinding:
     walk = measured_walk(robot)
     if walk is None:
         advice = "Compare the policy with its training, or choose narrower ranges of use."
-        found = "The model falls at constant commands within its ranges of use."
-        return RobotFinding("gait", right=False, sentence=f"{found} {advice}")
+        fault = "The model falls at constant commands within its ranges of use."
+        return RobotFinding("gait", right=False, sentence=f"{fault} {advice}")
     seconds = robot.walk.seconds
     gait = gait_of(walk, seconds)
     words = gait.in_words(robot.space)

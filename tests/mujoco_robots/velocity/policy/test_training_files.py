@@ -6,7 +6,8 @@ import pytest
 
 from stepgap.base.errors import InputError
 from stepgap.mujoco_robots.trial import NetworkParts
-from stepgap.mujoco_robots.velocity.policy.training_files import Training, training_of
+from stepgap.mujoco_robots.velocity.policy.training_files import training_of
+from stepgap.mujoco_robots.velocity.policy.training_formats import Training
 
 JOINTS = ("a", "b", "c")
 

@@ -31,8 +31,11 @@ _MESSAGES: Final[Mapping[str, Mapping[int, str]]] = {
 }
 """Messages that have tensors: kinds of their parts by the number of the field."""
 
-_RAW, _ENTRIES, _LOCATION = 9, 13, 14  # Fields of a tensor: its numbers, where they are, and whether that is outside
-_VARINT, _BYTES = 0, 2  # Kinds of the encoding of a field
+_RAW: Final = 9  # Field of a tensor: its numbers
+_ENTRIES: Final = 13  # Where they are, if that is outside
+_LOCATION: Final = 14  # Whether it is
+_VARINT: Final = 0  # Kind of the encoding of a field: a number
+_BYTES: Final = 2  # Another one: bytes with their length
 _FIXED: Final = {1: 8, 5: 4}  # Sizes of fields by other kinds of the encoding [bytes]
 _DAMAGED: Final = f"it is no ONNX file, or damaged; {REMEDY}"
 _DEEPEST: Final = 100  # Largest depth of messages within each other

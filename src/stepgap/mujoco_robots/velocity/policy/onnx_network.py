@@ -16,9 +16,6 @@ class OnnxNetwork:
 
     The operators are those of onnxruntime alone. Its numbers may be in files beside it (`onnx_file`).
 
-    Args:
-        path: The file.
-
     Attributes:
         input_size: Size of its input.
         output_size: Size of its output.
@@ -62,10 +59,10 @@ class OnnxNetwork:
         """
         shape = (1,) * (self._rank - 1) + (self.input_size,)
         try:
-            (found,) = self._session.run([self._output], {self._input: values.astype(np.float32).reshape(shape)})
+            (outputs,) = self._session.run([self._output], {self._input: values.astype(np.float32).reshape(shape)})
         except Exception as error:  # of any kind, from onnxruntime
             raise StepGapError(f"{self._path}: onnxruntime cannot run it: {_in_short(error)}") from None
-        output = np.asarray(found, float).ravel()
+        output = np.asarray(outputs, float).ravel()
         if output.shape != (self.output_size,) or not np.isfinite(output).all():
             raise StepGapError(f"{self._path}: its output is not {self.output_size} finite numbers; train it again")
         return output
@@ -77,11 +74,11 @@ class OnnxNetwork:
 def _vector(ends: list[Any], what: str, path: Path) -> tuple[str, int, int]:
     """Name, rank and size of the only input or output of a network."""
     if len(ends) != 1:
-        names = ", ".join(each.name for each in ends)
+        names = ", ".join(end.name for end in ends)
         raise InputError(f"{path}: it has {len(ends)} {what}s ({names:.200}), but only one can be given; {REMEDY}")
     (end,) = ends
     *batch, size = end.shape or [None]
-    fixed = any(type(each) is int and each != 1 for each in batch)
+    fixed = any(type(length) is int and length != 1 for length in batch)
     if end.type != "tensor(float)" or type(size) is not int or len(batch) > 1 or fixed:
         wanted = "it must be tensor(float) [1, N]"
         raise InputError(f"{path}: its {what} {end.name:.80} is {end.type} {end.shape}, but {wanted}; {REMEDY}")

@@ -24,7 +24,6 @@ def policy_spec(settings: PolicySettings, file: Path) -> Any:
     Servos with gains of the training are integrated as there, implicitly: small links are unstable otherwise.
 
     Args:
-        settings: The policy.
         file: Its `policy.toml`, for paths and messages.
 
     Raises:
@@ -69,11 +68,12 @@ def _walking_spec(path: Path) -> Any:
 
 def _servo(spec: Any, joint: str, file: Path) -> Any:
     """The only actuator of a joint."""
-    found = spec.joint(joint)
-    if found is None or found.type not in _TURNING:
-        names = ", ".join(each.name for each in spec.joints if each.type in _TURNING)
+    turning = [one.name for one in spec.joints if one.type in _TURNING]
+    if joint not in turning:
+        names = ", ".join(turning)
         raise InputError(f"{file}: joints has {joint!r}, but the hinges and slides of the model are {names:.600}")
-    actuators = [each for each in spec.actuators if each.target == joint and each.trntype == mujoco.mjtTrn.mjTRN_JOINT]
+    moving = [actuator for actuator in spec.actuators if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT]
+    actuators = [actuator for actuator in moving if actuator.target == joint]
     if len(actuators) != 1:
         raise InputError(f"{file}: joint {joint} has {len(actuators)} actuators in the model; it must have one")
     if not actuators[0].gear[0]:
@@ -85,9 +85,11 @@ def _set_gains(servo: Any, stiffness: float, damping: float) -> None:
     """Makes an actuator a position servo of its joint; that of a motor has the motor's largest force."""
     if servo.biastype == mujoco.mjtBias.mjBIAS_NONE and servo.ctrlrange[0] < servo.ctrlrange[1]:
         servo.forcerange = np.array(servo.ctrlrange) * servo.gainprm[0]
-        servo.forcelimited, servo.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE, mujoco.mjtLimited.mjLIMITED_FALSE
+        servo.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        servo.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
     gear = servo.gear[0]
-    servo.gaintype, servo.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    servo.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+    servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     servo.gainprm[:3] = stiffness / gear, 0.0, 0.0  # the actuator sees gear times the position of the joint
     servo.biasprm[:3] = 0.0, -stiffness / gear**2, -damping / gear**2
 

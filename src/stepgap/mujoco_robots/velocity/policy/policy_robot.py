@@ -62,7 +62,6 @@ class Observation:
 
     Args:
         settings: Terms, scales and history.
-        model: MuJoCo model.
     """
 
     def __init__(self, settings: PolicySettings, model: Any):
@@ -80,8 +79,6 @@ class Observation:
         """The next observation; shape (sum of all sizes times their histories,).
 
         Args:
-            model: MuJoCo model.
-            data: Its data.
             actions: The actions before; shape (J,).
             command: Commanded velocities; shape (3,).
             turns: Periods of the gait's clock since the start.
@@ -96,7 +93,7 @@ class Observation:
         else:
             parts = [[np.concatenate(past) for past in self._past]]
         order = -1 if self._settings.newest_first else 1
-        return np.concatenate([each for part in parts for each in part[::order]])
+        return np.concatenate([numbers for part in parts for numbers in part[::order]])
 
     def _moment(self, model: Any, data: Any, actions: Array, command: Array, turns: float) -> Moment:
         kind, number = self._imu
@@ -127,12 +124,7 @@ class Observation:
 
 
 class PolicyControl(WalkingControl):
-    """A policy with the memory that its observation has.
-
-    Args:
-        settings: The policy.
-        network: Its network.
-    """
+    """A policy with the memory that its observation has."""
 
     def __init__(self, settings: PolicySettings, network: OnnxNetwork):
         self._settings = settings
@@ -159,7 +151,7 @@ class PolicyControl(WalkingControl):
         clip = settings.action_clip
         scale = np.array(settings.action_scale)
         self._actions = np.clip(self._network(observation), -clip, clip)
-        self._calls = self._calls + 1
+        self._calls += 1
         self._ctrl[self._actuators] = np.array(settings.default_joint_pos) + scale * self._actions
         return self._ctrl
 
@@ -226,7 +218,6 @@ def check_network(settings: PolicySettings, inputs: int, outputs: int, file: Pat
     """Ensures that observation and actions have the sizes of the network.
 
     Args:
-        settings: The policy.
         inputs: Size of the input of its network.
         outputs: Size of its output.
         file: Its `policy.toml`, for messages.
@@ -239,8 +230,8 @@ def check_network(settings: PolicySettings, inputs: int, outputs: int, file: Pat
     if total != inputs:
         terms = ", ".join(f"{term} {size}" for term, size in zip(settings.observation, sizes, strict=True))
         times = f", history {', '.join(map(str, settings.history))}" if settings.history != (1,) else ""
-        found = f"its terms have {total} numbers ({terms}{times}), but {settings.policy} wants {inputs}"
-        raise InputError(f"{file}: observation: {found}; give the terms of the training")
+        text = f"its terms have {total} numbers ({terms}{times}), but {settings.policy} wants {inputs}"
+        raise InputError(f"{file}: observation: {text}; give the terms of the training")
     if len(settings.joints) != outputs:
         number = len(settings.joints)
         raise InputError(

@@ -116,14 +116,14 @@ class PolicySettings:
         require(bool(terms), "observation", [], "have at least one term")
         by_term = self.history_by_term or len({*self.history}) <= 1
         require(by_term, "history_by_term", False, "be true where terms have different histories")
-        require(all(1 <= each <= 1000 for each in self.history), "history", [*self.history], "lie from 1 to 1000")
+        require(all(1 <= length <= 1000 for length in self.history), "history", [*self.history], "lie from 1 to 1000")
         _check_length("history", self.history, (1, terms))
         _check_length("gait_offsets", self.gait_offsets, range(1, 100))
         _check_length("gait_standing", self.gait_standing, (0, len(self.gait_offsets)))
         _check_length("default_joint_pos", self.default_joint_pos, (joints,))
         _check_length("action_scale", self.action_scale, (1, joints))
         for name in ("stiffness", "damping"):
-            require(all(each >= 0 for each in getattr(self, name)), name, [*getattr(self, name)], "not be negative")
+            require(all(gain >= 0 for gain in getattr(self, name)), name, [*getattr(self, name)], "not be negative")
         _check_length("stiffness", self.stiffness, (0, 1, joints))
         _check_length("damping", self.damping, (1, joints) if self.stiffness else (0,))
         for term, size in self.sizes.items():
@@ -134,8 +134,8 @@ class PolicySettings:
         """Number of values of each term at one time."""
         joints = len(self.joints)
         phases = len(self.gait_offsets)
-        known = {"joint_pos": joints, "joint_vel": joints, "actions": joints, "phase_sin": phases, "phase_cos": phases}
-        return {term: known.get(term, 3) for term in TERMS}
+        sizes = {"joint_pos": joints, "joint_vel": joints, "actions": joints, "phase_sin": phases, "phase_cos": phases}
+        return {term: sizes.get(term, 3) for term in TERMS}
 
     @property
     def histories(self) -> tuple[int, ...]:
@@ -147,7 +147,7 @@ def _check_length(key: str, values: tuple[float, ...], lengths: Sequence[int]) -
     """Ensures that a list has one of these lengths, and finite numbers."""
     counts = " or ".join(map(str, sorted({*lengths})))
     require(len(values) in lengths, key, [*values], f"have {counts} numbers, not {len(values)}")
-    require(all(-inf < each < inf for each in values), key, [*values], "have finite numbers")
+    require(all(-inf < value < inf for value in values), key, [*values], "have finite numbers")
 
 
 def read_policy_settings(path: Path) -> PolicySettings:

@@ -7,7 +7,7 @@ from xml.etree import ElementTree as ET
 from stepgap.base.settings_file import toml_line
 from stepgap.mujoco_robots.trial import NetworkParts, Parts
 from stepgap.mujoco_robots.velocity.policy.policy_settings import TERMS
-from stepgap.mujoco_robots.velocity.policy.training_files import GYM_TERMS, JOINT_TERMS, MOTION_TERMS, Training
+from stepgap.mujoco_robots.velocity.policy.training_formats import GYM_TERMS, JOINT_TERMS, MOTION_TERMS, Training
 
 _LAYOUTS: Final = {
     "mjlab, MuJoCo Playground": (*MOTION_TERMS, *JOINT_TERMS, "command"),
@@ -38,14 +38,13 @@ def propose_policy(network: NetworkParts, model: Parts, training: Training | Non
     """The settings as far as the training or the model has them.
 
     Args:
-        network: What is in the network.
-        model: What is in the model.
         training: What is known of the training, None if nothing.
     """
     said = dict(training.values) if training else {}
     values: dict[str, Any] = {"timestep": model.timestep}
     values |= {key: value for key, value in said.items() if key not in (*_PER_JOINT, "joints", "observation")}
-    values.setdefault("period", _period(values["timestep"]))
+    ticks = max(1, round(_USUAL_PERIOD / values["timestep"]))  # a period is a multiple of the time step
+    values.setdefault("period", round(ticks * values["timestep"], 9))
     advice = {key: ["Check it: no file says it."] for key in ("timestep", "period") if key not in said}
     if training:
         advice["policy"] = [f"Its settings are from {training.source}."]
@@ -62,7 +61,8 @@ def propose_policy(network: NetworkParts, model: Parts, training: Training | Non
         advice["stiffness"] = ["Fill it in, and damping: not every joint has a position servo with gains in the model."]
     imus = sorted((site for site in model.sites if "imu" in site.lower()), key=lambda site: "pelvis" not in site)
     if values.get("imu") not in model.sites:
-        values["imu"], advice["imu"] = (*imus, "")[0], ["Check it: the name of a site of the model."]
+        values["imu"] = next(iter(imus), "")
+        advice["imu"] = ["Check it: the name of a site of the model."]
     _propose_observation(said, network, values, advice)
     return Proposal(values, advice)
 
@@ -76,23 +76,23 @@ def _propose_joints(
     advice: dict[str, list[str]],
 ) -> None:
     """Adds the joints and their default positions."""
-    known = [_in_model(name, list(model.addresses)) for name in said.get("joints", [])]
+    joints = [_in_model(name, list(model.addresses)) for name in said.get("joints", [])]
     driven = driven_joints(model)
-    values["joints"] = known if known and all(known) else driven
+    values["joints"] = joints if joints and all(joints) else driven
     if values["joints"] is driven and not keyframe:
         advice["joints"] = ["Check the order: it is that of the model, not of the training."]
     if len(values["joints"]) != network.outputs:
-        found = values.pop("joints")
-        advice["joints"] = [f"Fill in the joints of the {network.outputs} actions; the model has these {len(found)}:"]
-        advice["joints"].append(toml_line("joints", found))
+        others = values.pop("joints")
+        advice["joints"] = [f"Fill in the joints of the {network.outputs} actions; the model has these {len(others)}:"]
+        advice["joints"].append(toml_line("joints", others))
     positions = said.get("default_joint_pos", [])
-    if values.get("joints") is known and len(positions) == network.outputs:
+    if values.get("joints") is joints and len(positions) == network.outputs:
         values["default_joint_pos"] = positions
     elif "joints" in values:
-        name = next((each for each in (keyframe, "home", *model.keyframes) if each in model.keyframes), "")
+        name = next((name for name in (keyframe, "home", *model.keyframes) if name in model.keyframes), "")
         posture = model.keyframes.get(name, model.start)
         values["default_joint_pos"] = [posture[model.addresses[joint]] for joint in values["joints"]]
-        others = [f"{each!r:.40}" for each in model.keyframes if each != name]
+        others = [f"{other!r:.40}" for other in model.keyframes if other != name]
         where = f"keyframe {name!r}" if name else "first posture"
         advice["default_joint_pos"] = [f"Check it: it is the {where} of the model."]
         advice["default_joint_pos"] += [f"Its other keyframes are {', '.join(others):.300}."] if others else []
@@ -139,7 +139,6 @@ def completed_model(text: str, model: Parts, joints: Sequence[str]) -> tuple[str
 
     Args:
         text: The model, in MJCF.
-        model: What is in it.
         joints: Joints that get servos, whose gains are to be set.
     """
     root = ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
@@ -160,12 +159,7 @@ def completed_model(text: str, model: Parts, joints: Sequence[str]) -> tuple[str
 _GROUND: Final = {"name": "ground", "type": "plane", "size": "0 0 0.05"}
 
 
-def _period(timestep: float) -> float:
-    """The usual period, or the multiple of the time step that is nearest to it."""
-    return round(max(1, round(_USUAL_PERIOD / timestep)) * timestep, 9)
-
-
-def _in_model(name: str, known: Sequence[str]) -> str:
+def _in_model(name: str, joints: Sequence[str]) -> str:
     """A joint of the model that has this name, perhaps after a prefix such as `robot/`; empty if there is none."""
-    found = [each for each in known if each == name] or [each for each in known if each.endswith(f"/{name}")]
-    return found[0] if len(found) == 1 else ""
+    fitting = [joint for joint in joints if joint == name] or [joint for joint in joints if joint.endswith(f"/{name}")]
+    return fitting[0] if len(fitting) == 1 else ""

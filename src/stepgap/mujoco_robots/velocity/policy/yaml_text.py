@@ -11,9 +11,6 @@ _EXPONENT: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
 def parse_yaml(text: str) -> Any:
     """The value in a document of YAML; tags, such as those of Python objects, are passed over.
 
-    Args:
-        text: The document.
-
     Raises:
         ValueError: It is not YAML; the message is the reason in one line.
     """
