@@ -1,5 +1,5 @@
 """Plants, which execute steps.
 
-The model itself (`ModelPlant`), the 1 kHz loop on a rig (`RigPlant`, `RealtimePlant`), or
-another program (`ProcessPlant`).
+The model itself (`ModelPlant`), the 1 kHz loop on a rig (`RigPlant`, `RealtimePlant`), or another program
+(`ProcessPlant`).
 """

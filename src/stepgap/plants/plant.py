@@ -31,7 +31,6 @@ class StepCommands:
     """The commands that were given for a step, the first one and that of its touchdown, checked alike by all plants.
 
     Args:
-        space: Names and bounds.
         first: Command before the step; shape (m,).
     """
 
@@ -138,6 +137,5 @@ class RepeatablePlant(Plant):
 
         Args:
             command: Command of the step; shape (m,).
-            rng: Draws the copy's noise.
             turned: Angle by which the world is turned under the copy [rad], if that has an effect.
         """

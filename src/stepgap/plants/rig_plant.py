@@ -16,7 +16,6 @@ STEP_ENDED, FAILED, _UNREADABLE, _TOUCHDOWN = (
     int(flag) for flag in (TickFlag.STEP_ENDED, TickFlag.FAILED, TickFlag.UNREADABLE, TickFlag.TOUCHDOWN)
 )  # fmt: skip
 
-
 TICKS_AT_ONCE = 32  # Ticks of a compiled rig between two looks at Ctrl-C: about a millisecond of computing
 
 
@@ -28,18 +27,12 @@ class RigPlant(Plant):
     less the part that the drives and the safety limits took from the torques while it acted.
 
     Args:
-        rig: The rig.
-        robot_control: Control of its robot.
         on_ticks: Called with the log rows of every tick; their fields are those of `RobotControl.units`.
         at_once: Largest number of ticks that a `CompiledRig` runs before `on_ticks` is called.
     """
 
     def __init__(
-        self,
-        rig: Rig,
-        robot_control: RobotControl,
-        on_ticks: OnTicks | None = None,
-        at_once: int = TICKS_AT_ONCE,
+        self, rig: Rig, robot_control: RobotControl, on_ticks: OnTicks | None = None, at_once: int = TICKS_AT_ONCE
     ):
         self._rig = rig
         self._robot_control = robot_control

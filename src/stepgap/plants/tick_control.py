@@ -115,20 +115,12 @@ class TickControl(ABC):
 
     @abstractmethod
     def tick(
-        self,
-        time: float,
-        reading: Reading,
-        order: Order,
-        applied: Torques,
-        health: Health = HEALTHY,
-        age: float = 0.0,
+        self, time: float, reading: Reading, order: Order, applied: Torques, health: Health = HEALTHY, age: float = 0.0
     ) -> tuple[Torques, int]:
         """Computes a tick.
 
         Args:
             time: Time at which it began, since the start [s].
-            reading: The sensor values.
-            order: Order for the robot.
             applied: Torques that were actually applied since the tick before [N·m].
             health: Errors of communication and timing in the tick.
             age: Age of the reading at the start of the tick [s]; not used for a stale one.

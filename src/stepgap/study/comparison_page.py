@@ -79,32 +79,17 @@ def comparison_html(runs: Sequence[Run], before: Sequence[str] = ()) -> str:
     if same_reference(runs):
         drawing = draw_figure(lambda: comparison_tracking_figure(runs, names), "the tracking")
         pictures.append(picture(drawing, "tracking-", TRACKING_CAPTION))
-    spreads = spread_tables(runs, names)
-    spread = []
-    if spreads:
-        spread = [section("spread", "Spread over seeds", paragraph(SPREAD_NOTE), _side_by_side(spreads))]
-    return page(
-        "StepGap comparison",
-        [
-            f"<h1>StepGap comparison of {len(runs)} runs</h1>",
-            bullets(
-                [
-                    f"{name}: {headline(run)}{f' ({run.called})' * bool(run.called)}"
-                    for name, run in zip(names, runs, strict=True)
-                ]
-            ),
-            *before,
-            section("figure", "Figures", *pictures),
-            *spread,
-            section(
-                "numbers",
-                "Errors by deployment",
-                paragraph(_references(runs)),
-                _side_by_side(_tables(runs, names)),
-            ),
-            section("settings", "Settings and versions that differ", _settings(runs, names)),
-        ],
-    )
+    called = [f" ({run.called})" if run.called else "" for run in runs]
+    headlines = [f"{name}: {headline(run)}{text}" for name, run, text in zip(names, runs, called, strict=True)]
+    sections = [*before, section("figure", "Figures", *pictures)]
+    if spreads := spread_tables(runs, names):
+        parts = paragraph(SPREAD_NOTE), _side_by_side(spreads)
+        sections.append(section("spread", "Spread over seeds", *parts))
+    parts = paragraph(_references(runs)), _side_by_side(_tables(runs, names))
+    sections.append(section("numbers", "Errors by deployment", *parts))
+    sections.append(section("settings", "Settings and versions that differ", _settings(runs, names)))
+    title = f"<h1>StepGap comparison of {len(runs)} runs</h1>"
+    return page("StepGap comparison", [title, bullets(headlines), *sections])
 
 
 def check_comparable(runs: Sequence[Run]) -> None:

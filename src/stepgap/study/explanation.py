@@ -219,7 +219,6 @@ def fit_sizes(error: RunError, none: Surface, signatures: Array, rest: float) ->
     """Sizes of causes by Bayesian linear regression.
 
     Args:
-        error: Errors of the run.
         none: Error of the simulated robot without gap.
         signatures: Change of the error per size of each cause; shape (p, n, k).
         rest: Standard deviation of the weights of the rest.
@@ -327,11 +326,6 @@ and noise, so that these do not add to their difference."""
 def explain_error(error: RunError, causes: Sequence[Cause], simulate: Simulate) -> Explanation:
     """Finds the sizes of causes that explain the errors of a run.
 
-    Args:
-        error: Errors of the run.
-        causes: Causes that are possible.
-        simulate: Simulates robots with some causes.
-
     Raises:
         InputError: The simulated robot falls without gap, or with each of the causes.
     """
@@ -399,11 +393,8 @@ def find_signatures(
         names = ", ".join(cause.name for cause in causes)
         raise InputError(f"the simulated robot falls with a usual size of each of the possible causes: {names}")
     # At the size that follows
-    sizes = dict[str, float]()
-    for cause in causes:
-        if cause.name in usual:
-            size = float(most_probable(error, none, usual[cause.name][None]).sizes[0])
-            sizes[cause.name] = _simulated_size(cause, size)
+    alone = {name: float(most_probable(error, none, change[None]).sizes[0]) for name, change in usual.items()}
+    sizes = {cause.name: _simulated_size(cause, alone[cause.name]) for cause in causes if cause.name in usual}
     return none, {**usual, **signatures(sizes, 1)}
 
 

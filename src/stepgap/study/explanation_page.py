@@ -34,10 +34,10 @@ METHOD: Final = (
 def explanation_sentences(explanation: Explanation, space: StepSpace) -> list[str]:
     """What explains the error, with sizes, what does not, and what to do."""
     rms = in_words(space.state, explanation.difference * space.state_scale)
-    silent = (
-        ("whose effect it could not see", explanation.unseen),
-        ("with which the simulated robot falls", explanation.failed),
-    )
+    silent = {
+        "whose effect it could not see": explanation.unseen,
+        "with which the simulated robot falls": explanation.failed,
+    }
     return [
         f"the errors of this run differ from those of the simulated robot without gap by {rms} (rms, less noise)",
         *_size_sentences(explanation),
@@ -45,7 +45,7 @@ def explanation_sentences(explanation: Explanation, space: StepSpace) -> list[st
         _rest_sentence(explanation),
         *(
             f"this run says nothing of {listed([cause.name for cause in causes])}, {reason}"
-            for reason, causes in silent
+            for reason, causes in silent.items()
             if causes
         ),
     ]
@@ -86,7 +86,6 @@ def explanation_table(explanation: Explanation, meanings: Mapping[str, str]) -> 
     """Heads and rows of the table of causes that the run sees.
 
     Args:
-        explanation: What was found.
         meanings: Text on each cause.
     """
     heads = ["cause", "size", "95 % interval", "size alone", "explains alone", "without gap", "meaning"]
@@ -98,7 +97,7 @@ def explanation_table(explanation: Explanation, meanings: Mapping[str, str]) -> 
             _shown(size, size.cause.value(size.alone)),
             _percent(size.explained),
             format_value(size.cause.exact),
-            _first_sentence(meanings.get(size.cause.name, "")),
+            meanings.get(size.cause.name, "").split(". ")[0].rstrip("."),
         ]
         for size in explanation.causes
     ]
@@ -129,8 +128,6 @@ def explanation_page(name: str, explanation: Explanation, space: StepSpace, mean
     """HTML page on what explains the error of a run.
 
     Args:
-        name: Name of the run.
-        explanation: What was found.
         space: State and command of the run.
         meanings: Text on each cause.
     """
@@ -172,7 +169,3 @@ def _rest_sentence(explanation: Explanation) -> str:
 
 def _percent(share: float) -> str:
     return f"{100 * share:.0f} %"
-
-
-def _first_sentence(text: str) -> str:
-    return text.split(". ")[0].rstrip(".")

@@ -157,10 +157,8 @@ def compare_individuals(individuals: Sequence[Individual]) -> ComparedRobots:
         *(Trait("gain", row, int(column)) for row in range(n) for column in driven),
         *(Trait("noise", row) for row in range(n)),
     ]
-    values = [
-        _trait_values(command[:, driven] - middle[driven], error)
-        for command, error in zip(commands, errors, strict=True)
-    ]
+    pairs = zip(commands, errors, strict=True)
+    values = [_trait_values(command[:, driven] - middle[driven], error) for command, error in pairs]
     return ComparedRobots(tuple(one.name for one in individuals), space, tuple(traits), middle, np.array(values))
 
 

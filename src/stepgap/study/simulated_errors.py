@@ -28,15 +28,7 @@ from stepgap.robots.entry_points import simulations_of
 from stepgap.robots.gap import Gap
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap
-from stepgap.study.explanation import (
-    SIGNATURE_DEGREE,
-    Cause,
-    Shares,
-    Simulate,
-    Surface,
-    causes_of,
-    fit_surface,
-)
+from stepgap.study.explanation import SIGNATURE_DEGREE, Cause, Shares, Simulate, Surface, causes_of, fit_surface
 
 STEPS_PER_MONOMIAL: Final = 8  # Number of simulated steps for each monomial of the polynomials
 MOST_SIMULATED_STEPS: Final = 240  # Largest number of simulated steps of a robot
@@ -167,7 +159,6 @@ def simulated_on_all_cores(robots: SimulatedRobots, progress: Callable[[int], No
     """The function that simulates robots, in as many processes as there are cores.
 
     Args:
-        robots: The robots.
         progress: Called with the number of robots that have been simulated.
     """
     done = 0

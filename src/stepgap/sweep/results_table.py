@@ -42,11 +42,9 @@ def rows_of_results(
     """Rows of one case as cells; a case that failed has one row with the reason.
 
     Args:
-        number: Number of the case.
         settings: Values of the settings on the axes.
         result: Entries of the deployments.
         failed: Reason why there are none; empty if there are.
-        space: State of the robot.
 
     Raises:
         ValueError: The result is not that of an experiment.
@@ -136,9 +134,8 @@ def read_results(path: Path) -> ResultsTable:
             parts = []
             line = 2
             while rows := list(islice(reader, _AT_ONCE)):
-                parts.append(
-                    [_column(cells, name, name in texts) for name, cells in _by_column(rows, header, line, path)]
-                )
+                columns = _by_column(rows, header, line, path)
+                parts.append([_column(cells, name, name in texts) for name, cells in columns])
                 line += len(rows)
     except (csv.Error, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not a table in UTF-8 ({error})") from None

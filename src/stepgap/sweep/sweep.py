@@ -23,7 +23,8 @@ from stepgap.step import StepSpace
 SWEEP_FILE = "sweep.toml"  # File in the folder of a sweep with its axes
 POINTS_SHA256 = "points_sha256"  # Key in that file: SHA-256 of the points of the axes
 
-TWIN_NUMBER, SEED = "twin", "seed"
+TWIN_NUMBER = "twin"
+SEED = "seed"
 """Names of the axes of random twins and of seeds."""
 
 Keep = Literal["runs", "steps", "nothing"]
@@ -126,7 +127,6 @@ def with_changes(base: Experiment, changes: Mapping[str, Any]) -> tuple[Experime
     """An experiment and a TOML table of its changes; a random twin is in the experiment already.
 
     Args:
-        base: The experiment.
         changes: Values by dotted name; `twin` is the number of a random twin, whose differences from the model replace
             those of the experiment before the other settings change.
     """

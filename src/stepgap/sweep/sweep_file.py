@@ -23,16 +23,7 @@ from stepgap.experiment.settings import (
     read_experiment,
 )
 from stepgap.robots.entry_points import simulations_of
-from stepgap.sweep.sweep import (
-    KEEP,
-    POINTS_SHA256,
-    SEED,
-    TWIN_NUMBER,
-    Axis,
-    Sweep,
-    points_digest,
-    with_changes,
-)
+from stepgap.sweep.sweep import KEEP, POINTS_SHA256, SEED, TWIN_NUMBER, Axis, Sweep, points_digest, with_changes
 
 MOST_CASES = 10**6  # Largest number of cases of a sweep
 LARGEST_END = 1e300  # Largest end of a range
@@ -56,10 +47,8 @@ def read_sweep(path: Path) -> Sweep:
     keep: Any = table.get("keep", KEEP[0])
     if keep not in KEEP:
         raise InputError(f"{path}: keep = {format_value(keep)}, but it must be one of {', '.join(KEEP)}")
-    values = {
-        name: _absolute(base, name, value, path.parent)
-        for name, value in _flat(inner_table(table, "axes", f"{path}: "))
-    }
+    entries = _flat(inner_table(table, "axes", f"{path}: "))
+    values = {name: _absolute(base, name, value, path.parent) for name, value in entries}
     table = {"seeds": [base.seed], **table, "keep": keep, "axes": values}
     axes = (
         *_twins(table, path),
@@ -81,7 +70,7 @@ def _absolute(base: Experiment, name: str, value: Any, folder: Path) -> Any:
         return value
     home = folder.resolve()
     robot = base.robot
-    return [in_folder(home, robot, name, each) if isinstance(each, str) else each for each in value]
+    return [in_folder(home, robot, name, file) if isinstance(file, str) else file for file in value]
 
 
 def _check(base: Experiment, axes: Sequence[Axis], path: Path) -> None:
@@ -125,22 +114,22 @@ def _twins(table: Mapping[str, Any], path: Path) -> list[Axis]:
 
 
 def _axes(base: Experiment, table: Mapping[str, Any], path: Path) -> list[Axis]:
-    found = []
+    axes = []
     for name, value in table.items():
         location = f"{path}: [axes] {name}"
         if name in (TWIN_NUMBER, SEED):
             raise InputError(f"{location}: give {name}s = […] at the top of the file instead")
         values = _evenly(value, location) if isinstance(value, Mapping) else value
         if isinstance(value, Mapping) and _is_integer(base, name):
-            values = [int(each) if each.is_integer() else each for each in values]
-        single = isinstance(values, list) and not any(isinstance(each, Mapping | list) for each in values)
+            values = [int(number) if number.is_integer() else number for number in values]
+        single = isinstance(values, list) and not any(isinstance(entry, Mapping | list) for entry in values)
         if not values or not single:
             wanted = "a list of values that is not empty, or a range such as { from = 0.5, to = 1, points = 6 }"
             raise InputError(f"{location} = {format_value(value)}, but it must be {wanted}")
         if len(set(values)) < len(values):
             raise InputError(f"{location} = {format_value(value)}, but its values must differ")
-        found.append(Axis((name,), tuple((each,) for each in values)))
-    return found
+        axes.append(Axis((name,), tuple((number,) for number in values)))
+    return axes
 
 
 def _sobol(table: Mapping[str, Any], path: Path) -> list[Axis]:
@@ -157,9 +146,8 @@ def _sobol(table: Mapping[str, Any], path: Path) -> list[Axis]:
     (seed,) = _integers([sobol.get("seed", 0)], f"{location} seed")
     ranges = dict(_flat(inner_table(sobol, "ranges", f"{location} ")))
     if not ranges:
-        raise InputError(
-            f'{location} ranges: missing; give some, such as [sobol.ranges] "gap.torque_scale" = [0.6, 1.0]'
-        )
+        remedy = 'give some, such as [sobol.ranges] "gap.torque_scale" = [0.6, 1.0]'
+        raise InputError(f"{location} ranges: missing; {remedy}")
     from scipy.stats import qmc  # the import takes long
 
     fractions = qmc.Sobol(len(ranges), rng=random_stream(seed)).random(points)
@@ -192,7 +180,7 @@ def _evenly(value: Mapping[str, Any], location: str) -> list[float]:
     if type(points) is not int or not 2 <= points <= MOST_CASES:
         rule = f"an integer from 2 to {MOST_CASES}"
         raise InputError(f"{location}: points = {format_value(points)}, but it must be {rule}")
-    interval = _range({key: each for key, each in value.items() if key != "points"}, location)
+    interval = _range({key: end for key, end in value.items() if key != "points"}, location)
     return interval.at(np.linspace(0, 1, points))
 
 
@@ -218,9 +206,8 @@ def _range(value: Any, location: str) -> _Range:
         raise InputError(f"{location} = {format_value(value)}, but it must be {wanted}, the smaller number first")
     scale = table.get("scale", "linear")
     if scale not in ("linear", "log") or (scale == "log" and numbers[0] <= 0):
-        raise InputError(
-            f"{location}: scale = {format_value(scale)}, but it must be linear, or log for positive numbers"
-        )
+        rule = "it must be linear, or log for positive numbers"
+        raise InputError(f"{location}: scale = {format_value(scale)}, but {rule}")
     return _Range(numbers[0], numbers[1], scale == "log")
 
 
@@ -235,10 +222,9 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
 
 def _base_file(value: Any, path: Path) -> Path:
     if not isinstance(value, str) or not (path.parent / value).is_file():
-        wanted = (
-            "an existing file of settings, such as the experiment.toml of a run; without base, the default experiment"
-        )
-        raise InputError(f"{path}: base = {format_value(value)}, but it must be {wanted}")
+        wanted = "an existing file of settings, such as the experiment.toml of a run"
+        without = "without base, the default experiment"
+        raise InputError(f"{path}: base = {format_value(value)}, but it must be {wanted}; {without}")
     return path.parent / value
 
 
@@ -247,7 +233,7 @@ _NUMBERS = "a list of different integers from 0, such as [1, 2, 3]"
 
 def _integers(values: Any, location: str, wanted: str = _NUMBERS) -> list[int]:
     """A list of different integers that are not negative."""
-    valid = isinstance(values, list) and values and all(type(each) is int and 0 <= each < 2**63 for each in values)
-    if not valid or len(set(values)) < len(values):
+    fine = isinstance(values, list) and values and all(type(entry) is int and 0 <= entry < 2**63 for entry in values)
+    if not fine or len(set(values)) < len(values):
         raise InputError(f"{location} = {format_value(values)}, but it must be {wanted}")
     return values

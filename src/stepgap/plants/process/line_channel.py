@@ -151,9 +151,6 @@ class Child(LineChannel):
 class Connection(LineChannel):
     """A program that listens on a TCP port of this computer.
 
-    Args:
-        port: The port.
-
     Raises:
         ProcessFault: Nothing listens there.
     """
@@ -162,12 +159,12 @@ class Connection(LineChannel):
         try:
             self._socket = socket.create_connection(("127.0.0.1", port), CONNECTING)
         except OSError as error:
-            raise ProcessFault(
-                f"127.0.0.1:{port}: {error.strerror or error}; start the robot's program first"
-            ) from None
+            reason = error.strerror or error
+            raise ProcessFault(f"127.0.0.1:{port}: {reason}; start the robot's program first") from None
         self._socket.settimeout(None)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._port, self._reader = port, self._socket.makefile("rb")
+        self._port = port
+        self._reader = self._socket.makefile("rb")
         super().__init__(self._reader, self._socket.makefile("wb"))
 
     def ended(self) -> str:

@@ -85,11 +85,10 @@ def check_ready(line: str, space: StepSpace) -> None:
     ready = _table(_parsed(line), "ready", line)
     for kind, quantities in (("state", space.state), ("command", space.command)):
         wanted = {one.name: one.unit for one in quantities}
-        found = ready.get(kind)
-        if found != wanted:
-            raise ProcessFault(
-                f"the program has the {kind} {format_value(found)}, but the experiment needs {_text(wanted)}"
-            )
+        units = ready.get(kind)
+        if units != wanted:
+            needed = ", ".join(f"{name} [{unit}]" for name, unit in wanted.items())
+            raise ProcessFault(f"the program has the {kind} {format_value(units)}, but the experiment needs {needed}")
 
 
 def read_start(line: str, space: StepSpace) -> tuple[Array, dict[str, float]]:
@@ -106,11 +105,9 @@ def read_answer(line: str, number: int, requested: Array, space: StepSpace) -> A
     """The answer to `step`.
 
     Args:
-        line: The answer.
         number: Number of the step that it must belong to.
         requested: Command that was sent last, which counts as the one that acted, and as applied, if the answer does
             not contain another one.
-        space: Names of state and command.
 
     Raises:
         ProcessFault: The answer is invalid.
@@ -149,8 +146,8 @@ def read_touchdown(line: str, number: int, space: StepSpace) -> dict[str, float]
 
 def _context(content: Mapping[str, Any], space: StepSpace, line: str, *, needed: bool = True) -> dict[str, float]:
     """The numbers of the robot's context in a table; if needed, all above which a state is measured."""
-    for name in (each.above for each in space.state if each.above and needed):
-        if name not in content:
+    for name in (quantity.above for quantity in space.state):
+        if needed and name and name not in content:
             raise ProcessFault(f'{_quoted(line)}: must contain "{name}", above which a state is measured')
     context = {name: value for name in space.context_names if (value := content.get(name)) is not None}
     for name, value in context.items():
@@ -188,14 +185,10 @@ def _numbers(content: Mapping[str, Any], key: str, names: Sequence[str], line: s
     table = _table(content, key, line)
     if sorted(table) != sorted(names):
         raise ProcessFault(f'{_quoted(line)}: "{key}" must contain {", ".join(names)}, and nothing else')
-    wrong = [name for name in names if not is_measurement(table[name])]
-    if wrong:
-        raise ProcessFault(f"{_quoted(line)}: {key}.{wrong[0]} must be a number within ±{LARGEST_NUMBER:g}")
+    for name in names:
+        if not is_measurement(table[name]):
+            raise ProcessFault(f"{_quoted(line)}: {key}.{name} must be a number within ±{LARGEST_NUMBER:g}")
     return np.array([table[name] for name in names], float)
-
-
-def _text(units: Mapping[str, str]) -> str:
-    return ", ".join(f"{name} [{unit}]" for name, unit in units.items())
 
 
 def _quoted(line: str) -> str:

@@ -60,7 +60,6 @@ class ProcessPlant(Plant):
     Args:
         connect: Starts the program or connects to it, such as `lambda: Child(["./robot"])`.
         space: Names, units and ranges of state and command.
-        timeouts: Longest times to wait.
         seconds: Duration of a step, which the program is told [s]; None where steps have no fixed one.
     """
 
@@ -111,7 +110,7 @@ class ProcessPlant(Plant):
         Raises:
             ProcessFault: The program ended, did not answer in time, or gave an invalid answer; it is ended.
         """
-        return self.take_replanned_step(command, lambda found: command)
+        return self.take_replanned_step(command, lambda _: command)
 
     def take_replanned_step(self, command: Array, at_touchdown: AtTouchdown) -> StepRecord:
         """Sends the command, and another one when the program reports a touchdown; waits for the next state.
@@ -120,7 +119,7 @@ class ProcessPlant(Plant):
             ProcessFault: As `take_step`.
         """
         before = self._measured
-        self._step = self._step + 1
+        self._step += 1
         commands = StepCommands(self._space, command)
         nowhere = np.full(len(before), np.nan)
         within = commands.within
@@ -128,9 +127,9 @@ class ProcessPlant(Plant):
             state = self._space.onward(self._above(before))
             return StepRecord(state, commands.first, np.zeros_like(within), nowhere, StepStatus.INVALID)
 
-        def chosen(found: dict[str, float]) -> Array:
-            self._context = found
-            return commands.replace(at_touchdown, Touchdown(self._space.onward(self._above(before)), found))
+        def chosen(context: dict[str, float]) -> Array:
+            self._context = context
+            return commands.replace(at_touchdown, Touchdown(self._space.onward(self._above(before)), context))
 
         try:
             answer = self._exchange(within, chosen)
@@ -170,8 +169,8 @@ class ProcessPlant(Plant):
         self._channel.check_quiet()
         self._channel.send(step(self._step, command, self._space))
         line = self._channel.receive(self._timeouts.step)
-        if (found := read_touchdown(line, self._step, self._space)) is not None:
-            command = chosen(found)
+        if (context := read_touchdown(line, self._step, self._space)) is not None:
+            command = chosen(context)
             self._channel.send(step(self._step, command, self._space))
             line = self._channel.receive(self._timeouts.step)
         return read_answer(line, self._step, command, self._space)

@@ -57,11 +57,8 @@ class LogDescription:
     @classmethod
     def here(cls, settings: str, meaning: FieldMeaning) -> Self:
         """Description of a log that this process opens now."""
-        machine = {
-            "kernel": platform.release(),
-            "host": platform.node(),
-            "user": str(getattr(os, "getuid", lambda: "")()),
-        }
+        user = str(getattr(os, "getuid", lambda: "")())
+        machine = {"kernel": platform.release(), "host": platform.node(), "user": user}
         return cls(_now(), settings, {**versions_here(), **machine}, meaning)
 
     def to_metadata(self) -> dict[str, str]:

@@ -83,7 +83,8 @@ class TickLayout:
         keys = [_varint(i << 3 | 1) for i in range(1, len(self.units) + 1)]
         pairs = ([(f"key {i}", f"<u{len(key)}"), (f"value {i}", "<f8")] for i, key in enumerate(keys))
         message = np.zeros((), [*_HEAD, *_TIMES, *chain.from_iterable(pairs)])
-        message["opcode"], message["channel"] = Opcode.MESSAGE, CHANNEL
+        message["opcode"] = Opcode.MESSAGE
+        message["channel"] = CHANNEL
         message["length"] = message.itemsize - 9
         for i, key in enumerate(keys):
             message[f"key {i}"] = int.from_bytes(key, "little")

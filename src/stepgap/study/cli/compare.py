@@ -80,12 +80,12 @@ def _robot(source: "Run | PortableController", name: str) -> _Robot:
     if not isinstance(source, Run):
         name = source.passport.get("name") or name
         return _Robot(name, source.passport, Individual(name, source.nominal, source.learned))
-    run = source
     try:
-        residual = run.learner().learned
-        return _Robot(name, passport_of(run, None), Individual(name, run.needed(run.nominal), residual), run)
+        residual = source.learner().learned
+        learned = Individual(name, source.needed(source.nominal), residual)
+        return _Robot(name, passport_of(source, None), learned, source)
     except InputError as error:
-        return _Robot(name, {}, str(error), run)
+        return _Robot(name, {}, str(error), source)
 
 
 def _compared(robots: Sequence[_Robot]) -> "ComparedRobots | str":
@@ -112,10 +112,8 @@ def _page(robots: Sequence[_Robot], compared: "ComparedRobots | str") -> str:
 
     passports = [_in_words(robot.passport) for robot in robots]
     keys = list(dict.fromkeys(key for passport in passports for key in passport))
-    rows = [
-        [robot.name, *(passport.get(key, "–") for key in keys)]
-        for robot, passport in zip(robots, passports, strict=True)
-    ]
+    pairs = zip(robots, passports, strict=True)
+    rows = [[robot.name, *(passport.get(key, "–") for key in keys)] for robot, passport in pairs]
     learned = paragraph(f"{compared}.") if isinstance(compared, str) else differences_section(compared)
     sections = [learned, section("passports", "Passports", table("", ["", *keys], rows))]
     runs = [robot.run for robot in robots if robot.run is not None]

@@ -1,19 +1,17 @@
 """The verb `stepgap explain`."""
 
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stepgap.base.errors import InputError
-from stepgap.base.files import create
-from stepgap.base.output_files import PICTURE_FORMATS, check_new, format_by_name, writing
+from stepgap.base.output_files import PICTURE_FORMATS, check_new, format_by_name, write_new
 from stepgap.cli.options import Flag, Integer, NamedValues, Names
 from stepgap.cli.terminal import announces_compilation, print_table
 from stepgap.robots.gap import Gap, differences
 
 if TYPE_CHECKING:  # slow imports are made where they are used
-    from stepgap.study.explanation import Cause, Explanation
+    from stepgap.study.explanation import Cause
     from stepgap.study.simulated_errors import SimulatedRobots
 
 LEAST_PER_MONOMIAL = 2
@@ -49,13 +47,21 @@ def explain(
     from stepgap.experiment.settings_text import meanings
     from stepgap.gauss.monomials import number_of_monomials
     from stepgap.learning.observations import observe
+    from stepgap.report.drawing import write_picture
     from stepgap.study.explanation import SIGNATURE_DEGREE, RunError, explain_error
-    from stepgap.study.explanation_page import explanation_page, explanation_sentences, explanation_table
+    from stepgap.study.explanation_page import (
+        explanation_figure,
+        explanation_page,
+        explanation_sentences,
+        explanation_table,
+    )
     from stepgap.study.simulated_errors import SimulatedRobots, gap_of, simulated_on_all_cores, targets_of
 
     if not 0 <= seed < 2**63:
         raise InputError(f"--seed {seed}: it must lie between 0 and 2⁶³")
-    form = _format(out) if out else ""
+    if out:
+        check_new(out, "--out")
+    form = format_by_name(out, ("html", *PICTURE_FORMATS)) if out else ""
     opened = Run(run).checked()
     settings = opened.needed(opened.settings)
     gap = gap_of(settings)
@@ -76,19 +82,10 @@ def explain(
     texts = meanings(type(gap))
     print()
     print_table(*explanation_table(explanation, texts))
-    if out:
-        if form == "html":
-            content = explanation_page(opened.folder.resolve().name, explanation, steps.space, texts)
-        else:
-            content = _figure(explanation, form)
-        with writing(out, "--out"):
-            create(out, content)
-        print(out)
-
-
-def _format(out: Path) -> str:
-    check_new(out, "--out")
-    return format_by_name(out, ("html", *PICTURE_FORMATS))
+    if out and form == "html":
+        write_new(out, "--out", explanation_page(opened.folder.resolve().name, explanation, steps.space, texts))
+    elif out:
+        write_picture(out, lambda: explanation_figure(explanation))
 
 
 def _chosen(names: str | None, robots: "SimulatedRobots") -> "list[Cause]":
@@ -128,21 +125,10 @@ def _known(text: str | None, gap: Gap) -> dict[str, float]:
                 raise ValueError("no such difference")
             values[name] = float(number)
         except ValueError as error:
-            raise InputError(
-                f"--known {part}: {error}; give NAME=VALUE, where NAME is one of {', '.join(keys)}"
-            ) from None
+            names = ", ".join(keys)
+            raise InputError(f"--known {part}: {error}; give NAME=VALUE, where NAME is one of {names}") from None
     try:
         replace(type(gap).none(), **values)
     except ValueError as error:
         raise InputError(f"--known {text}: {error}") from None
     return values
-
-
-def _figure(explanation: "Explanation", form: str) -> bytes:
-    from stepgap.report.own_style import own_style
-    from stepgap.study.explanation_page import explanation_figure
-
-    content = BytesIO()
-    with own_style():
-        explanation_figure(explanation).savefig(content, dpi=150, format=form)
-    return content.getvalue()

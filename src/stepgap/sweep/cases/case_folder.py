@@ -51,9 +51,8 @@ class CaseFolder:
         texts = {name: _text_of(self.path / name) for name in self._files}
         for name, text in self._files.items():
             if texts[name] not in (None, text):
-                raise InputError(
-                    f"{self.path / name}: already there, but of other cases than these; choose another folder"
-                )
+                file = self.path / name
+                raise InputError(f"{file}: already there, but of other cases than these; choose another folder")
         if not any(texts.values()) and self.path.is_dir():
             ours = {LOCK, *(f"{name}.partial" for name in texts)}
             if others := sorted(entry.name for entry in self.path.iterdir() if entry.name not in ours):
@@ -98,11 +97,8 @@ class CaseFolder:
         path = self.result_path(number)
         try:
             content = json.loads(read_bounded(path, LARGEST_RESULT))
-            if (
-                not isinstance(content, Mapping)
-                or not isinstance(content.get("failed"), str)
-                or "result" not in content
-            ):
+            failed = content.get("failed") if isinstance(content, Mapping) else None
+            if not isinstance(failed, str) or "result" not in content:
                 raise ValueError("it must hold failed and result")
         except (ValueError, RecursionError) as error:
             raise InputError(

@@ -60,10 +60,7 @@ def execute(
     This function alone writes into the folder; the executor's processes get the data of a case and return its result.
 
     Args:
-        plan: Describes the cases.
-        folder: Folder of the plan.
         numbers: Cases to compute.
-        compute: Computes a case.
         executor: Calls functions, in this or in other processes.
         at_once: Number of cases that the executor has at the same time.
         on_result: Called with the number and the result of every case that is stored.
@@ -112,9 +109,6 @@ class Processes(Executor):
 
     A pool of several would give up all calls when one process ends, such as by a crash in compiled code or for lack of
     memory. No process outlives this one.
-
-    Args:
-        count: Number of processes.
     """
 
     def __init__(self, count: int):

@@ -100,11 +100,10 @@ def write_tables(experiments: "Sweep", folder: "CaseFolder") -> list[Path]:
 def _rows(experiments: "Sweep", folder: "CaseFolder") -> "Iterator[list[str]]":
     from stepgap.sweep.results_table import rows_of_results
 
-    for number, found in folder.results():
+    for number, case in folder.results():
+        settings = experiments.settings(number)
         try:
-            yield from rows_of_results(
-                number, experiments.settings(number), found.result, found.failed, experiments.space
-            )
+            yield from rows_of_results(number, settings, case.result, case.failed, experiments.space)
         except ValueError as error:
             remedy = "remove this file and continue with --resume"
             raise InputError(f"{folder.result_path(number)}: {error}; {remedy}") from None

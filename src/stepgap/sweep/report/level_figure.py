@@ -14,8 +14,8 @@ from stepgap.sweep.report.cases import SweepAxis, SweepCases
 
 MOST_LEVELS_DRAWN: Final = 20  # Number of levels of an axis that are drawn
 
-_ROW, _HEAD = 0.16, 0.22
-"""Heights of a level and of the space around an axis [inches]."""
+_ROW: Final = 0.16  # Height of a level [inches]
+_HEAD: Final = 0.22  # Height of the space around an axis [inches]
 
 
 def level_figure(cases: SweepCases, axes: Sequence[SweepAxis], state: Sequence[Quantity]) -> Figure:

@@ -10,13 +10,7 @@ from numpy.typing import NDArray
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.files import write_whole
 from stepgap.experiment.displays import FolderReport, WrittenReport
-from stepgap.experiment.settings import (
-    Experiment,
-    SettingsFile,
-    experiment_table,
-    read_experiment,
-    read_settings_file,
-)
+from stepgap.experiment.settings import Experiment, SettingsFile, experiment_table, read_experiment, read_settings_file
 from stepgap.records.missing import Missing
 from stepgap.records.text import capitalised, decimal, unit_suffix, with_unit
 from stepgap.report.drawing import Drawing, draw_figure, has_figures, write_figures
@@ -73,8 +67,8 @@ def report_sweep(folder: Path, figures: bool = False) -> WrittenReport:
 
 def _write_report(folder: Path, cases: SweepCases, figures: bool) -> WrittenReport:
     defaults, space = _base(folder / "experiment.toml")
-    known = {quantity.name: quantity for quantity in space.state} if space else {}
-    state = [known.get(name) or Quantity(name, "", -1, 1) for name in cases.state_names]
+    quantities = {quantity.name: quantity for quantity in space.state} if space else {}
+    state = [quantities.get(name) or Quantity(name, "", -1, 1) for name in cases.state_names]
     settings = read_settings_file(folder / "experiment.toml")
     drawing = _level_drawing(cases, state)
     if drawing and (figures or has_figures(folder)):
@@ -174,12 +168,13 @@ def compared_errors(cases: SweepCases) -> tuple[Array, Array]:
 
 def _medians(errors: Array, state: Sequence[Quantity]) -> str:
     """Medians of the errors of the state coordinates, as far as they are known."""
-    known = [(quantity, column[np.isfinite(column)]) for quantity, column in zip(state, errors.T, strict=True)]
-    return " and ".join(
-        f"{decimal(float(np.quantile(column, 0.5, method='inverted_cdf')))}{unit_suffix(quantity)} in {quantity.name}"
-        for quantity, column in known
-        if len(column)
-    )
+    parts = []
+    for quantity, column in zip(state, errors.T, strict=True):
+        finite = column[np.isfinite(column)]
+        if len(finite):
+            median = decimal(float(np.quantile(finite, 0.5, method="inverted_cdf")))
+            parts.append(f"{median}{unit_suffix(quantity)} in {quantity.name}")
+    return " and ".join(parts)
 
 
 def _cases(number: int) -> str:
@@ -220,14 +215,12 @@ def level_table(cases: SweepCases, axis: SweepAxis, state: Sequence[Quantity]) -
     count = len(axis.levels)
     columns = {"cases": np.bincount(axis.codes, minlength=count).astype(str).tolist()}
     for index, quantity in enumerate(state):
-        columns[f"last RMSE of {with_unit(quantity)}"] = list(
-            map(decimal, axis.quartiles(cases.last_errors[:, index])[1])
-        )
+        _, medians, _ = axis.quartiles(cases.last_errors[:, index])
+        columns[f"last RMSE of {with_unit(quantity)}"] = list(map(decimal, medians))
     columns["aborted"] = np.bincount(axis.codes[cases.aborted], minlength=count).astype(str).tolist()
     if np.isfinite(cases.hops).any():
-        columns["steps to band"] = [
-            "never" if np.isinf(hops) else f"{hops:.0f}" for hops in axis.quartiles(cases.hops)[1]
-        ]
+        _, medians, _ = axis.quartiles(cases.hops)
+        columns["steps to band"] = ["never" if np.isinf(hops) else f"{hops:.0f}" for hops in medians]
     rows = list(zip(axis.levels, *columns.values(), strict=True))
     more = f" (the first {MOST_ROWS} of {count} levels)" if count > MOST_ROWS else ""
     return table(f"{axis.name}{more}", ["level", *columns], rows[:MOST_ROWS])
