@@ -217,7 +217,6 @@ class UnevenGround:
         """The pieces of a ground that repeats after a length [m].
 
         Args:
-            length: The length.
             rng: Draws the ground. Parts that are left out draw nothing.
 
         Raises:

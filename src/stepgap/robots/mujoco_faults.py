@@ -36,12 +36,7 @@ def keep_divergence(model: Any) -> None:
 
 
 def mujoco_fault(model: Any, data: Any) -> str:
-    """What is wrong in a simulation since its last reset, with its time and what to do; empty if nothing is.
-
-    Args:
-        model: MuJoCo model.
-        data: Its data.
-    """
+    """What is wrong in a simulation since its last reset, with its time and what to do; empty if nothing is."""
     counts = data.warning.number
     if not counts.any():
         return ""

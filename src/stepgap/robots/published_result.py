@@ -49,7 +49,6 @@ class PublishedResult:
 
         Args:
             measure: A measure of `summary.json`, such as `rmse`.
-            iteration: Number of the deployment.
             row: Index of the state coordinate.
         """
         errors = self.errors.get(iteration, {})

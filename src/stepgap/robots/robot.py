@@ -172,7 +172,6 @@ def stairs(space: StepSpace, steps: int = 12) -> Reference:
     """Stairs within 0.4 of the ranges of use of the tracked coordinates, each shifted against the one before.
 
     Args:
-        space: State of the robot.
         steps: Number of steps on each stair.
     """
     shares = np.array([0.0, 0.4, -0.2, 0.2, -0.4, 0.0])

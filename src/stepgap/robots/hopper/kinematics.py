@@ -99,7 +99,6 @@ class HopperKinematics(Kinematics):
     Args:
         robot: Lengths of the robot.
         gains: Gains of the joint controller, which determine the posture at the apex.
-        sensors: Sensor model of the rig.
     """
 
     def __init__(self, robot: RobotParameters, gains: Gains, sensors: HopperSensorModel):
@@ -192,7 +191,6 @@ def joint_positions(robot: RobotParameters, pivot_height: float, pose: HopperPos
     Args:
         robot: Lengths of the robot.
         pivot_height: Height of the boom's pivot above the floor [m].
-        pose: The poses.
     """
     outward, forward, up = _tip_axes(pose)
     beta = np.arcsin(robot.top_length / robot.bottom_length * np.sin(pose.alpha_2))  # sin β = (ℓ₁/ℓ₂) sin α₂

@@ -11,7 +11,6 @@ import numpy as np
 
 from stepgap.control.reference import Reference
 from stepgap.robots.published_result import PublishedResult
-from stepgap.step import Array
 
 STATE_NAMES: Final = ("speed", "height")  # State of the paper's hopper at the apex (Sec. 4.2).
 
@@ -83,7 +82,8 @@ def paper_result() -> PublishedResult:
     mae = zip(*(MAE_BY_ITERATION[name] for name in STATE_NAMES), strict=True)
     errors = {iteration: {"mae": np.array(both)} for iteration, both in enumerate(mae)}
     for iteration, table in ((0, NO_GP), (LAST_ITERATION, WITH_GP)):
-        errors[iteration] = {measure: _state(by_name) for measure, by_name in table.items()}
+        rows = table.items()
+        errors[iteration] = {measure: np.array([row[name] for name in STATE_NAMES]) for measure, row in rows}
     first_std, last_std = np.transpose([LARGEST_STD[name] for name in STATE_NAMES])
     return PublishedResult(
         source="the paper",
@@ -92,8 +92,3 @@ def paper_result() -> PublishedResult:
         errors=errors,
         largest_std=(first_std, last_std),
     )
-
-
-def _state(by_name: Mapping[str, float]) -> Array:
-    """Numbers of the state coordinates as an array."""
-    return np.array([by_name[name] for name in STATE_NAMES])

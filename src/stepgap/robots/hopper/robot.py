@@ -152,7 +152,6 @@ def as_hopper(robot: Robot, what: str) -> Hopper:
     """The robot, if it is the hopper.
 
     Args:
-        robot: The robot.
         what: What needs the hopper, for the message.
 
     Raises:

@@ -89,9 +89,7 @@ def suitable_step(step_map: StepMap, rng: np.random.Generator, count: int = 12) 
     """Smallest step of `STEPS` whose Jacobians agree with those of the next smaller one, as those of larger ones do.
 
     Args:
-        step_map: The map.
         rng: Chooses the points within the ranges of use.
-        count: Number of points.
 
     Returns:
         A step in half ranges, for `difference_jacobian`. None means that the map is not smooth, or that nearly all of

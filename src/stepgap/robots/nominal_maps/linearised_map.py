@@ -12,7 +12,6 @@ def linearised(step_map: StepMap, target: Array) -> AffineMap:
     If no command holds it, that is the step from the target that comes nearest to it.
 
     Args:
-        step_map: The map.
         target: State, NaN in coordinates that are found as those of a state that some command repeats; shape (n,).
 
     Raises:

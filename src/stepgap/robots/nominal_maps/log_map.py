@@ -79,16 +79,12 @@ def fit_log_map(log: Steps) -> LogMap:
     if len(observed) < n + m + 2:
         raise StepGapError(f"{len(observed)} completed steps, but a map needs at least {n + m + 2}")
     points = join_points(observed.state, observed.command)
-    fixed = _fixed(points)
+    # what does not vary by more than rounding
+    fixed = np.ptp(points, axis=0) <= np.maximum(RELATIVE_ROUNDING * np.abs(points).max(axis=0), ABSOLUTE_ROUNDING)
     centre = join_points(space.state_centre, space.command_centre)
     points = np.where(fixed, centre, points)  # where the scaled coordinate is zero, so is its weight
     varied = replace(observed, state=points[:, :n], command=points[:, n:])
     return LogMap(CorrectedMap(flat, fit_residual("linear", varied)), _gaps(space, points, fixed))
-
-
-def _fixed(points: Array) -> NDArray[np.bool_]:
-    """Which coordinates of points (N, k) do not vary by more than rounding; shape (k,)."""
-    return np.ptp(points, axis=0) <= np.maximum(RELATIVE_ROUNDING * np.abs(points).max(axis=0), ABSOLUTE_ROUNDING)
 
 
 def _gaps(space: StepSpace, points: Array, fixed: NDArray[np.bool_]) -> tuple[str, ...]:
@@ -100,8 +96,6 @@ def _gaps(space: StepSpace, points: Array, fixed: NDArray[np.bool_]) -> tuple[st
         unseen = directions[:, variances < DEPENDENT * variances[-1]]
         together = names[~fixed][(np.abs(unseen) > NAMED_COMPONENT).any(axis=1)]
         if together.size:
-            listed = ", ".join(together)
-            gaps.append(
-                f"{listed} vary only together in the log, so only their common effect is known; vary each alone"
-            )
+            known = "only their common effect is known; vary each alone"
+            gaps.append(f"{', '.join(together)} vary only together in the log, so {known}")
     return tuple(gaps)

@@ -27,7 +27,8 @@ from stepgap.learning.residual import join_points
 from stepgap.robots.nominal_maps.motions import WIDENED, MapFunction, Motions, Samples
 from stepgap.step import Array, Codes, Outcome, StepMap, StepSpace, StepStatus
 
-FIRST_SAMPLES, MOST_SAMPLES = 128, 2048
+FIRST_SAMPLES = 128
+MOST_SAMPLES = 2048
 """Smallest and largest number of samples; powers of two, for which a Sobol sequence is balanced."""
 
 DEGREES = (1, 2, 3, 4, 5)  # Total degrees that are tried

@@ -61,7 +61,8 @@ def _hop_all(constants, points, next_state, status):
         speed, height, force_x, force_y = points[i]
         if not _same_state(points, i):
             landed, middle = to_midstance(masses, law, tolerances, speed, height, trace, np.bool_(False))
-        status[i], next_state[i] = landed if np.isfinite(force_x + force_y) else INVALID, np.nan
+        status[i] = landed if np.isfinite(force_x + force_y) else INVALID
+        next_state[i] = np.nan
         if status[i] == OK:
             status[i], next_state[i, 0], next_state[i, 1] = to_apex(
                 masses, law, tolerances, middle, force_x, force_y, trace, np.bool_(False)
@@ -192,7 +193,8 @@ def as_points(state: ArrayLike, command: ArrayLike) -> tuple[Array, tuple[int, .
         )
     leading = np.broadcast(state, command).shape[:-1]
     points = np.empty((*leading, 4))
-    points[..., :2], points[..., 2:] = state, command
+    points[..., :2] = state
+    points[..., 2:] = command
     return points.reshape(-1, 4), leading
 
 

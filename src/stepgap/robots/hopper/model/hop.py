@@ -31,7 +31,8 @@ from stepgap.step import StepStatus
 CONTACT, REVERSAL, FALLING_OVER, STRETCHING, MOTOR_1, MOTOR_2 = range(6)  # guards in the order of `piece_guards`
 
 SCUFF_DEPTH = 1e-4  # depth to which the foot may dip below the ground just after take-off [m]
-FLIGHT_LIMIT, STANCE_LIMIT = 2.0, 1.0  # longest duration of a phase [s]
+FLIGHT_LIMIT = 2.0  # longest duration of a flight [s]
+STANCE_LIMIT = 1.0  # longest duration of a stance [s]
 MOST_PIECES = 100  # largest number of pieces in a phase
 STANDSTILL = 1e-9  # largest ẏ caused by rounding alone [m/s]
 FIRST_STEP = 3e-3  # first integration step of a phase [s]

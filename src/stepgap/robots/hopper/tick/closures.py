@@ -30,28 +30,37 @@ from stepgap.robots.hopper.tick.safety import Limited
 LEAST_STANCE = 0.06
 """Duration of a contact from which its slip is known well enough [s]; those of hops take 0.09 to 0.17 s."""
 
-MOST_SLIP, MOST_SLIP_SHARE = 0.2, 0.1
+MOST_SLIP = 0.2
+MOST_SLIP_SHARE = 0.1
 """Largest slip of one stance [m/s], and in addition as a part of the speed of the leg (0.16 at 0.6 m/s)."""
 
-COUNTED_SLIP, COUNTED_SHARE = 0.03, 0.05
+COUNTED_SLIP = 0.03
+COUNTED_SHARE = 0.05
 """Largest slip that counts as evidence [m/s], and in addition as a part of that speed, since a foot does slip once."""
 
 SLIP_DEVIATION = 0.007
 """Least standard deviation of the slip [m/s]; what is more on a robot whose foot slips often is measured."""
 
-DRIFT, DRIFT_SHARE = 0.008, 0.03
+DRIFT = 0.008
+DRIFT_SHARE = 0.03
 """Mean slip that is no evidence of a drift [m/s], and in addition as a part of the speed of the leg."""
 
-WRONG_SCALE, ALLOWED_FEW, ALLOWED_MANY = 0.1, 0.07, 0.04
+WRONG_SCALE = 0.1
+ALLOWED_FEW = 0.07
+ALLOWED_MANY = 0.04
 """Error of scale for which evidence is collected, and allowed ones: a foot that slips backward seems to be too few
 counts for the swing of the leg."""
 
-SLIP_ON_SLOPE, ALLOWED_UNEVEN = 1.0, 0.08
+SLIP_ON_SLOPE = 1.0
+ALLOWED_UNEVEN = 0.08
 """Mean slip on measured ground that is no evidence of a wrong scale, per slope [m/s], since a foot slips down a slope
 (0.9), and the allowed error of scale there. Up and down cancel, so that only the slow mean of the slope counts. A drift
 is not judged there."""
 
-SCALE_PRIOR, DISK_PRIOR, SLOPE_PRIOR, CONSTANT_PRIOR = 0.1, 0.03, 0.5, 0.02
+SCALE_PRIOR = 0.1
+DISK_PRIOR = 0.03
+SLOPE_PRIOR = 0.5
+CONSTANT_PRIOR = 0.02
 """Standard deviations expected of the coefficients of `SlipFit`; of the last two in m/s."""
 
 FORGOTTEN = 0.025  # Part of the weight of a stance in `SlipFit` that is lost with each later one
@@ -61,7 +70,9 @@ COUNTED_ON_SLOPE = 1.0  # Largest slip that counts there in addition, per slope 
 ALLOWED_FIT = 0.06  # Error of scale that is allowed in `SlipFit`
 LEAST_EFFECT = 0.005  # Effect on the speed from which a coefficient matters [m/s]
 
-EVEN_SCALE, UNEVEN_SCALE, ECCENTRIC = 2.5, 4.5, 5.0
+EVEN_SCALE = 2.5
+UNEVEN_SCALE = 4.5
+ECCENTRIC = 5.0
 """Standard deviations beyond which a coefficient of `SlipFit` is wrong: the scale, on measured ground as well (0.0 and
 3.0), and the dependence on the yaw (3.3)."""
 
@@ -74,11 +85,13 @@ FOOT_SHARE = 0.5
 """Largest slow mean of the height of the foot at touchdown above or below the ground, as a part of `ground_height`; so
 much may that height change from hop to hop, too, until its scatter is known."""
 
-LEARNED, BAND = 10, 6.0
+LEARNED = 10
+BAND = 6.0
 """Number of hops from which the scatter of a quantity is known, and the largest deviation of two hops in a row from the
 slow mean, as a multiple of its standard deviation (4.6)."""
 
-SCATTER_GAIN, MOST_DEVIATION = 0.1, 2.0
+SCATTER_GAIN = 0.1
+MOST_DEVIATION = 2.0
 """Weight of the latest hop in that variance, and the largest deviation that counts in it, as a multiple of the standard
 deviation, but at least a part of the least band: a fault must not widen its own band."""
 
@@ -88,23 +101,29 @@ FOOT_BAND = 0.0025
 """Least band of the height of the foot at touchdown [m]; deviations of two hops in a row were up to 1.6 mm on floors of
 the family."""
 
-EARLY_APEX, LATE_APEX = 0.015, 0.1
+EARLY_APEX = 0.015
+LATE_APEX = 0.1
 """Times after the vertex between which an apex is found [s]; by a descent of 4 mm, it is found after 36 to 52 ms."""
 
-LEAST_FLIGHT, FALL_BAND = 0.2, 0.02
+LEAST_FLIGHT = 0.2
+FALL_BAND = 0.02
 """Duration of a flight from which it is judged [s], and the least band of its vertical acceleration as a part of it
 (0.008; on measured ramps 0.011), which holds from the first flights on."""
 
-CROOKED, CROOKED_COUNTS, CROOKED_SHARE = 0.001, 0.43, 2.0
+CROOKED = 0.001
+CROOKED_COUNTS = 0.43
+CROOKED_SHARE = 2.0
 """Standard deviation of the hip about a parabola from which the yaw of a flight is wrong [m], and that in counts of the
 yaw, of which rounding makes 0.3; in addition a multiple of that of its height, since links that vibrate shake both
 (0.8 of the sum)."""
 
-FREE, FREE_COUNTS = 0.0007, 1.0
+FREE = 0.0007
+FREE_COUNTS = 1.0
 """The same of its height [m], and in counts of the pitch, up to which the robot flies without a disturbance: else its
 acceleration is not judged, nor its yaw on measured ground, where a foot may hit a riser."""
 
-CROOKED_GAIN, MOST_CROOKED = 0.05, 1.4
+CROOKED_GAIN = 0.05
+MOST_CROOKED = 1.4
 """Number of flights with a wrong yaw from which it is doubted, each with the weight 1 − `CROOKED_GAIN` per flight since
 then: two of 18, so that one push is no reason to stop (0)."""
 
@@ -148,6 +167,9 @@ class Standing(NamedTuple):
     tf: float = 0.0
     s: float = 0.0
     ts: float = 0.0
+
+
+_NO_CONTACT = Standing()
 
 
 class YawEvidence(NamedTuple):
@@ -281,18 +303,11 @@ def judge_closures(settings, state, flight, sampled, force, phase, foot_height, 
     elif contact.readings > 0:
         if contact.latest > LEAST_STANCE:
             evidence, fit, doubts = _stood(settings.uneven, before, contact, state.landing.slope, body.yaw)
-        contact = _no_contact()
+        contact = _NO_CONTACT
     if phase == Phase.DESCENT and state.phase == Phase.ASCENT:
         apex = flight.fit.latest
     after = Closures(contact=contact, evidence=evidence, fit=fit, height=height, apex=apex, fall=fall, crooked=crooked)
     return after, doubts
-
-
-@as_written
-def _no_contact():
-    return Standing(
-        readings=0, begin=0.0, hip=0.0, foot=0.0, latest=0.0, w=0.0, t=0.0, t2=0.0, f=0.0, tf=0.0, s=0.0, ts=0.0
-    )  # fmt: skip
 
 
 @as_written
@@ -414,10 +429,16 @@ def suspicions(fit, prior_2, prior_3):
     a = fit.a + noise / (SCALE_PRIOR * SCALE_PRIOR)
     d = fit.d + noise / (prior_2 * prior_2)
     f = fit.f + noise / (prior_3 * prior_3)
-    b, c, e = fit.b, fit.c, fit.e
+    b = fit.b
+    c = fit.c
+    e = fit.e
     # A⁻¹ is the matrix of these cofactors, divided by the determinant
-    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
-    dd, de, ff = a * f - c * c, b * c - a * e, a * d - b * b
+    aa = d * f - e * e
+    ab = c * e - b * f
+    ac = b * e - c * d
+    dd = a * f - c * c
+    de = b * c - a * e
+    ff = a * d - b * b
     det = a * aa + b * ab + c * ac
     scale = (aa * fit.x + ab * fit.y + ac * fit.z) / det
     second = (ab * fit.x + dd * fit.y + de * fit.z) / det

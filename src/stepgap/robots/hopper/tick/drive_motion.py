@@ -24,16 +24,19 @@ from stepgap.robots.hopper.model.dynamics import terms
 from stepgap.robots.hopper.model.leg import foot, four_bar
 from stepgap.robots.hopper.tick.safety import Limited
 
-FILTER_TIME, SIDEWAYS_TIME = 2.5e-3, 10e-3
+FILTER_TIME = 2.5e-3
+SIDEWAYS_TIME = 10e-3
 """Time constants of the filters [s]; long for Q₁ in stance, where rounding of the encoders moves the whole body."""
 
 LEARNING_STANCES = 3
 """Number of stances after which a robot is judged by what it has learned of itself."""
 
-_LEAST_GAIN, _MOST_GAIN = 0.2, 1.5
+_LEAST_GAIN = 0.2
+_MOST_GAIN = 1.5
 """Range of the gain: a motor that saturates, with a rotor that the model does not have, gives half of its command."""
 
-_FAST, _SLOW = 0.02, 5e-4
+_FAST = 0.02
+_SLOW = 5e-4
 """Steps by which the gain follows in the first stances and later; what changes slowly is wear, not a fault."""
 
 SHORTEST_TICK = 8e-4
@@ -41,10 +44,13 @@ SHORTEST_TICK = 8e-4
 
 _MOST_DELAY = 3  # Largest delay that is tried, besides that of one tick [ticks]
 
-_FIRST_SHARE, _SHARE = 0.8, 0.3
+_FIRST_SHARE = 0.8
+_SHARE = 0.3
 """Part of the command by which the motion may deviate besides its bound, in the first stances and later."""
 
-_FIRST_BOUND, _MARGIN, _MOST_LEARNED = 3.0, 1.6, 6.0
+_FIRST_BOUND = 3.0
+_MARGIN = 1.6
+_MOST_LEARNED = 6.0
 """Bound in the first stances as a multiple of `motion_torque`; later as one of the largest own deviation, and the most
 that is learned of that as a multiple of `motion_torque`: links of some robots ring in flight."""
 
@@ -57,13 +63,16 @@ WRONG_TICKS = 3
 
 _CLEARLY = 2  # Number of ticks for which a tick counts whose motion deviates by twice the bound or more
 
-_JUDGED_FROM, _LEARNED_FROM = 3, 8
+_JUDGED_FROM = 3
+_LEARNED_FROM = 8
 """Number of ticks after a change of contact, or a gap, from which motion is judged, besides the delay; and learned."""
 
-LOADED_FROM, LEAST_LOADED = 10, 30
+LOADED_FROM = 10
+LEAST_LOADED = 30
 """Number of ticks of a stance from which its gain is measured, and the least number of such ticks."""
 
-LEAST_RATIO, MOST_RATIO = 0.8, 1.25
+LEAST_RATIO = 0.8
+MOST_RATIO = 1.25
 """Range of the gain of a stance, as a multiple of the slow mean of those before."""
 
 _MEAN_GAIN = 0.1  # Weight of the latest stance in that mean
@@ -77,7 +86,9 @@ _JITTER = 0.1
 ALONE = 3.0
 """Ratio of the deviations of two motors from which one drive alone is doubted."""
 
-_BETWEEN, _FLIGHT, _STANCE = 0, 1, 2
+_BETWEEN = 0
+_FLIGHT = 1
+_STANCE = 2
 """Contact in three readings in a row: it changed, there was none, or there was."""
 
 _MOTOR_1 = int(Limited.MOTOR_1_DISOBEYS)
@@ -110,6 +121,9 @@ class Compared(NamedTuple):
     sent_1: float = 0.0
     sent_2: float = 0.0
     sent_3: float = 0.0
+
+
+_NOTHING = Compared()
 
 
 class Delays(NamedTuple):
@@ -294,9 +308,8 @@ def _begun(before, contact, uneven):
     )
     return DriveMotion(
         applied=before.applied, force=before.force, force_before=before.force_before, contact=contact, ticks=0,
-        settled=0, flight_1=before.flight_1, flight_2=before.flight_2, stance=before.stance, compared_1=_nothing(),
-        compared_2=_nothing(),
-        loaded=stood, delays=_with_delay(before.delays), wrong=before.wrong, doubted=doubted,
+        settled=0, flight_1=before.flight_1, flight_2=before.flight_2, stance=before.stance, compared_1=_NOTHING,
+        compared_2=_NOTHING, loaded=stood, delays=_with_delay(before.delays), wrong=before.wrong, doubted=doubted,
     ), doubts  # fmt: skip
 
 
@@ -306,14 +319,9 @@ def _restarted(before):
     return DriveMotion(
         applied=before.applied, force=before.force, force_before=before.force_before, contact=before.contact,
         ticks=before.ticks, settled=0, flight_1=before.flight_1, flight_2=before.flight_2, stance=before.stance,
-        compared_1=_nothing(), compared_2=_nothing(), loaded=before.loaded, delays=before.delays, wrong=before.wrong,
+        compared_1=_NOTHING, compared_2=_NOTHING, loaded=before.loaded, delays=before.delays, wrong=before.wrong,
         doubted=before.doubted,
     )  # fmt: skip
-
-
-@as_written
-def _nothing():
-    return Compared(moved=0.0, sent=0.0, sent_1=0.0, sent_2=0.0, sent_3=0.0)
 
 
 @as_written

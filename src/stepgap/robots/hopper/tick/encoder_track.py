@@ -25,14 +25,18 @@ JITTER_SHARE = 1.5
 A link that moves by v in each tick then seems to move by v, 0, 2 v.
 """
 
-NOISE_GAIN, PACE_GAIN = 0.02, 0.1
+NOISE_GAIN = 0.02
+PACE_GAIN = 0.1
 """Weights of the latest reading in the means of `Counts`."""
 
-NOISE_COUNTS, MOST_NOISE = 3.0, 1.5
+NOISE_COUNTS = 3.0
+MOST_NOISE = 1.5
 """Largest jump that counts, since one alone, as at an impact, is no noise [counts]; and largest mean square of the
 jumps of an encoder that is not noisy [counts²] (1.0)."""
 
-RESIDUES, SWEPT, SLOW_PACE = 16, 64.0, 1.0
+RESIDUES = 16
+SWEPT = 64.0
+SLOW_PACE = 1.0
 """The last four bits are watched, over this distance [counts], in which a healthy encoder shows all their values while
 it moves slowly [counts per tick]; at two counts per tick, all readings may be even."""
 
@@ -187,14 +191,11 @@ def with_count(counts, tick, unit, value, track, jump):
         begin = value
         seen = 0
     elif abs(value - begin) > SWEPT:
-        begin, seen, stuck = value, 0, int(2 * _number_of_bits(seen) <= RESIDUES)
-    return Counts(
-        square=counts.square + NOISE_GAIN * (size * size - counts.square),
-        pace=pace,
-        begin=begin,
-        seen=seen,
-        stuck=stuck,
-    )
+        begin = value
+        stuck = int(2 * _number_of_bits(seen) <= RESIDUES)
+        seen = 0
+    square = counts.square + NOISE_GAIN * (size * size - counts.square)
+    return Counts(square=square, pace=pace, begin=begin, seen=seen, stuck=stuck)
 
 
 @as_written

@@ -76,13 +76,7 @@ class FlightFit(NamedTuple):
     v2: float = 0.0
 
 
-@as_written
-def no_samples():
-    """`FlightFit` at take-off, without samples."""
-    return FlightFit(
-        samples=0, latest=0.0, height=0.0, highest=-np.inf, u=0.0, u2=0.0, u3=0.0, u4=0.0, x=0.0, ux=0.0, u2x=0.0,
-        v=0.0, uv=0.0, u2v=0.0, x2=0.0, v2=0.0,
-    )  # fmt: skip
+NO_SAMPLES = FlightFit()  # At take-off
 
 
 @as_written
@@ -92,23 +86,10 @@ def with_sample(fit, time, x, y):
     v = y - LEVEL
     u2 = u * u
     return FlightFit(
-        samples=fit.samples + 1,
-        latest=time,
-        height=y,
-        highest=max(fit.highest, y),
-        u=fit.u + u,
-        u2=fit.u2 + u2,
-        u3=fit.u3 + u2 * u,
-        u4=fit.u4 + u2 * u2,
-        x=fit.x + x,
-        ux=fit.ux + u * x,
-        u2x=fit.u2x + u2 * x,
-        v=fit.v + v,
-        uv=fit.uv + u * v,
-        u2v=fit.u2v + u2 * v,
-        x2=fit.x2 + x * x,
-        v2=fit.v2 + v * v,
-    )
+        samples=fit.samples + 1, latest=time, height=y, highest=max(fit.highest, y), u=fit.u + u, u2=fit.u2 + u2,
+        u3=fit.u3 + u2 * u, u4=fit.u4 + u2 * u2, x=fit.x + x, ux=fit.ux + u * x, u2x=fit.u2x + u2 * x, v=fit.v + v,
+        uv=fit.uv + u * v, u2v=fit.u2v + u2 * v, x2=fit.x2 + x * x, v2=fit.v2 + v * v,
+    )  # fmt: skip
 
 
 @as_written

@@ -59,10 +59,7 @@ class HopControl(TickControl):
     """Control of the hopper tick by tick; a hop lasts from apex to apex, a command acts from mid-stance to take-off.
 
     Args:
-        sensor_model: Sensor model of the rig.
         robot: Robot that the rig is assumed to be.
-        gains: Gains of the joint controller.
-        limits: Limits of the safety function.
         ground: Whether heights are those above the ground that the foot finds at touchdown, and whether the state has
             the place of the next foothold.
     """
@@ -129,13 +126,7 @@ class HopControl(TickControl):
         return self._settings, self._memory, self._row
 
     def tick(
-        self,
-        time: float,
-        reading: Reading,
-        order: Order,
-        applied: Torques,
-        health: Health = HEALTHY,
-        age: float = 0.0,
+        self, time: float, reading: Reading, order: Order, applied: Torques, health: Health = HEALTHY, age: float = 0.0
     ) -> tuple[Torques, int]:
         """Computes one tick: torques that may be written [N·m], and flags."""
         mode, share, command = order

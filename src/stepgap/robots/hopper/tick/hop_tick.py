@@ -319,15 +319,22 @@ def tick(
     assign(memory[0], state)
     motion = state.motion
     row[TICK_COLUMN.time] = time
-    row[TICK_COLUMN.motor_1], row[TICK_COLUMN.motor_2] = motor_1, motor_2
-    row[TICK_COLUMN.boom_horizontal], row[TICK_COLUMN.boom_vertical] = boom_horizontal, boom_vertical
+    row[TICK_COLUMN.motor_1] = motor_1
+    row[TICK_COLUMN.motor_2] = motor_2
+    row[TICK_COLUMN.boom_horizontal] = boom_horizontal
+    row[TICK_COLUMN.boom_vertical] = boom_vertical
     row[TICK_COLUMN.contact_force] = contact_force
-    row[TICK_COLUMN.phase], row[TICK_COLUMN.limited] = state.phase, state.limited
-    row[TICK_COLUMN.alpha_1], row[TICK_COLUMN.alpha_2] = motion.alpha_1, motion.alpha_2
-    row[TICK_COLUMN.asked_1], row[TICK_COLUMN.asked_2] = state.asked_1, state.asked_2
-    row[TICK_COLUMN.rate_1], row[TICK_COLUMN.rate_2] = motion.rate_1, motion.rate_2
+    row[TICK_COLUMN.phase] = state.phase
+    row[TICK_COLUMN.limited] = state.limited
+    row[TICK_COLUMN.alpha_1] = motion.alpha_1
+    row[TICK_COLUMN.alpha_2] = motion.alpha_2
+    row[TICK_COLUMN.asked_1] = state.asked_1
+    row[TICK_COLUMN.asked_2] = state.asked_2
+    row[TICK_COLUMN.rate_1] = motion.rate_1
+    row[TICK_COLUMN.rate_2] = motion.rate_2
     row[TICK_COLUMN.joint_speed] = abs(motion.rate_1) + abs(motion.rate_2)
-    row[TICK_COLUMN.leg_length], row[TICK_COLUMN.measured_height] = motion.leg_length, motion.hip_height
+    row[TICK_COLUMN.leg_length] = motion.leg_length
+    row[TICK_COLUMN.measured_height] = motion.hip_height
     ground = state.landing.ground if settings[0].uneven else 0.0
     row[TICK_COLUMN.height_above_ground] = motion.hip_height - ground
     return torques, flags

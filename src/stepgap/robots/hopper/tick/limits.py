@@ -8,26 +8,11 @@ from stepgap.base.ranges import require
 from stepgap.rigs.limits import MOST_LATE_TICKS, RigLimits
 from stepgap.robots.hopper.parameters import RobotParameters
 
-_POSITIVE = frozenset(
-    {
-        "torque",
-        "torque_step",
-        "joint_speed",
-        "lean_angle",
-        "fold_angle",
-        "longest_leg",
-        "brake_torque",
-        "continuous_torque",
-        "overload_time",
-        "mean_power",
-        "posture_torque",
-        "posture_speed",
-        "jump_angle",
-        "frozen_time",
-        "ground_height",
-        "motion_torque",
-    }
-)
+_POSITIVE = frozenset({
+    "torque", "torque_step", "joint_speed", "lean_angle", "fold_angle", "longest_leg", "brake_torque",
+    "continuous_torque", "overload_time", "mean_power", "posture_torque", "posture_speed", "jump_angle",
+    "frozen_time", "ground_height", "motion_torque",
+})  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -53,7 +53,8 @@ LIGHT_LINK = 8e-4
 With lost frames, links of some twins vibrate by more than 0.004 rad from tick to tick.
 """
 
-JUMP_COUNTS, ROUNDING = 4.0, 2.0
+JUMP_COUNTS = 4.0
+ROUNDING = 2.0
 """Least jump that is detected, and that which rounding alone causes [counts]. Noise is detected as jumps, too."""
 
 HIP_ACCELERATION = 1000.0
@@ -72,7 +73,8 @@ NO_CONTACT = 6.0
 FREE_FALL = -2.0
 """Acceleration of the hip below which the robot flies, however low [m/s²]; the boom halves the gravity."""
 
-SWEEP, UNEVEN_SWEEP = 0.012, 0.03
+SWEEP = 0.012
+UNEVEN_SWEEP = 0.03
 """Travel of the hip over a resting foot in which the yaw must move [m]; a foot that slips moves the hip, too (5 mm). On
 measured ground, where a foot slips down a slope under a hip that rests, it must in the second one (20 mm)."""
 

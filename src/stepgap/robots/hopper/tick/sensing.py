@@ -7,7 +7,7 @@ import numpy as np
 from stepgap.base.compiled import as_written, compiled
 from stepgap.robots.hopper.model.dynamics import leg_inertia
 from stepgap.robots.hopper.model.leg import foot, four_bar
-from stepgap.robots.hopper.tick.estimator import apex_passed, no_samples, with_reading, with_sample
+from stepgap.robots.hopper.tick.estimator import NO_SAMPLES, apex_passed, with_reading, with_sample
 from stepgap.robots.hopper.tick.hop_state import FlightState
 from stepgap.robots.hopper.tick.phases import Phase, next_phase
 from stepgap.robots.hopper.tick.safety import JointMotion
@@ -96,5 +96,5 @@ def update_flight(model, state, sampled, motion, body, inputs):
     if phase == Phase.ASCENT and state.phase != Phase.ASCENT:
         start = sampled
         x = body.x
-        fit = no_samples()
+        fit = NO_SAMPLES
     return FlightState(start, x, fit, last_speed), phase

@@ -16,7 +16,9 @@ from stepgap.robots.hopper.twin.treads import (
 )
 from stepgap.step import Array
 
-READ, OUT_OF_REACH, TOO_FAST = 0, 1, 2
+READ = 0
+OUT_OF_REACH = 1
+TOO_FAST = 2
 """Outcomes of a reading."""
 
 
@@ -242,7 +244,9 @@ def move_ground(devices, views):
         tread = tread_under(uneven, int(uneven.under[0]), place, height)
         if tread != uneven.under[0]:
             put_on_tread(uneven, tread)
-        views.ground[0], views.ground[1], views.ground[2] = foot[0], foot[1], ground_under(devices, views)
+        views.ground[0] = foot[0]
+        views.ground[1] = foot[1]
+        views.ground[2] = ground_under(devices, views)
         tilt_ground(uneven, yaw if rig.boom_arc else 0.0)
     if len(uneven.riser) > 0:
         move_riser(rig, uneven, foot, yaw, place, height)

@@ -7,7 +7,9 @@ import numpy as np
 
 from stepgap.base.compiled import as_written
 
-_LATEST, _TORQUE, _QUEUE = 0, 1, 3
+_LATEST = 0
+_TORQUE = 1
+_QUEUE = 3
 """Where the drives' memory has the number of the latest command, both torques after the lag, and the queue of commands.
 
 The memory is MuJoCo's `userdata`, so that it is copied and reset with the motion.
@@ -37,7 +39,8 @@ def command(rig, memory, torque_1, torque_2):
     """
     latest = (int(memory[_LATEST]) + 1) % _queue_length(rig.delay)
     memory[_LATEST] = latest
-    memory[_QUEUE + 2 * latest], memory[_QUEUE + 2 * latest + 1] = torque_1, torque_2
+    memory[_QUEUE + 2 * latest] = torque_1
+    memory[_QUEUE + 2 * latest + 1] = torque_2
 
 
 @as_written
@@ -57,7 +60,8 @@ def deliver(rig, memory, ctrl, begin, end):
     length = _queue_length(rig.delay)
     change = min(max(rig.delay - np.floor(rig.delay), begin), end)  # when the later of two commands begins
     place = int(memory[_LATEST]) + 1  # of the oldest command, which ends in this tick
-    ctrl[0], ctrl[1] = 0.0, 0.0
+    ctrl[0] = 0.0
+    ctrl[1] = 0.0
     for time in (change - begin, end - change):
         if time > 0.0:
             kept = np.exp(-time / rig.lag) if rig.lag > 0.0 else 0.0

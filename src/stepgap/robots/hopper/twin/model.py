@@ -171,7 +171,6 @@ def build_model(
 
     Args:
         robot: As for `build_spec`.
-        gap: As for `build_spec`.
         timestep: As for `build_spec`.
         risers: As for `build_spec`.
         tick: Time from one command to the drives to the next [s].
@@ -188,7 +187,6 @@ def export_xml(robot: RobotParameters, gap: RealityGap, timestep: float, start: 
 
     Args:
         robot: As for `build_spec`.
-        gap: As for `build_spec`.
         timestep: As for `build_spec`.
         start: Coordinates of the pose that is stored as keyframe `start`; shape (nq,).
     """
@@ -198,7 +196,8 @@ def export_xml(robot: RobotParameters, gap: RealityGap, timestep: float, start: 
     model = spec.compile()
     _set_contact(model, robot, gap)
     pair = spec.pairs[0]
-    pair.solref, pair.solimp = model.pair_solref[0], model.pair_solimp[0]
+    pair.solref = model.pair_solref[0]
+    pair.solimp = model.pair_solimp[0]
     pair.solreffriction = model.pair_solreffriction[0]
     spec.compile()
     return spec.to_xml()
@@ -214,7 +213,8 @@ def _set_options(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap, t
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     option.impratio = 1e5
-    option.iterations, option.tolerance = 20, 1e-10
+    option.iterations = 20
+    option.tolerance = 1e-10
     option.disableflags = (
         off.mjDSBL_LIMIT | off.mjDSBL_AUTORESET | off.mjDSBL_MIDPHASE | off.mjDSBL_CLAMPCTRL | off.mjDSBL_ISLAND
     )
@@ -237,11 +237,13 @@ def _add_boom(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) -> m
         hopper.pos = np.array([0, -radius, gap.boom_pivot_height])
         pivot = np.array([0, radius, 0])
         yaw = hopper.add_joint(name="boom_horizontal", type=hinge, axis=UP, pos=pivot, armature=inertia_z)
-        yaw.frictionloss, yaw.damping[0] = radius * gap.boom_friction, radius**2 * gap.boom_drag
+        yaw.frictionloss = radius * gap.boom_friction
+        yaw.damping[0] = radius**2 * gap.boom_drag
         hopper.add_joint(name="boom_vertical", type=hinge, axis=PITCH_AXIS, pos=pivot, armature=inertia_x)
     else:
         travel = hopper.add_joint(name="boom_horizontal", type=slide, axis=FORWARD, armature=inertia_z / radius**2)
-        travel.frictionloss, travel.damping[0] = gap.boom_friction, gap.boom_drag
+        travel.frictionloss = gap.boom_friction
+        travel.damping[0] = gap.boom_drag
         hopper.add_joint(name="boom_vertical", type=slide, axis=UP, armature=inertia_x / radius**2)
     if gap.boom_stiffness < inf:
         has_inertia = min(inertia_x, inertia_z) > 0
@@ -249,7 +251,8 @@ def _add_boom(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) -> m
         damping = 2 * gap.boom_damping_ratio * sqrt(gap.boom_stiffness * carried_mass(robot, gap))
         for name, axis in (("deflection_horizontal", FORWARD), ("deflection_vertical", UP)):
             joint = hopper.add_joint(name=name, type=slide, axis=axis)
-            joint.stiffness[0], joint.damping[0] = gap.boom_stiffness, damping
+            joint.stiffness[0] = gap.boom_stiffness
+            joint.damping[0] = damping
     return hopper
 
 
@@ -291,8 +294,10 @@ def _add_hinge(link: mujoco.MjsBody, name: str, gap: RealityGap, armature: float
 
 def _close_four_bar(spec: mujoco.MjSpec, timestep: float) -> None:
     closure = spec.add_equality(name="four_bar", name1="front_joint", name2="rear_joint")
-    closure.type, closure.objtype = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtObj.mjOBJ_SITE
-    closure.solref, closure.solimp = _deadbeat(timestep), np.array(HARD)
+    closure.type = mujoco.mjtEq.mjEQ_CONNECT
+    closure.objtype = mujoco.mjtObj.mjOBJ_SITE
+    closure.solref = _deadbeat(timestep)
+    closure.solimp = np.array(HARD)
 
 
 def _add_start_locks(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> None:
@@ -302,8 +307,10 @@ def _add_start_locks(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> N
         names += ["deflection_horizontal", "deflection_vertical"]
     for name in names:
         lock = spec.add_equality(name=f"hold_{name}", name1=name, active=False)
-        lock.type, lock.objtype = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT
-        lock.solref, lock.solimp = _deadbeat(timestep), np.array(HARD)
+        lock.type = mujoco.mjtEq.mjEQ_JOINT
+        lock.objtype = mujoco.mjtObj.mjOBJ_JOINT
+        lock.solref = _deadbeat(timestep)
+        lock.solimp = np.array(HARD)
 
 
 def with_timestep(model: mujoco.MjModel, timestep: float) -> mujoco.MjModel:
@@ -338,7 +345,8 @@ def _add_drives(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> None:
             motor.dynprm[0] = gap.torque_lag
         if steps > 0:
             # half a step less: MuJoCo finds the command by its time, and rounding could otherwise add a step
-            motor.delay, motor.nsample = (steps - 0.5) * timestep, steps + 1
+            motor.delay = (steps - 0.5) * timestep
+            motor.nsample = steps + 1
 
 
 def _add_ground(spec: mujoco.MjSpec, gap: RealityGap, names: tuple[str, ...]) -> None:
@@ -375,9 +383,7 @@ def contact_of(
     stops the foot within a few steps, without a bounce, and yields by micrometres.
 
     Args:
-        model: The compiled model.
         robot: As for `build_spec`.
-        gap: As for `build_spec`.
         stiffness: Stiffness as a part of the gap's; no effect on rigid ground.
         friction: Coefficient of friction as a part of the gap's; no effect where the foot never slips.
     """
@@ -439,7 +445,8 @@ def _add_squares(spec: mujoco.MjSpec) -> None:
     two_d = mujoco.mjtTexture.mjTEXTURE_2D
     checker = mujoco.mjtBuiltin.mjBUILTIN_CHECKER
     squares = spec.add_texture(name="squares", type=two_d, builtin=checker, width=256, height=256)
-    squares.rgb1, squares.rgb2 = np.full(3, 0.8), np.full(3, 0.7)
+    squares.rgb1 = np.full(3, 0.8)
+    squares.rgb2 = np.full(3, 0.7)
     material = spec.add_material(name="squares", texrepeat=(1, 1), texuniform=True)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "squares"
     spec.geom("ground").material = "squares"

@@ -16,7 +16,6 @@ def observed_plant(rig: Rig, twin: Twin, control: HopperControl, on_ticks: OnTic
 
     Args:
         rig: The rig, in the calling process.
-        twin: The twin in it.
         control: Control of the hopper.
         on_ticks: Called with the kept ticks; the columns are those of `HopperKinematics.observed_units`.
         every: Interval of the kept ticks.
@@ -50,7 +49,6 @@ class _ObservedRig(WrappedRig):
     """A rig that reports every reading.
 
     Args:
-        rig: The rig.
         on_read: Called after every reading.
     """
 

@@ -56,9 +56,11 @@ def move(devices, views, physics):
     """
     rig = devices[0]
     uneven = len(views.uneven.treads) > 0
-    model, steps = physics.stance, physics.stance_steps
+    model = physics.stance
+    steps = physics.stance_steps
     if in_flight(devices, views):
-        model, steps = physics.flight, physics.flight_steps
+        model = physics.flight
+        steps = physics.flight_steps
     _drift(views, 0.5 * rig.tick / steps)
     for step in range(steps):
         deliver(rig, views.memory, views.ctrl, step / steps, (step + 1) / steps)

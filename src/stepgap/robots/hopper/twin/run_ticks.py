@@ -10,7 +10,8 @@ from stepgap.robots.hopper.twin.devices import READ, drive, read_counts
 from stepgap.robots.hopper.twin.physics import move
 from stepgap.robots.hopper.twin.true_apex import update_apex
 
-NO_NUMBER, NO_TORQUE = 3, 4
+NO_NUMBER = 3
+NO_TORQUE = 4
 """How a tick ended, besides the outcomes of a reading: a sensor value or a torque is not finite."""
 
 _ENDS_RUN = int(TickFlag.STEP_ENDED | TickFlag.FAILED | TickFlag.TOUCHDOWN)
@@ -59,7 +60,8 @@ def run_ticks(
         time += tick_time
         for column in range(len(row)):  # an assignment of arrays would compile the text of its error, for seconds
             rows[i, column] = row[column]
-        rows[i, TICK_COLUMN.applied_1], rows[i, TICK_COLUMN.applied_2] = applied_1, applied_2
+        rows[i, TICK_COLUMN.applied_1] = applied_1
+        rows[i, TICK_COLUMN.applied_2] = applied_2
         if flags & _ENDS_RUN:
             return i + 1, READ, flags, time, applied_1, applied_2
     return len(rows), READ, flags, time, applied_1, applied_2

@@ -30,7 +30,6 @@ class TwinPlant(RigPlant, RepeatablePlant):
     """Plant of the twin, which can repeat a step.
 
     Args:
-        twin: The twin.
         control: Control of the hopper.
         on_ticks: As of `RigPlant`.
     """

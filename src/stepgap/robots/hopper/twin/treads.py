@@ -111,10 +111,13 @@ def put_on_tread(uneven, tread):
     """Gives the ground the contact of a tread."""
     row = uneven.treads[tread]
     uneven.under[0] = tread
-    uneven.impedance[0], uneven.impedance[1] = row[_IMPEDANCE], row[_IMPEDANCE]
-    uneven.spring[0], uneven.spring[1] = row[_SPRING], row[_DAMPER]
+    uneven.impedance[0] = row[_IMPEDANCE]
+    uneven.impedance[1] = row[_IMPEDANCE]
+    uneven.spring[0] = row[_SPRING]
+    uneven.spring[1] = row[_DAMPER]
     uneven.slip[1] = row[_SLIP]
-    uneven.friction[0], uneven.friction[1] = row[_FRICTION], row[_FRICTION]
+    uneven.friction[0] = row[_FRICTION]
+    uneven.friction[1] = row[_FRICTION]
 
 
 @as_written
@@ -122,7 +125,9 @@ def tilt_ground(uneven, yaw):
     """Tilts the ground forward or backward by the slope of the tread under a foot at a yaw of the boom [rad]."""
     half = 0.5 * np.arctan(uneven.treads[int(uneven.under[0]), TREAD_SLOPE])
     turn = uneven.turn
-    turn[0], turn[1], turn[2] = np.cos(half), np.sin(half) * np.sin(yaw), -np.sin(half) * np.cos(yaw)
+    turn[0] = np.cos(half)
+    turn[1] = np.sin(half) * np.sin(yaw)
+    turn[2] = -np.sin(half) * np.cos(yaw)
 
 
 @as_written
@@ -157,13 +162,25 @@ def move_riser(rig, uneven, foot, yaw, place, height):
         distance = -along
         side = -1.0
     else:
-        riser[0], riser[1], riser[2] = 0.0, 0.0, _AWAY
-        turn[0], turn[1], turn[2], turn[3] = 1.0, 0.0, 0.0, 0.0
+        riser[0] = 0.0
+        riser[1] = 0.0
+        riser[2] = _AWAY
+        turn[0] = 1.0
+        turn[1] = 0.0
+        turn[2] = 0.0
+        turn[3] = 0.0
         return
     edge = yaw + distance / rig.boom_length if rig.boom_arc else 0.0
     if rig.boom_arc:
-        riser[0], riser[1], riser[2] = rig.boom_length * np.sin(edge), -rig.boom_length * np.cos(edge), 0.0
+        riser[0] = rig.boom_length * np.sin(edge)
+        riser[1] = -rig.boom_length * np.cos(edge)
+        riser[2] = 0.0
     else:
-        riser[0], riser[1], riser[2] = foot[0] + distance, 0.0, 0.0
+        riser[0] = foot[0] + distance
+        riser[1] = 0.0
+        riser[2] = 0.0
     root = np.sqrt(0.5)
-    turn[0], turn[1], turn[2], turn[3] = root, side * root * np.sin(edge), -side * root * np.cos(edge), 0.0
+    turn[0] = root
+    turn[1] = side * root * np.sin(edge)
+    turn[2] = -side * root * np.cos(edge)
+    turn[3] = 0.0

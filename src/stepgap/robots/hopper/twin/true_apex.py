@@ -38,7 +38,9 @@ def update_apex(apex, devices, views):
         return
     (_, height), (speed, _) = true_hip(devices, views.qpos, views.qvel)
     if so_far.grounded or height > so_far.height:
-        so_far.speed, so_far.height, so_far.grounded = speed, height, 0
+        so_far.speed = speed
+        so_far.height = height
+        so_far.grounded = 0
 
 
 @as_written

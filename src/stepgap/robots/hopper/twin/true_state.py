@@ -61,7 +61,8 @@ def true_state(model: Any, scratch: Any, devices: Record, views: Views, time: fl
     """
     rig = devices[0]
     data = scratch
-    data.qpos[:], data.qvel[:] = views.qpos, views.qvel
+    data.qpos[:] = views.qpos
+    data.qvel[:] = views.qvel
     mujoco.mj_kinematics(model, data)
     hip, hip_rate = true_hip(devices, data.qpos, data.qvel)
     motors = [rig["motor_1"], rig["motor_2"]]

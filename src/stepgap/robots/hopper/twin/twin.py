@@ -43,7 +43,8 @@ from stepgap.robots.mujoco_faults import mujoco_fault
 from stepgap.robots.scene import GroundPieces
 from stepgap.step import Array
 
-STANCE_STEP, FLIGHT_STEP = 2.5e-4, 1e-3
+STANCE_STEP = 2.5e-4
+FLIGHT_STEP = 1e-3
 """Longest physics steps near the ground, where contact and friction decide, and in flight [s]. They are part of what
 the twin is, like its stiffness; `benchmarks/twin_steps.py` measures what others would change."""
 
@@ -352,12 +353,16 @@ class Twin(CompiledRig):
                 the robot did the same at another yaw.
         """
         twin = copy(self)
-        twin._model, twin._flight_model = copy(self._model), copy(self._flight_model)
-        twin._data, twin._rng = copy(self._data), rng
-        twin._apex, twin._under = self._apex.copy(), self._under.copy()
+        twin._model = copy(self._model)
+        twin._flight_model = copy(self._flight_model)
+        twin._data = copy(self._data)
+        twin._rng = rng
+        twin._apex = self._apex.copy()
+        twin._under = self._under.copy()
         twin._bind()
         twin._set_floor_yaw(self._floor_yaw + floor_yaw)
-        twin._noise, twin._noise_used = NO_NOISE, len(NO_NOISE)
+        twin._noise = NO_NOISE
+        twin._noise_used = len(NO_NOISE)
         if self._gap.torque_noise > 0:
             twin._views.force[self._motors] = self._gap.torque_noise * twin._next_noise(1)[0]
         return twin
