@@ -14,16 +14,12 @@ from scipy.special import wrightomega
 from stepgap.gauss.covariance import covariance_matrix, evidence_gradient
 from stepgap.gauss.gaussian_process import HyperParameters
 from stepgap.gauss.kernel import MATERN_52, Kernel
-from stepgap.gauss.least_squares import (
-    LeastSquares,
-    factorise,
-    fit_least_squares,
-    inverse_triangle,
-    solve_transposed,
-)
+from stepgap.gauss.least_squares import LeastSquares, factorise, fit_least_squares, inverse_triangle, solve_transposed
 from stepgap.step import Array
 
-PRIOR_LENGTH_SCALE, PRIOR_NOISE_RATIO, PRIOR_SLOPE_RATIO = 3.0, 0.5, 1.0
+PRIOR_LENGTH_SCALE = 3.0
+PRIOR_NOISE_RATIO = 0.5
+PRIOR_SLOPE_RATIO = 1.0
 """Medians of the priors, in input scales and signals."""
 
 PRIOR_SIGNAL = 0.25  # Median of the prior of the signal, in value scales

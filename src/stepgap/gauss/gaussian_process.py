@@ -144,7 +144,8 @@ class GaussianProcess(ABC):
 
     def mean(self, point: ArrayLike) -> Array:
         """Expected value; shape (…) [unit of the values] (RW Eq. 2.38)."""
-        covariance, (weights, slopes) = self.covariance, self.weights
+        covariance = self.covariance
+        weights, slopes = self.weights
 
         def mean_of_block(query: Array) -> Array:
             return (
@@ -157,7 +158,8 @@ class GaussianProcess(ABC):
 
     def mean_gradient(self, point: ArrayLike) -> Array:
         """∂mean/∂point; shape (…, d) [unit of the values per unit of each input]."""
-        covariance, (weights, slopes) = self.covariance, self.weights
+        covariance = self.covariance
+        weights, slopes = self.weights
         slope = slopes * covariance.slope_scale
         return covariance.blockwise(lambda query: covariance.cross_covariance_gradient(query, weights) + slope, point)
 

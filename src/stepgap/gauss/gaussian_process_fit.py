@@ -16,13 +16,7 @@ from stepgap.base.blas import one_blas_thread
 from stepgap.base.normal import log_density
 from stepgap.base.ranges import require
 from stepgap.gauss.evidence import Evidence, LogParameters
-from stepgap.gauss.gaussian_process import (
-    GaussianProcess,
-    HyperParameters,
-    checked_data,
-    condition,
-    condition_sparse,
-)
+from stepgap.gauss.gaussian_process import GaussianProcess, HyperParameters, checked_data, condition, condition_sparse
 from stepgap.gauss.kernel import MATERN_52, Kernel
 from stepgap.step import Array
 
@@ -73,13 +67,7 @@ def fit_gaussian_process(
         ValueError: Data or scales are not finite, or their sizes do not fit.
     """
     hyper_parameters = fit_hyper_parameters(
-        points,
-        values,
-        input_scale,
-        value_scale,
-        basis=basis,
-        kernel=kernel,
-        last_length_scale=last_length_scale,
+        points, values, input_scale, value_scale, basis=basis, kernel=kernel, last_length_scale=last_length_scale
     )
     return condition_as_needed(points, values, input_scale, hyper_parameters, kernel)
 

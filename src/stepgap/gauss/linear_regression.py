@@ -31,7 +31,8 @@ def fit_linear(basis: Array, values: Array) -> LinearFit:
     """Fits values (N, n) by the columns of a basis (N, k), which may depend on each other."""
     left, singular, right = np.linalg.svd(basis, full_matrices=False)
     rank = int(np.count_nonzero(singular > NEGLIGIBLE_SINGULAR_VALUE * singular[0]))
-    left, projected = left[:, :rank], left[:, :rank].T @ values
+    left = left[:, :rank]
+    projected = left.T @ values
     residual = values - left @ projected
     leverage = np.minimum(np.sum(left**2, axis=1), 1 - 1e-9)
     weights = right[:rank].T @ (projected / singular[:rank, None])

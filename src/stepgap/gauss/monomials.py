@@ -29,7 +29,8 @@ def monomials(x: Array, degree: int) -> Array:
 def monomials_gradient(x: Array, degree: int) -> Array:
     """∂monomial/∂x; (…, d) to (…, d_φ, d)."""
     d = x.shape[-1]
-    (i, j), unit = pairs(d), np.eye(d)
+    i, j = pairs(d)
+    unit = np.eye(d)
     products = unit[i] * x[..., j, None] + unit[j] * x[..., i, None]
     parts = [np.zeros((*x.shape[:-1], 1, d)), np.broadcast_to(unit, (*x.shape[:-1], d, d)), products][: degree + 1]
     return np.concatenate(parts, axis=-2)

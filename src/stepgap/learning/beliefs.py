@@ -34,34 +34,44 @@ from stepgap.learning.first_beliefs import PERIODIC_STD, RATES, Family, first_be
 from stepgap.step import Array
 
 RUN_COUNT: Final = 50.0  # Number of steps that the noise of an earlier run is worth at most
-RUN_FAR, RUN_TRUST = 4.0, 0.01
+RUN_FAR = 4.0
+RUN_TRUST = 0.01
 """A step of it whose error is further off than so many deviations counts so much."""
 CHANGED_PART: Final = 0.25  # Part of the covariance between robots by which a robot changes
-HAZARD, RETURN_HAZARD, FIRST_HAZARD = 3e-4, 1e-3, 3e-3
+HAZARD = 3e-4
+RETURN_HAZARD = 1e-3
+FIRST_HAZARD = 3e-3
 """Probability of a change before a step, of a return to what was before, and of a change between two deployments. The
 last is below `LEAST_WEIGHT`, so that a change plans no step before one spoke for it."""
 WRONG: Final = 0.02  # Probability of a push or a wrong measurement in a step
-WRONG_WIDTH, WRONG_FREEDOM = 10.0, 2.0
+WRONG_WIDTH = 10.0
+WRONG_FREEDOM = 2.0
 """Width of the error of such a step, in noise deviations, and its degrees of freedom: its tails are heavy, or a single
 large jump would make a newborn belief certain."""
 SUSPECT: Final = 0.1  # From this probability of a wrong step on, the next one may have begun elsewhere
 WRONG_MEASUREMENTS: Final = (0.1, 0.9)
 """Numbers of wrong steps that were, and were not, wrong measurements, before the first one."""
-ACCIDENTS, WIDER, WIDENINGS = 2, 16.0, 4
+ACCIDENTS = 2
+WIDER = 16.0
+WIDENINGS = 4
 """So many wrong steps in a row may be accidents. Each further one makes a change this much wider [variance], so many
 times: otherwise no belief would learn a change that is large beside what robots differ by."""
 LEAST_TRUST: Final = 1e-3
 """A wrong step is learned with at least this weight, unless its error is larger than those of wrong steps."""
 LEAST_WEIGHT: Final = 0.01
 """A belief that is less probable does not plan. With a tenth, a belief that was surer and wrong planned a hop alone."""
-SAME_MEAN, SAME_SPREAD = 0.3, 0.5
+SAME_MEAN = 0.3
+SAME_SPREAD = 0.5
 """Beliefs are one if their predictions differ by less than this part of their standard deviation, and their variances
 by less than this factor's logarithm, at `PROBES` points and at the latest steps."""
-PROBES, RECENT = 12, 4
+PROBES = 12
+RECENT = 4
 """Numbers of these points and steps."""
-MOST, YOUNG = 10, 3
+MOST = 10
+YOUNG = 3
 """Number of beliefs that are kept, and the age up to which a belief is kept besides: it could not yet speak."""
-REPORTED_ODDS, SUDDEN = 30.0, 10
+REPORTED_ODDS = 30.0
+SUDDEN = 10
 """A change is reported from these odds on, within this number of steps from its beginning: a belief that wins later is
 a better model, not a change."""
 
@@ -216,8 +226,7 @@ class Beliefs:
     @property
     def probabilities(self) -> Array:
         """Probability of each belief."""
-        weights = np.array([belief.log_weight for belief in self.beliefs])
-        return _shares(weights)
+        return _shares(np.array([belief.log_weight for belief in self.beliefs]))
 
     def mixture(self, phase: float) -> Mixture:
         """The mixture of the beliefs that plan the next step, which starts at a phase [rad]."""
@@ -343,9 +352,10 @@ class Beliefs:
         beliefs, alarm = _reported(judged.beliefs, settled)
         recent = np.vstack([self.recent, features])[-RECENT:]
         right = 1 - suspicion.measured_wrongly if suspicion else 1.0
+        probed = np.hstack([self.features(self.probes), np.zeros((PROBES, 2 + len(self.before)))])
         return replace(
             self,
-            beliefs=_joined(beliefs, np.vstack([self._probed, recent])),
+            beliefs=_joined(beliefs, np.vstack([probed, recent])),
             before=np.concatenate([right * step.error, step.command]),
             suspicion=suspicion,
             wrong_measurements=(yes, no),
@@ -357,11 +367,6 @@ class Beliefs:
     def probes(self) -> Array:
         """Points of the range of use at which beliefs are compared; shape (`PROBES`, d) [half ranges]."""
         return np.random.default_rng(1).uniform(-0.8, 0.8, (PROBES, self.features.inputs))
-
-    @property
-    def _probed(self) -> Array:
-        """Features at these points; shape (`PROBES`, k)."""
-        return np.hstack([self.features(self.probes), np.zeros((PROBES, 2 + len(self.before)))])
 
 
 class _Elsewhere(NamedTuple):

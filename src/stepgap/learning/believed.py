@@ -23,8 +23,6 @@ def observed(record: StepRecord, nominal: StepMap, error: Array, phase: float) -
     """A step as beliefs see it; None if a number of it is missing, or far from every range.
 
     Args:
-        record: The step.
-        nominal: Map of the physics model.
         error: What is believed about: its error, less that of a fitted residual; shape (n,) [units of the state].
         phase: Phase at which it started [rad], NaN if it is unknown.
     """
@@ -68,9 +66,7 @@ def believed_after(
 
     Args:
         beliefs: What was believed before.
-        nominal: Map of the physics model.
         residual: The fitted residual, a function of state and command.
-        record: The step.
         error: Error of the nominal map at it, NaN where it is unknown; shape (n,) [units of the state].
         phase: Phase at which it started [rad], NaN if it is unknown.
         planned: Whether its command was planned: the first step of a plant is learned without a judgement.
@@ -89,7 +85,6 @@ def believed(residual: Residual, features: Features, mixture: Mixture, seen: Obs
     """The mixture of the beliefs about a step, added to a fitted residual.
 
     Args:
-        residual: The fitted residual.
         features: Those of the beliefs about its remaining error.
         mixture: Their mixture.
         seen: Steps that become the data of the result, for reports.
@@ -125,8 +120,6 @@ def planning_map(
     """The map that plans a step.
 
     Args:
-        nominal: Map of the physics model.
-        residual: The fitted residual.
         beliefs: What is believed of its remaining error; None for nothing.
         phase: Phase at which the step starts [rad], NaN if it is unknown.
         history: History of the step, as `observations` defines it.

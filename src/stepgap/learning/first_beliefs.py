@@ -18,7 +18,8 @@ from stepgap.step import Array
 RATES: Final = (0.0, 0.1)
 """Random walk of constant and periodic part in a step, of two beliefs that are otherwise equal [noise deviations]."""
 PERIODIC_STD: Final = 0.3  # Prior standard deviation of the periodic part [noise deviations]
-ERROR_BEFORE_STD, COMMAND_BEFORE_STD = 0.05, 0.03
+ERROR_BEFORE_STD = 0.05
+COMMAND_BEFORE_STD = 0.03
 """Prior standard deviations of the weights of the step before: of its error, and of its command [half ranges]."""
 LAGGED_COMMAND_STD: Final = 0.2
 """The same of the command before, of robots on which it acts beyond its step. With 0.03, what it does was taken for an
@@ -30,14 +31,17 @@ UNKNOWN_STDS: Final = ((0.3, 0.08), (0.6, 0.6))
 LAGGED_STDS: Final = ((0.3, 0.08), (0.3, 0.04))
 """The same of robots that follow their commands with a lag, such as commanded velocities. With 0.6, a humanoid that had
 walked forward was told to turn to the wrong side on its way back: its quadratic had a second root there."""
-UNKNOWN_NOISE, NOMINAL_NOISE = 0.03, 0.1
+UNKNOWN_NOISE = 0.03
+NOMINAL_NOISE = 0.1
 """Expected standard deviation of their noise, and of that of a nominal map that is right [half ranges]."""
 RIGHT_STD: Final = 1e-3  # Prior standard deviation of the weights where a map is right [half ranges]
 EXPECTED_NOISE_COUNT: Final = 8.0  # Number of steps that an expected noise is worth
 RIVAL: Final = 0.02  # Probability of each rival of what is expected of a robot, before its first step
 MOST_MONOMIALS: Final = 150
 """With more monomials of degree 2 beliefs are about degree 1: no deployment tells so many weights apart."""
-WAVES, WAVE_LENGTH, LEAST_FOR_WAVES = 30, 1.0, 100
+WAVES = 30
+WAVE_LENGTH = 1.0
+LEAST_FOR_WAVES = 100
 """Number and length scale [half ranges] of the waves among the features, and number of steps that must be known before
 a deployment for it to have them: with fewer they only make the map less sure where the robot has not been."""
 
@@ -123,7 +127,8 @@ def _belief(
     size = features.count + 2 + n + m
     mean = np.zeros((n, size))
     covariance = np.zeros((n, size, size))
-    mean[:, :count], covariance[:, :count, :count] = family.mean, family.covariance
+    mean[:, :count] = family.mean
+    covariance[:, :count, :count] = family.covariance
     for coordinate, noise in enumerate(family.noise_std):
         parts = [(features.waves, WAVE_STD), (2, PERIODIC_STD * noise), (n, ERROR_BEFORE_STD), (m, command_std)]
         stds = np.concatenate([np.full(number, std) for number, std in parts])

@@ -15,12 +15,7 @@ from stepgap.learning.believed import believed, believed_after, observed, planni
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.entry_points import load_residual_model
 from stepgap.learning.first_beliefs import features_of
-from stepgap.learning.observations import (
-    context_inputs_of,
-    error_of,
-    next_history,
-    observe,
-)
+from stepgap.learning.observations import context_inputs_of, error_of, next_history, observe
 from stepgap.learning.posterior import POSTERIOR
 from stepgap.learning.prior import Prior
 from stepgap.learning.residual import Residual, join_points, no_residual
@@ -68,20 +63,13 @@ class Learner:
 
     @classmethod
     def start(
-        cls,
-        nominal: StepMap,
-        known: Steps,
-        settings: LearningSettings,
-        iteration: int,
-        priors: Sequence[Prior] = (),
+        cls, nominal: StepMap, known: Steps, settings: LearningSettings, iteration: int, priors: Sequence[Prior] = ()
     ) -> Self:
         """Returns the learner before a deployment.
 
         Args:
-            nominal: Map of the physics model.
             known: Steps known before the deployment.
             settings: Which residual model is used, and when it is learned.
-            iteration: Number of the deployment.
             priors: Priors over robots, which compete.
 
         Raises:
@@ -135,10 +123,10 @@ class Learner:
 
         If all of them failed, up to the failures; infinite before the first one; shape (m,).
         """
-        known = self.known.before(self.iteration).completed()
+        earlier = self.known.before(self.iteration).completed()
         failed = self.known.iteration[~np.isin(self.known.status, NO_FAILURE)]
-        unfailing = known.selected(~np.isin(known.iteration, failed))
-        steps = unfailing if len(unfailing) else known
+        unfailing = earlier.selected(~np.isin(earlier.iteration, failed))
+        steps = unfailing if len(unfailing) else earlier
         m = len(self.nominal.space.command)
         return np.abs(steps.requested - steps.state[:, :m]).max(axis=0) if len(steps) else np.full(m, np.inf)
 
@@ -189,9 +177,9 @@ class Learner:
 
     def _after(self, logged: LoggedStep) -> "Learner":
         record = logged.record
-        known = self.known + [logged]  # noqa: RUF005 they share memory
+        steps = self.known + [logged]  # noqa: RUF005 they share memory
         error = error_of(record, self.nominal)
-        learner = replace(self, known=known, history=next_history(known, self.nominal.space, self.iteration))
+        learner = replace(self, known=steps, history=next_history(steps, self.nominal.space, self.iteration))
         known_error = bool(np.isfinite(error).all())
         residual = self.residual.conditioned_on(self.history)
         if known_error and residual.kind != "none":

@@ -48,7 +48,7 @@ class Polynomial(BatchRegression):
     @property
     def noise_std(self) -> float:
         """Standard deviation of a new value about the expected one, for known weights."""
-        return math.sqrt(self._noise_variance)
+        return math.sqrt(self._posterior[2])
 
     def mean(self, point: ArrayLike) -> Array:
         """Expected value; shape (…)."""
@@ -115,10 +115,6 @@ class Polynomial(BatchRegression):
     def weight_covariance(self) -> Array:
         """Covariance of the weights; shape (d_φ, d_φ)."""
         return self._posterior[1]
-
-    @property
-    def _noise_variance(self) -> float:
-        return self._posterior[2]
 
     @property
     def _counts(self) -> Array:

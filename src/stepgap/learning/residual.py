@@ -187,5 +187,6 @@ def join_points(state: ArrayLike, command: ArrayLike) -> Array:
     m = command.shape[-1]
     leading = np.broadcast(state[..., :1], command[..., :1]).shape[:-1]
     points = np.empty((*leading, n + m))
-    points[..., :n], points[..., n:] = state, command
+    points[..., :n] = state
+    points[..., n:] = command
     return points

@@ -46,7 +46,6 @@ def check_regression(model: ResidualModel, regression: Regression, points: Array
 
     Args:
         model: Its model.
-        regression: The regression.
         points: Points that it was fitted to; shape (N, d), N ≥ 1.
 
     Raises:
@@ -65,7 +64,6 @@ def check_prediction(name: str, mean: Array, std: Array) -> None:
     """Checks means and standard deviations that a residual predicted, of any shape.
 
     Args:
-        name: Name of the residual.
         mean: Predicted errors.
         std: Their standard deviations.
 

@@ -24,18 +24,13 @@ LARGEST_DIMENSION = 100
 """Largest number of state coordinates, of command coordinates, and of inputs of a regression that is read."""
 
 
-def fit_residual(
-    residual: str | ResidualModel,
-    observations: Observations,
-    forgetting_time: float = inf,
-) -> Residual:
+def fit_residual(residual: str | ResidualModel, observations: Observations, forgetting_time: float = inf) -> Residual:
     """Fits a model of the nominal map's error (Eq. 12).
 
     `auto` selects the installed candidate with the best `held_out_score`; of equally good ones the simplest.
 
     Args:
         residual: Name of an installed model, `auto`, or a model itself.
-        observations: Observations to learn from.
         forgetting_time: As in `HistoryInputs` [steps].
 
     Raises:

@@ -79,7 +79,6 @@ class Steps:
 
     Args:
         space: Names of their state, command and context; a quantity that it does not name is left out.
-        steps: The steps.
 
     Attributes:
         space: As above.
@@ -176,7 +175,8 @@ class Steps:
 
     def _of_rows(self, rows: NDArray[np.void], memory: "_Memory | None" = None) -> Self:
         steps = type(self)(self.space)
-        steps.rows, steps._memory = rows, memory or _Memory()
+        steps.rows = rows
+        steps._memory = memory or _Memory()
         return steps
 
     def __len__(self) -> int:
@@ -319,7 +319,8 @@ class _Memory:
             memory._rows[: len(rows)] = rows
         else:
             memory = self
-        memory._rows[len(rows) : end], memory._used = more, end
+        memory._rows[len(rows) : end] = more
+        memory._used = end
         return memory._rows[:end], memory
 
 
@@ -387,8 +388,7 @@ def runs_before(known: Steps) -> list[list[int]]:
 
 def as_past(known: Steps) -> Steps:
     """Steps renumbered as deployments before number 0."""
-    count = max(known.iterations, default=-1) + 1
-    return known.with_columns(iteration=known.iteration - count)
+    return known.with_columns(iteration=known.iteration - max(known.iterations, default=-1) - 1)
 
 
 def column_names(space: StepSpace) -> list[str]:

@@ -7,7 +7,8 @@ from stepgap.base.errors import InputError
 
 HERE = "127.0.0.1"  # Host address that only this machine can reach
 
-FIRST_PORT, PORTS_TRIED = 8080, 100
+FIRST_PORT = 8080
+PORTS_TRIED = 100
 """First port that is tried, and number of ports that are tried."""
 
 

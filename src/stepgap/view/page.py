@@ -93,7 +93,8 @@ NO_OVERLAY = "nothing"
 SPEEDS = {"¼": 0.25, "½": 0.5, "1": 1.0, "2": 2.0, "4": 4.0, "16": 16.0}
 """Selectable speeds, relative to real time."""
 
-CAMERA, LOOK_AT = (1.1, -1.42, 1.05), (0.07, 0.18, 0.57)
+CAMERA = (1.1, -1.42, 1.05)
+LOOK_AT = (0.07, 0.18, 0.57)
 """Position of the camera and its target, relative to the start of the track, in heights of the robot."""
 
 
@@ -103,8 +104,6 @@ class Page:
     Actions of users are executed at the next `update`, in the thread that calls it.
 
     Args:
-        server: Server of the page.
-        source: Data of the run.
         iteration: Deployment that is shown first; None for the last.
         live: Whether the run is in progress, so that the newest step is shown.
     """
@@ -271,7 +270,8 @@ class Page:
         self._ground.show(float(motion.ground[frame]), source.ground(self.iteration))
         ridden = float(scene.progress(motion.positions[frame])) if self._ride.value else 0.0
         yaw, x = (ridden, 0.0) if scene.circle else (0.0, ridden)
-        self._world.wxyz, self._world.position = (np.cos(yaw / 2), 0.0, 0.0, -np.sin(yaw / 2)), (-x, 0.0, 0.0)
+        self._world.wxyz = (np.cos(yaw / 2), 0.0, 0.0, -np.sin(yaw / 2))
+        self._world.position = (-x, 0.0, 0.0)
         self._show_ghost(scene, float(scene.progress(motion.positions[0])))
 
     def _show_ghost(self, scene: Scene, start: float) -> None:

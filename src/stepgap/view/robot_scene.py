@@ -20,12 +20,14 @@ CHANGED_RGB = (233, 190, 100)
 
 SHADES: dict[Shade, Colour] = {"body": DARK_RGB, "near": BLUE_RGB, "far": SKY_RGB}
 
-TRACK_WIDTH, MARK_EVERY = 0.16, 0.1
+TRACK_WIDTH = 0.16
+MARK_EVERY = 0.1
 """Width of the marks on the track, and their distance [m]."""
 
 AMBIENT_LIGHT = 2.0  # Intensity of the light that comes from all sides, beside viser's lamps
 
-LONGEST_FLAT, DEPTH = 0.05, 0.02
+LONGEST_FLAT = 0.05
+DEPTH = 0.02
 """Longest part of a piece of an uneven ground that is drawn flat, and how far the floor is below the lowest one [m]."""
 
 TRACK_MARKS = 400  # Number of marks on a straight track on either side of the start
@@ -63,7 +65,8 @@ class RobotScene:
         """Draws the robot with its points at these positions; shape (P, 3) [m]."""
         for start, end, handle in self._links:
             along = positions[end] - positions[start]
-            handle.position, handle.wxyz = (positions[start] + positions[end]) / 2, turned_to(along)
+            handle.position = (positions[start] + positions[end]) / 2
+            handle.wxyz = turned_to(along)
             length = round(float(np.linalg.norm(along)), 6)
             if handle.height != length:  # most links are rigid
                 handle.height = length

@@ -29,7 +29,6 @@ class Source:
     """Data of a run folder, and of the ring of a run in progress.
 
     Args:
-        folder: The run folder.
         ring: Ticks of a run in progress, each with its deployment and step; without a ring, the motion is read or
             simulated again.
 
@@ -86,14 +85,14 @@ class Source:
         """Motion of a step, None while it is being computed; if it is not available, the robot rests at the section.
 
         Args:
-            iteration: Number of the deployment.
             number: 0 for the start, k for the k-th recorded step of the deployment.
         """
         motions = self._motion.get(iteration, [])
         steps = self.steps(iteration)
         if number < len(motions) and (motion := motions[number]):
             return motion
-        if self._is_loading(iteration) or not steps:
+        is_loading = iteration in self._loaders and self._loaders[iteration].is_alive()
+        if is_loading or not steps:
             return None
         # The robot rests where the step ended or, before the first step and where a step failed, where it began.
         record = steps[min(max(number, 1), len(steps)) - 1].record
@@ -182,9 +181,6 @@ class Source:
                     numbered = {**self.kinematics.units, "step": ""}
                     table = TickTable(numbered, np.column_stack([rows, np.full(len(rows), float(number))]))
                     motions[number] = self.kinematics.motion(table)
-
-    def _is_loading(self, iteration: int) -> bool:
-        return iteration in self._loaders and self._loaders[iteration].is_alive()
 
     def _load(self, iteration: int, load: Callable[[int, list[Motion | None], Kinematics], None]) -> None:
         """Loads the motion step by step; the page shows errors."""
