@@ -12,14 +12,7 @@ from stepgap.base.errors import InputError, message_of
 from stepgap.base.files import create, new_folder
 from stepgap.base.output_files import EXISTING_IS_COMPLETE, writing
 from stepgap.base.plugins import load_plugin
-from stepgap.cli.new_package import (
-    EQUATIONS,
-    MUJOCO,
-    check_package_name,
-    readme_name,
-    starter_text,
-    write_package,
-)
+from stepgap.cli.new_package import EQUATIONS, MUJOCO, check_package_name, readme_name, starter_text, write_package
 from stepgap.cli.options import NO_COLUMNS, ColumnNames, Flag
 from stepgap.cli.terminal import warn
 
@@ -90,7 +83,8 @@ def new(
         with new_folder(folder) as partial:
             for name, text in contents.items():
                 create(partial / name, text)
-            missing, gait = [], ""
+            missing = []
+            gait = ""
             if policy and mjcf:
                 missing, gait = _starter("policy")(partial, folder.name, policy, mjcf)
             elif mjcf:

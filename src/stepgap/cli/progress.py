@@ -98,9 +98,9 @@ class RunProgress:
             return
         if logged.record.status == StepStatus.OK:
             squares = np.square(logged.record.next_state - logged.target)
-            known = np.isfinite(squares)
-            self._squares[known] += squares[known]
-            self._counted += known
+            measured = np.isfinite(squares)
+            self._squares[measured] += squares[measured]
+            self._counted += measured
         unknown = np.full_like(self._squares, np.nan)
         error = self._describe(np.sqrt(np.divide(self._squares, self._counted, out=unknown, where=self._counted > 0)))
         self._executed.append(logged)
@@ -124,7 +124,8 @@ class RunProgress:
         if self._executed:
             self._warn(offset_sentences(Steps(self._space, self._executed)))
         status = self._executed[-1].record.status if self._executed else StepStatus.OK
-        self._executed, (self._squares, self._counted) = [], np.zeros((2, len(self._squares)))
+        self._executed = []
+        self._squares, self._counted = np.zeros((2, len(self._squares)))
         self._last = deployment.iteration
         self._deployments.append(deployment)
         end = f", then it {ending_of(status)}" if deployment.failed_steps else ""
@@ -141,7 +142,7 @@ class RunProgress:
         self._warn([sentence])
 
     def _on_exploration(self, worths: Sequence[float]) -> None:
-        worth = listed([f"{each:.2f}" for each in worths])
+        worth = listed([f"{worth:.2f}" for worth in worths])
         made = worthwhile(worths)
         sentence = f"exploration: the next steps are worth {worth} squared errors of a step by noise"
         if made < len(worths):

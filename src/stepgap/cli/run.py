@@ -3,8 +3,8 @@
 import json as json_format
 import shlex
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -118,6 +118,11 @@ class Display:
     open: Flag = False
     json: Flag = False
 
+    def check(self) -> None:
+        """Raises InputError where an option of the page is given without the page."""
+        if not self.view and (self.host or self.port):
+            raise InputError("--host, --port: valid only with --view, whose page they belong to")
+
 
 def _constant_reference(target: str, steps: int | None, reference: str | None) -> str:
     """The setting of a reference that is one target."""
@@ -163,19 +168,11 @@ def run_verb(
     from stepgap.experiment.inputs import load_reference, write_experiment
     from stepgap.experiment.nominal import check_surrogate
     from stepgap.experiment.plants import PlantRequest, plant_compiled_beside
-    from stepgap.experiment.run_start import (
-        discard_unrecorded,
-        folder_to_continue,
-        load_setup,
-        run_folder,
-        start_folder,
-    )
-    from stepgap.plants.process import ProcessFault
+    from stepgap.experiment.run_start import folder_to_continue, load_setup, run_folder, start_folder
 
     if arm:
         check_consent("--arm")
-    if not display.view and (display.host or display.port):
-        raise InputError("--host, --port: valid only with --view, whose page they belong to")
+    display.check()
     if resume and extend is not None:
         raise InputError(
             "--resume, --extend: give only --resume for an interrupted run, only --extend for a finished one"
@@ -202,22 +199,32 @@ def run_verb(
         if not continued:
             start_folder(folder, write)
         on_execution = write if extend is not None else lambda: None
-        try:
-            with terminated_as_interrupted(), live or nullcontext():
-                _execute(setup, folder, recorder, live, display, on_execution)
-                _finish(_report(folder, recorder, display), live, display)
-        except StepGapError as error:
-            if not continued:
-                discard_unrecorded(folder)
-            if isinstance(error, ProcessFault) and (folder / "experiment.toml").exists():
-                raise ProcessFault(f"{error}; {_how_to_resume(folder, arm, program)}") from None
-            raise
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"; {_how_to_resume(folder, arm, program)}") from None
-        except OSError as error:
-            if is_output_error(error):
-                warn(f"the run was stopped; {_how_to_resume(folder, arm, program)}")
-            raise
+        remedy = _how_to_resume(folder, arm, program)
+        with _stoppable(folder, remedy, continued), terminated_as_interrupted(), live or nullcontext():
+            _execute(setup, folder, recorder, live, display, on_execution)
+            _finish(_report(folder, recorder, display), live, display)
+
+
+@contextmanager
+def _stoppable(folder: Path, remedy: str, continued: bool) -> Iterator[None]:
+    """Says how to resume a run that is stopped inside, and removes a new folder in which no step is recorded."""
+    from stepgap.experiment.run_start import discard_unrecorded
+    from stepgap.plants.process import ProcessFault
+
+    try:
+        yield
+    except StepGapError as error:
+        if not continued:
+            discard_unrecorded(folder)
+        if isinstance(error, ProcessFault) and (folder / "experiment.toml").exists():
+            raise ProcessFault(f"{error}; {remedy}") from None
+        raise
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"; {remedy}") from None
+    except OSError as error:
+        if is_output_error(error):
+            warn(f"the run was stopped; {remedy}")
+        raise
 
 
 def _kept(nominal: "Nominal") -> str:
@@ -260,13 +267,13 @@ def _watchers(settings: "Experiment", folder: Path, display: Display) -> "tuple[
     from stepgap.records.missing import Missing
     from stepgap.records.motion_file import INTERVAL
 
-    found = find_kinematics(settings) if settings.simulated else None  # a rig has its own tick logs
-    kinematics = None if isinstance(found, Missing) else found
+    kinematics = find_kinematics(settings) if settings.simulated else None  # a rig has its own tick logs
+    if isinstance(kinematics, Missing):
+        kinematics = None
     recorder = TickRecorder(kinematics.units, kinematics.every(INTERVAL)) if kinematics else TickRecorder({}, 1)
     if not display.view:
         return recorder, None
-    live_page = load_display("live")
-    return recorder, live_page(folder, display.host, display.port, kinematics)
+    return recorder, load_display("live")(folder, display.host, display.port, kinematics)
 
 
 def _all_of(record: "OnTicks", live: "LivePage | None") -> "OnTicks":

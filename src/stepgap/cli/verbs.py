@@ -22,7 +22,8 @@ GROUPS = {
 }
 """Headings of the help with their verbs, in this order."""
 
-_OTHERS, _OPTIONS = "Other packages", "Options"
+_OTHERS = "Other packages"
+_OPTIONS = "Options"
 """Headings below those of the verbs of this package."""
 
 _HEADINGS = {name: Group(name, sort_key=number) for number, name in enumerate([*GROUPS, _OTHERS, _OPTIONS])}

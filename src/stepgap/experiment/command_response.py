@@ -42,7 +42,6 @@ def command_response(log: Steps, nominal: StepMap) -> CommandResponse | None:
     """Judges the steps of one deployment that directly follow another one; None if they are too few.
 
     Args:
-        log: The steps.
         nominal: Map that says which effect is expected.
     """
     rows = np.flatnonzero(log.follows & np.isfinite(log.next_state).all(axis=1) & ~log.doubtful)

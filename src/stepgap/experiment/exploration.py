@@ -23,7 +23,8 @@ from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.residual import Residual
 from stepgap.step import Array, StepFailed, StepMap
 
-TRIED, SECOND = 25, 13
+TRIED = 25
+SECOND = 13
 """Numbers of commands that are compared for the next step, and of those with which each is followed."""
 MARGIN = 0.1  # Distance by which an exploratory step may leave the range of the targets [half ranges]
 LEAST_WORTH = 1.0  # What an exploratory step must be worth [squared errors of a step by noise]

@@ -38,7 +38,8 @@ SURROGATE = "nominal_map.json"  # File in a run's folder with the surrogate of a
 WARM_START = "warm_start.csv"
 """File in a run's folder with the steps that were known before its first deployment."""
 
-PRIOR_FILE, PRIOR_FOLDER = "prior.json", "priors"
+PRIOR_FILE = "prior.json"
+PRIOR_FOLDER = "priors"
 """File in a run's folder with the prior that its learning begins with, and folder with several of them."""
 
 
@@ -202,8 +203,6 @@ def experiment_files(
     named by absolute paths.
 
     Args:
-        experiment: The experiment.
-        reference: Its reference.
         known: Steps that are known before the first deployment.
         surrogate: Text of the file of its nominal map, if that was fitted for it.
 

@@ -131,26 +131,22 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
     resumed.
 
     Args:
-        setup: What is run.
         folder: An existing folder.
-        observer: Progress callbacks.
 
     Raises:
         ValueError: The reference does not fit this map.
         RecordError: The record in the folder belongs to another experiment, another process is writing it, or a step
             cannot be recorded.
     """
-    nominal = setup.nominal
-    plants = setup.plants
     seed = setup.seed
-    reference = setup.reference.of(nominal.space)
+    space = setup.nominal.space
+    reference = setup.reference.of(space)
     setup = replace(setup, reference=reference)
-    past = as_past(setup.known or Steps(nominal.space))
-    scale = nominal.space.error_scale
+    past = as_past(setup.known or Steps(space))
     deployments = list[Deployment]()
-    with one_blas_thread(), Recording(folder, nominal.space, seed, past, plants.replays) as recording:
+    with one_blas_thread(), Recording(folder, space, seed, past, setup.plants.replays) as recording:
         log = Steps(recording.space)
-        prepare = partial(Learner.start, nominal, Steps(recording.space) + past, setup.learning, 0, setup.priors)
+        prepare = partial(Learner.start, setup.nominal, Steps(recording.space) + past, setup.learning, 0, setup.priors)
         while True:
             # Learn from all steps so far.
             iteration = len(deployments)
@@ -169,27 +165,25 @@ def run_experiment(setup: Setup, folder: Path, observer: Observer = Observer()) 
             # Judge the deployment.
             final = _final(learner, latest[0], steps)
             floor = estimate_noise_floor(steps, reference)
-            residual = _residual_name(learner)
-            deployments.append(
-                recording.deployment(iteration)
-                or summarise(steps, reference, residual, learner.step_map(), floor.any_phase, final.alarms)
-            )
+            deployment = recording.deployment(iteration)
+            if deployment is None:
+                residual = _residual_name(learner)
+                deployment = summarise(steps, reference, residual, learner.step_map(), floor.any_phase, final.alarms)
+            deployments.append(deployment)
             summary = _summary(deployments, log, floor, seed, past)
             recording.write_summary(summary)
-            observer.on_deployment(deployments[-1])
-            if is_finished(deployments, scale, setup.learning):
+            observer.on_deployment(deployment)
+            if is_finished(deployments, space.error_scale, setup.learning):
                 break
             prepare = partial(final.redeployed, Steps(recording.space) + past + log, setup.priors)
         recording.check_finished()
         # Measure how well a controller could track.
-        if plants.measure_noise_floor:
+        if measure := setup.plants.measure_noise_floor:
             noise_floor = recording.measured_noise_floor(len(deployments))
             if noise_floor is None:
-                last_map = final.step_map()
                 progress = partial(observer.on_phase, "measuring the noise floor")
-                noise_floor = plants.measure_noise_floor(last_map, random_stream(seed, iteration, 1), progress)
-            summary = replace(summary, noise_floor=noise_floor, noise_floor_measured=True)
-            recording.write_summary(summary)
+                noise_floor = measure(final.step_map(), random_stream(seed, iteration, 1), progress)
+            recording.write_summary(replace(summary, noise_floor=noise_floor, noise_floor_measured=True))
     return deployments
 
 
@@ -273,7 +267,6 @@ def is_finished(deployments: Sequence[Deployment], scale: Array, learning: Learn
     Args:
         deployments: The finished ones.
         scale: Error of each state coordinate that counts as one (`StepSpace.error_scale`); shape (n,).
-        learning: Settings of learning.
     """
     if len(deployments) > learning.iterations:  # beside the redeployments there is deployment 0
         return True

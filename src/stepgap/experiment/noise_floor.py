@@ -105,7 +105,8 @@ def _side_by_side(
 
 def _repeated(make_plant: MakePlant, controller: CautiousController, job: tuple[Array, np.random.Generator]) -> Array:
     """Next states of a step that is repeated at a target; shape (phases, repeats, n), no phases where steps fail."""
-    (target, rng), nothing = job, np.empty((0, REPEATS, len(controller.step_map.space.state)))
+    target, rng = job
+    nothing = np.empty((0, REPEATS, len(controller.step_map.space.state)))
     plant = make_plant(rng)
     if plant is None:
         return nothing

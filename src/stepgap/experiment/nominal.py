@@ -75,7 +75,6 @@ def load_nominal(
     That of a simulator is a surrogate, which takes seconds to minutes to fit.
 
     Args:
-        settings: Settings of the experiment.
         on_samples: Called with the number of simulated steps so far, and the error of the surrogate [state units].
         reference: Reference about which the map may be linearised; None for that of the settings.
 
@@ -162,7 +161,6 @@ def slowness(kind: str, nominal: StepMap, evaluations: int) -> str:
 
     Args:
         kind: Its name.
-        nominal: The map.
         evaluations: Largest number of steps that the choice of a command evaluates (`ControlSettings.evaluations`).
     """
     seconds = _seconds_per_step(nominal, process_time)

@@ -120,8 +120,6 @@ def replay(
     """The ticks of a recorded deployment of a simulated plant, simulated again from its seed and commands.
 
     Args:
-        run: The run.
-        iteration: Number of the deployment.
         every: Interval of the kept ticks; 1 keeps every tick.
         progress: Called with the number of finished steps and their total number.
 

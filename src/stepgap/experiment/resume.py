@@ -32,9 +32,6 @@ class Recording:
         space: As given, but with the context that the file has: an older file may have less, or more.
 
     Args:
-        folder: The run folder.
-        space: Names of state and command.
-        seed: Random seed of the run.
         past: Steps that were known before the run.
         replays: Whether a plant takes the same steps again.
 
@@ -67,7 +64,6 @@ class Recording:
         """Yields the steps of a deployment, each after it is on disk.
 
         Args:
-            iteration: Number of the deployment.
             execute: Executes the deployment from its beginning.
         """
         if self._is_kept(iteration):
@@ -132,8 +128,9 @@ class Recording:
 
     def measured_noise_floor(self, deployments: int) -> NoiseFloor | None:
         """Noise floor that was measured after this number of deployments; None if it was not."""
-        known = self._summary
-        return known.noise_floor if known.noise_floor_measured and len(known.deployments) == deployments else None
+        summary = self._summary
+        is_measured = summary.noise_floor_measured and len(summary.deployments) == deployments
+        return summary.noise_floor if is_measured else None
 
 
 def warm_start_of(past: Steps) -> WarmStart | None:

@@ -19,13 +19,7 @@ from stepgap.experiment.deployment import DeploymentController
 from stepgap.experiment.displays import load_display
 from stepgap.experiment.inputs import load_known, load_priors
 from stepgap.experiment.nominal import load_nominal
-from stepgap.experiment.settings import (
-    Experiment,
-    SettingsFile,
-    experiment_table,
-    read_experiment,
-    read_settings_file,
-)
+from stepgap.experiment.settings import Experiment, SettingsFile, experiment_table, read_experiment, read_settings_file
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.learner import Learner
 from stepgap.learning.posterior import POSTERIOR
@@ -74,7 +68,6 @@ class Run:
     once is kept: make another object to see the new steps of a run in progress.
 
     Args:
-        folder: The run folder.
         given: Parts that are not read, by their names.
 
     Attributes:
@@ -482,9 +475,6 @@ class Run:
 
 def load_run(folder: Path | str) -> Run:
     """Reads a run whose settings, nominal map and steps are all there.
-
-    Args:
-        folder: The run folder.
 
     Raises:
         InputError: It is not a run, or a file in it is not valid; the message names it.

@@ -65,7 +65,6 @@ def load_setup(request: PlantRequest, nominal: StepMap) -> Setup:
 
     Args:
         request: Settings and reference, and what else its plants are made from.
-        nominal: Nominal map of the settings.
 
     Raises:
         InputError: The map cannot hold a target, a table of commands is wanted but some targets are missing, the known
@@ -159,7 +158,6 @@ def extended(run: Run, redeployments: int) -> Experiment:
     """Settings with which a finished run continues for a number of redeployments, whether the error still falls or not.
 
     Args:
-        run: The run.
         redeployments: At least 1.
 
     Raises:

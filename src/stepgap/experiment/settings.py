@@ -39,17 +39,21 @@ DEFAULT_ROBOT = "hopper"  # Name of the robot if no other is given
 _PATHS = ("reference", "rig", "warm_start", "prior", "nominal.file")
 """Settings of every experiment that name a file or a folder."""
 
-PRIOR_OF_ROBOT, NO_PRIOR = "robot", "none"
+PRIOR_OF_ROBOT = "robot"
+NO_PRIOR = "none"
 """Values of the setting `prior` that name no file: that which comes with the robot, and no prior."""
 
 PROCESS = "process"  # The plant that is another program; all others but the simulated ones are names of rigs
 
-FROM_TEMPLATE, FROM_LOG = "template", "log"
+FROM_TEMPLATE = "template"
+FROM_LOG = "log"
 """Kinds of nominal map that every robot has, each with a file."""
 
-LONGEST_NAME, LONGEST_NOTE = 60, 500  # Longest name and note of a run [characters]
+LONGEST_NAME = 60  # Longest name of a run [characters]
+LONGEST_NOTE = 500  # Longest note on a run [characters]
 
-GAP, RANDOM = "gap", "random:"
+GAP = "gap"
+RANDOM = "random:"
 """The table of random differences, and the beginning of its presets `random:NUMBER`."""
 
 LARGEST_NOMINAL_FILE = 2**28  # Largest file of a nominal map that is read [bytes]
@@ -89,28 +93,16 @@ def forgetting_time(factor: float) -> float:
 METHODS: Mapping[str, Method] = {
     "default": Method(LearningSettings()),
     "paper": Method(
-        LearningSettings(
-            residual="fitrgp",
-            early_stop=False,
-            drift=False,
-        ),
+        LearningSettings(residual="fitrgp", early_stop=False, drift=False),
         ControlSettings(cautious=False, viability=False, avoid_failures=False, horizon=1),
     ),
     "integral": Method(
         LearningSettings(
-            residual="constant",
-            online=True,
-            forgetting_time=forgetting_time(1 - INTEGRAL_GAIN),
-            drift=False,
+            residual="constant", online=True, forgetting_time=forgetting_time(1 - INTEGRAL_GAIN), drift=False
         )
     ),
     "rls": Method(
-        LearningSettings(
-            residual="linear",
-            online=True,
-            forgetting_time=forgetting_time(RLS_FORGETTING),
-            drift=False,
-        ),
+        LearningSettings(residual="linear", online=True, forgetting_time=forgetting_time(RLS_FORGETTING), drift=False),
         linear=True,
     ),
     "affine": Method(LearningSettings(residual="linear", drift=False), linear=True),

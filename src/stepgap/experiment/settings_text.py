@@ -97,7 +97,6 @@ def _tables(experiment: Experiment, names: set[str], printed: dict[tuple[str, st
     """The tables of settings with these names.
 
     Args:
-        experiment: Settings and defaults.
         names: Dotted names.
         printed: Name of the robot at which each name and meaning is on the page already; those of this robot are added.
     """

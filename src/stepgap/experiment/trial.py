@@ -38,8 +38,6 @@ def trial_run(
     """Runs one deployment with the nominal map, and measures the noise floor.
 
     Args:
-        settings: Settings of the experiment.
-        nominal: Its nominal map.
         reference: Targets of all steps.
         folder: An empty folder for the record.
         program: Command line of the robot's program, for the plant `process`.
@@ -84,8 +82,6 @@ def probing_steps(
     So each command varies by itself, which shows its effects. A robot that fails begins again.
 
     Args:
-        settings: Settings of the experiment.
-        nominal: Its nominal map.
         reference: Targets that are held.
         folder: An empty folder.
         program: Command line of the robot's program, for the plant `process`.
@@ -134,9 +130,7 @@ class ProbedPlant(Plant):
     """A plant each command of which is changed at random.
 
     Args:
-        plant: The plant.
         sizes: Largest changes [half ranges]; shape (m,).
-        rng: Draws them.
     """
 
     def __init__(self, plant: Plant, sizes: Array, rng: np.random.Generator):
