@@ -96,6 +96,6 @@ def _gaps(space: StepSpace, points: Array, fixed: NDArray[np.bool_]) -> tuple[st
         unseen = directions[:, variances < DEPENDENT * variances[-1]]
         together = names[~fixed][(np.abs(unseen) > NAMED_COMPONENT).any(axis=1)]
         if together.size:
-            known = "only their common effect is known; vary each alone"
-            gaps.append(f"{', '.join(together)} vary only together in the log, so {known}")
+            effect = "only their common effect is known; vary each alone"
+            gaps.append(f"{', '.join(together)} vary only together in the log, so {effect}")
     return tuple(gaps)
