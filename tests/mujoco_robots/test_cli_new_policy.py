@@ -184,8 +184,9 @@ def test_a_step_has_whole_periods_of_the_gait(period: float, seconds: float) -> 
     assert step_seconds({"observation": ["base_ang_vel"], "gait_period": period}) == 0.5
 
 
-def test_a_policy_runs_from_python_in_two_lines() -> None:
+def test_a_policy_runs_from_python_in_two_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of docs/notebook_policy.md, with shorter walks."""
+    monkeypatch.chdir(tmp_path)
     write_network(Path("policy.onnx"), driving(), mjlab_metadata())
     Path("robot.xml").write_text(cart_xml())
     verbs.new("dog", policy="policy.onnx", mjcf="robot.xml")
