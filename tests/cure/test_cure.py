@@ -211,9 +211,46 @@ def test_places_that_a_motion_capture_repeats_while_it_sees_no_robot_are_left_ou
         (lambda odometry, commands: (odometry, commands * [1, 1, 1, -1]), "wz goes the other way than its command"),
         (lambda odometry, commands: (odometry, commands[:, [0, 3, 2, 1]]), "the command of vx moves wz .* and not vx"),
         (lambda odometry, commands: (odometry, commands * [1, 0, 0, 0]), "its command never changes"),
+        (
+            lambda odometry, commands: (odometry, commands * [1, 1, 1, 57.3]),
+            "command of wz is up to .* degrees per sec",
+        ),
+        (
+            lambda odometry, commands: (odometry * [1, 1, 1, 57.3, 1, 1, 1], commands),
+            "velocity of wz is .* degrees per",
+        ),
+        (
+            lambda odometry, commands: (odometry, commands * [1, 1000, 1000, 1]),
+            "command of vx is up to .* is this in mm/s",
+        ),
+        (
+            lambda odometry, commands: (odometry * [1, 10, 10, 1, 1, 1, 1], commands),
+            "vx is 8.* times its command; .* m/s",
+        ),
+        (
+            lambda odometry, commands: (shifted(odometry, 1.5), commands),
+            "follow its commands after 1 s or more, .* clocks differ",
+        ),
+        (
+            lambda odometry, commands: (shifted(odometry, 0.6), commands),
+            r"after 0\.[67]\d? s or more, which is longer than a",
+        ),
+        (lambda odometry, commands: (odometry[::10], commands), "odometry .* every 0.2 s, and a step of .* needs 4"),
         (lambda odometry, commands: (odometry[:700], commands[:140]), "steps of .* s can be used, 40 are needed"),
     ],
-    ids=["sign", "mixed", "constant", "short"],
+    ids=[
+        "sign",
+        "mixed",
+        "constant",
+        "degrees",
+        "odometry in degrees",
+        "millimetres",
+        "times 10",
+        "late",
+        "later than a step",
+        "rare",
+        "short",
+    ],
 )
 def test_a_log_that_says_nothing_is_refused_with_the_reason(
     change: Callable[[Array, Array], tuple[Array, Array]], reason: str, tmp_path: Path

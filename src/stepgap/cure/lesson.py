@@ -21,6 +21,7 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.steps import Steps
 from stepgap.logs.sections.step_extraction import ExtractedSteps, extract_from
+from stepgap.logs.sections.step_means import FEWEST_IN_STEP
 from stepgap.mujoco_robots.velocity.robot import TrottingRobot
 from stepgap.mujoco_robots.velocity.walking_robot import VelocityRange, Walk
 from stepgap.records.steps_csv import RecordError
@@ -187,6 +188,11 @@ def imagined_steps(response: Response, space: StepSpace, seconds: float) -> Step
 
 
 def _extracted(drive: HandDrive, response: Response) -> ExtractedSteps:
+    if FEWEST_IN_STEP * drive.interval > response.step:
+        raise InputError(
+            f"{drive.log.source}: its odometry has a sample every {drive.interval:.2g} s, and a step of "
+            f"{response.step:.2g} s needs {FEWEST_IN_STEP}; record odometry at 20 Hz or more"
+        )
     try:
         extracted = extract_from(drive.log, None, drive.section_settings(response.step))
     except RecordError as error:

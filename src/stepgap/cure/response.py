@@ -23,6 +23,9 @@ LEAST_FOLLOWED: Final = 0.2
 
 _OWN: Final = 0.3  # A command moves another velocity if its gain for its own is a smaller part of that for the other
 
+_FASTEST: Final = 10.0  # No walking robot is told, or does for a tenth of the time, more than this [m/s, rad/s]
+_MOST_GAIN: Final = 5.0  # Nor does it do so many times what it is told
+
 DRIVEN: Final = 0.05
 """A velocity was commanded if its commands differ by this [m/s, rad/s]."""
 
@@ -80,11 +83,13 @@ def response_of(drive: HandDrive) -> Response:
     """Finds delay, lag, gains and period.
 
     Raises:
-        InputError: The velocities do not follow the commands, come before them, or go the other way.
+        InputError: The velocities do not follow the commands, come before them or much later, go the other way, or have
+            another unit.
     """
     _, velocity, given = drive.on_grid()
     rows = slice(0, round(_LONGEST / CELL))
     velocity, given = velocity[rows], given[rows]
+    _check_sizes(drive, velocity, given)
     driven = tuple(bool(np.nanmax(column) - np.nanmin(column) > DRIVEN) for column in given.T)
     if not any(driven):
         raise InputError(f"{drive.log.source}: its command never changes, so nothing is seen of what commands do")
@@ -95,7 +100,15 @@ def response_of(drive: HandDrive) -> Response:
     period, height = _gait(drive)
     later, earlier = _pairs(velocity, lagged, round(delay / CELL))
     noise = _scatter(later - earlier @ gains.T - drift)
-    return Response(delay, lag, gains, drift, explained, driven, noise, period, height)
+    response = Response(delay, lag, gains, drift, explained, driven, noise, period, height)
+    # A command must be seen in the next step at the latest, and the largest delay that was tried may not be the right one.
+    if delay >= min(response.step, CELL * _DELAYS[-1]):
+        raise InputError(
+            f"{drive.log.source}: the motion begins to follow its commands after {delay:.2g} s or more, which is longer "
+            f"than a step of {response.step:.2g} s, so clocks differ, or the odometry is late; record both on one "
+            "computer, or give both a header.stamp by one clock"
+        )
+    return response
 
 
 def _scatter(errors: Array) -> Array:
@@ -166,6 +179,21 @@ def _fitted(velocity: Array, given: Array, delay: int, driven: tuple[bool, ...])
     return gains, weights[-1], np.maximum(0.0, 1 - left.var(axis=0) / spread)
 
 
+def _check_sizes(drive: HandDrive, velocity: Array, given: Array) -> None:
+    for axis, name in enumerate(AXIS_NAMES):
+        done = float(np.nanquantile(np.abs(velocity[:, axis]), 0.9))
+        told = float(np.nanmax(np.abs(given[:, axis])))
+        for what, size in (("command", told), ("velocity", done)):
+            if size > _FASTEST:
+                raise InputError(f"{drive.log.source}: the {what} of {name} is up to {size:.3g}; {_unit(axis)}")
+
+
+def _unit(axis: int) -> str:
+    """What is said of a velocity whose numbers are too large for a walking robot."""
+    right, wrong = ("rad/s", "degrees per second") if AXIS_NAMES[axis] == "wz" else ("m/s", "mm/s, cm/s or percent")
+    return f"commands and odometry must be in {right}: is this in {wrong}? Convert the column"
+
+
 def _check(drive: HandDrive, delay: float, gains: Array, explained: Array, driven: tuple[bool, ...]) -> None:
     source = drive.log.source
     axes = np.flatnonzero(driven)
@@ -178,9 +206,14 @@ def _check(drive: HandDrive, delay: float, gains: Array, explained: Array, drive
     if delay < -EARLY:
         raise InputError(
             f"{source}: the motion comes {-delay:.2f} s before the commands that it follows, so their clocks differ; "
-            "record both on one computer, or give both a header.stamp by one clock"
+            "record both on one computer, or give both a header.stamp by one clock; or does the log lack commands that "
+            "the robot got?"
         )
     for axis in axes:
+        if abs(gains[axis, axis]) > _MOST_GAIN:
+            raise InputError(
+                f"{source}: the velocity {AXIS_NAMES[axis]} is {gains[axis, axis]:.3g} times its command; {_unit(axis)}"
+            )
         most = int(np.argmax(np.abs(gains[:, axis])))
         if abs(gains[axis, axis]) < _OWN * abs(gains[most, axis]) and abs(gains[most, axis]) > _OWN:
             raise InputError(
