@@ -15,7 +15,7 @@ from stepgap.cure.cure_page import verdict
 from stepgap.cure.drive import HandDrive, check_distance, read_drive
 from stepgap.cure.habits import Habit, commands_to_drive, habits_of, stands_at_zero
 from stepgap.cure.lesson import Lesson, lesson_of
-from stepgap.cure.response import Response, response_of
+from stepgap.cure.response import Response, response_of, with_strays
 from stepgap.experiment.settings import read_experiment
 from stepgap.records.steps_csv import read_step_log
 from stepgap.step import Array
@@ -81,6 +81,9 @@ def test_a_sentence_names_what_is_sure_alone() -> None:
     assert quiet.in_words() == (
         "Asked for 0.40 m/s straight on, it walks 0.31 m/s forward and turns 0.12 rad/s (7°/s) to the left."
     )
+    unsure = replace(quiet, std=np.full(3, 0.2))
+    assert unsure.in_words() == "Asked for 0.40 m/s straight on, it has no velocity that is sure."
+    assert replace(unsure, does=np.full(3, 0.03)).in_words() == "Asked for 0.40 m/s straight on, it stands."
     aside = Habit(np.array([0, 0.2, 0]), np.array([-0.1, 0.15, 0]), np.full(3, 0.01), True, np.zeros(3))
     assert aside.in_words() == "Asked for 0.20 m/s to the left, it walks 0.10 m/s backward and 0.15 m/s to the left."
 
@@ -258,6 +261,28 @@ def test_a_log_that_says_nothing_is_refused_with_the_reason(
     found = read_drive(changed(tmp_path, change))
     with pytest.raises(InputError, match=reason):
         lesson_of([found], response_of(found))
+
+
+def test_parts_in_which_the_robot_was_carried_or_lay_are_named(log: str, tmp_path: Path) -> None:
+    def lying(odometry: Array, commands: Array) -> tuple[Array, Array]:
+        lies = (odometry[:, 0] > 40) & (odometry[:, 0] < 60)
+        odometry[lies, 1:4] = np.random.default_rng(0).normal(0, 0.02, (np.count_nonzero(lies), 3))
+        return odometry, commands
+
+    notes = list[tuple[str, ...]]()
+    for text in (log, changed(tmp_path, lying)):
+        found = read_drive(text)
+        notes.append(with_strays(found, response_of(found)).notes)
+    assert notes[0] == ()
+    assert notes[1][0].startswith("From 40 to 50, 45 to 55, 50 to 60 s after its begin the motion does not follow")
+
+
+def test_every_log_is_checked_and_not_only_the_longest(log: str, tmp_path: Path) -> None:
+    def mirrored(odometry: Array, commands: Array) -> tuple[Array, Array]:
+        return odometry[:2000] * [1, 1, -1, 1, 1, 1, 1], commands[:400]
+
+    with pytest.raises(InputError, match="vy goes the other way than its command"):
+        cure(log, changed(tmp_path, mirrored), out=tmp_path / "cure")
 
 
 def test_a_velocity_that_was_never_commanded_is_not_corrected_but_proposed(tmp_path: Path) -> None:

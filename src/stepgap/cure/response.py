@@ -1,6 +1,6 @@
 """How a robot follows its commands: with which delay, lag and gains, and the period of its gait."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import nan
 from typing import Final
 
@@ -25,6 +25,10 @@ _OWN: Final = 0.3  # A command moves another velocity if its gain for its own is
 
 _FASTEST: Final = 10.0  # No walking robot is told, or does for a tenth of the time, more than this [m/s, rad/s]
 _MOST_GAIN: Final = 5.0  # Nor does it do so many times what it is told
+
+_WINDOW: Final = 10.0  # Part of a log in which the motion must follow its commands as in the whole log [s]
+_ASTRAY: Final = 0.3  # It does not where its gain is a smaller part of that of the whole log,
+_ENOUGH: Final = 0.2  # and its commands vary at least by this part of the variance of all
 
 DRIVEN: Final = 0.05
 """A velocity was commanded if its commands differ by this [m/s, rad/s]."""
@@ -101,14 +105,43 @@ def response_of(drive: HandDrive) -> Response:
     later, earlier = _pairs(velocity, lagged, round(delay / CELL))
     noise = _scatter(later - earlier @ gains.T - drift)
     response = Response(delay, lag, gains, drift, explained, driven, noise, period, height)
-    # A command must be seen in the next step at the latest, and the largest delay that was tried may not be the right one.
+    # A command must be seen in the next step at the latest; the largest delay that is tried may not be the right one.
     if delay >= min(response.step, CELL * _DELAYS[-1]):
         raise InputError(
-            f"{drive.log.source}: the motion begins to follow its commands after {delay:.2g} s or more, which is longer "
-            f"than a step of {response.step:.2g} s, so clocks differ, or the odometry is late; record both on one "
+            f"{drive.log.source}: the motion begins to follow its commands after {delay:.2g} s or more, which is "
+            f"longer than a step of {response.step:.2g} s, so clocks differ, or the odometry is late; record both on one "
             "computer, or give both a header.stamp by one clock"
         )
     return response
+
+
+def with_strays(drive: HandDrive, response: Response) -> HandDrive:
+    """The drive with a note on the parts in which the motion does not follow its commands, as of a carried robot."""
+    time, velocity, given = drive.on_grid()
+    late = max(0, round(response.delay / CELL))
+    axes = np.flatnonzero(response.driven)
+    expected = (_lagged(given, response.lag) @ response.gains.T)[: len(time) - late, axes]
+    scale = np.maximum(np.nanstd(expected, axis=0), 1e-9)
+    expected = expected / scale
+    done = velocity[late:, axes] / scale
+    size = round(_WINDOW / CELL)
+    begins = list[float]()
+    for first in range(0, len(done) - size + 1, size // 2):
+        pairs = np.stack([expected[first : first + size], done[first : first + size]])
+        pairs = pairs[:, np.isfinite(pairs).all(axis=(0, 2))]
+        if pairs.shape[1] < size / 2:
+            continue
+        told, did = pairs - pairs.mean(axis=1, keepdims=True)
+        if np.mean(told**2) > _ENOUGH and np.sum(told * did) < _ASTRAY * np.sum(told**2):
+            begins.append(float(time[first] - time[0]))
+    if not begins:
+        return drive
+    parts = ", ".join(f"{begin:.0f} to {begin + _WINDOW:.0f}" for begin in begins[:6])
+    note = (
+        f"From {parts} s after its begin the motion does not follow its commands, as if the robot was carried, had "
+        "fallen or was driven by somebody else. This makes the correction wrong: cut these parts out of the log."
+    )
+    return replace(drive, notes=(*drive.notes, note))
 
 
 def _scatter(errors: Array) -> Array:
@@ -209,7 +242,7 @@ def _check(drive: HandDrive, delay: float, gains: Array, explained: Array, drive
             "record both on one computer, or give both a header.stamp by one clock; or does the log lack commands that "
             "the robot got?"
         )
-    for axis in axes:
+    for axis in axes.tolist():
         if abs(gains[axis, axis]) > _MOST_GAIN:
             raise InputError(
                 f"{source}: the velocity {AXIS_NAMES[axis]} is {gains[axis, axis]:.3g} times its command; {_unit(axis)}"

@@ -3,6 +3,8 @@
 import sys
 from pathlib import Path
 
+import numpy as np
+
 from stepgap.base.errors import InputError
 from stepgap.base.files import create, new_folder
 from stepgap.base.output_files import check_new, writing
@@ -39,13 +41,15 @@ def cure(
     from stepgap.cure.drive import check_distance, read_drive
     from stepgap.cure.habits import habits_of
     from stepgap.cure.lesson import lesson_of
-    from stepgap.cure.response import response_of
+    from stepgap.cure.response import response_of, with_strays
 
     if not log:
         raise InputError("LOG: none given; give a recording of velocity commands and odometry, such as a bag of ROS 2")
     check_new(out, "--out")
     drives = [read_drive(one, command, odometry) for one in log]
-    response = response_of(max(drives, key=lambda drive: drive.seconds))
+    responses = [response_of(drive) for drive in drives]  # of all, so that signs, units and clocks of all are checked
+    drives = [with_strays(*pair) for pair in zip(drives, responses, strict=True)]
+    response = responses[int(np.argmax([drive.seconds for drive in drives]))]
     checks = [] if distance is None else [check_distance(drives[0], distance)]
     for note in (*(note for drive in drives for note in drive.notes), *checks):
         print(note)
