@@ -109,8 +109,8 @@ def response_of(drive: HandDrive) -> Response:
     if delay >= min(response.step, CELL * _DELAYS[-1]):
         raise InputError(
             f"{drive.log.source}: the motion begins to follow its commands after {delay:.2g} s or more, which is "
-            f"longer than a step of {response.step:.2g} s, so clocks differ, or the odometry is late; record both on one "
-            "computer, or give both a header.stamp by one clock"
+            f"longer than a step of {response.step:.2g} s, so clocks differ, or the odometry is late; record both on "
+            "one computer, or give both a header.stamp by one clock"
         )
     return response
 
