@@ -50,6 +50,13 @@ def test_a_bag_of_motion_capture_gives_the_same_velocities_as_odometry(tmp_path:
     assert poses.notes == ("Velocities are the displacements of /odom, as the robot sees them.",)
 
 
+def test_topics_may_have_the_name_of_a_field(tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag", walking(20.0, 1), stamped=False, by_pose=True, topics=("/mocap/pose", "/robot/twist"))
+    found = read_drive(str(tmp_path / "bag"), odometry="/mocap/pose")
+    assert (found.measured.name, found.measured.kind) == ("/mocap/pose", "geometry_msgs/PoseStamped")
+    assert (found.command.name, found.command.kind) == ("/robot/twist", "geometry_msgs/Twist")
+
+
 @pytest.fixture(scope="module")
 def lesson(log: str) -> Lesson:
     found = read_drive(log)

@@ -71,7 +71,8 @@ def _of_kind(columns: Collection[str], kind: str, fields: tuple[str, ...]) -> It
         slashes = "/" in column[len(before) :] or before.endswith("/")
         names = tuple(before + (field.replace(".", "/") if slashes else field) for field in fields)
         name = before.rstrip(".:/")
-        if name.replace("/", ".").rpartition(".")[2] in _WITHIN or name.rpartition(":")[2] in _WITHIN:
+        field = name.replace("/", ".").replace(":", ".").rpartition(".")[2]
+        if field in _WITHIN and not before.endswith(":"):  # the colon is after a topic, which may have such a name
             continue
         if all(name in columns for name in names):
             yield Topic(name, kind, names)

@@ -21,30 +21,38 @@ POSE = ["vx=mean(rate(forward))", "vy=mean(rate(left))", "wz=mean(rate(turn))"]
 EVERY = ("--every", "0.5")
 
 
-def write_bag(path: Path, log: WalkingLog, *, stamped: bool, by_pose: bool = False) -> None:
+def write_bag(
+    path: Path,
+    log: WalkingLog,
+    *,
+    stamped: bool,
+    by_pose: bool = False,
+    topics: tuple[str, str] = ("/odom", "/cmd_vel"),
+) -> None:
     """Odometry at 50 Hz, or poses on the same topic, and commands, in the order of their times."""
+    measured, commanded = topics
     kinds = {
-        "/odom": "geometry_msgs/msg/PoseStamped" if by_pose else "nav_msgs/msg/Odometry",
-        "/cmd_vel": f"geometry_msgs/msg/{'TwistStamped' if stamped else 'Twist'}",
+        measured: "geometry_msgs/msg/PoseStamped" if by_pose else "nav_msgs/msg/Odometry",
+        commanded: f"geometry_msgs/msg/{'TwistStamped' if stamped else 'Twist'}",
     }
     messages: list[tuple[float, str, Any]] = []
     for time, velocity, pose in zip(log.time[::4], log.velocity[::4], log.pose[::4], strict=True):
-        message = message_type(kinds["/odom"])()
+        message = message_type(kinds[measured])()
         if not by_pose:
             write_twist(message.twist.twist, velocity)
         posed = message.pose if by_pose else message.pose.pose
         place, turn = posed.position, posed.orientation
         place.x, place.y = pose[:2].tolist()
         turn.z, turn.w = np.sin(pose[2] / 2), np.cos(pose[2] / 2)
-        messages.append((time, "/odom", message))
+        messages.append((time, measured, message))
     for time, command in zip(log.sent, log.command, strict=True):
-        message = message_type(kinds["/cmd_vel"])()
+        message = message_type(kinds[commanded])()
         write_twist(message.twist if stamped else message, command)
-        messages.append((time, "/cmd_vel", message))
+        messages.append((time, commanded, message))
     with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        topics = {topic: writer.add_connection(topic, kind, typestore=STORE) for topic, kind in kinds.items()}
+        connections = {topic: writer.add_connection(topic, kind, typestore=STORE) for topic, kind in kinds.items()}
         for time, topic, message in sorted(messages, key=lambda each: each[:2]):
-            writer.write(topics[topic], round(1.7e18 + time * 1e9), as_bytes(message))
+            writer.write(connections[topic], round(1.7e18 + time * 1e9), as_bytes(message))
 
 
 def write_twist(twist: Any, velocity: np.ndarray) -> None:
