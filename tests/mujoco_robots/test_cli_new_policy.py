@@ -79,6 +79,19 @@ def test_a_policy_without_metadata_says_what_is_missing_until_it_is_filled_in(st
     assert "# Time between two actions [s], as in the training.\n# Check it: no file says it.\nperiod = 0.02\n" in text
 
 
+def test_a_policy_of_a_robot_with_more_joints_says_that_the_joints_are_to_be_filled_in(stepgap: Command) -> None:
+    four = {"default_joint_pos", "joint_stiffness", "joint_damping"}
+    said = {key: f"{text},{text[:5]}" if key in four else text for key, text in mjlab_metadata().items()}
+    write_network(Path("walk.onnx"), np.zeros((5, 27)), said | {"joint_names": f"{','.join(WHEELS)},waist"})
+    Path("cart.xml").write_text(cart_xml())
+    made = stepgap("new", "cart", "--policy", "walk.onnx", "--mjcf", "cart.xml")
+    assert "fill in joints in cart/policy.toml first" in made.err, made
+    text = Path("cart/policy.toml").read_text()
+    assert "Fill in the joints of the 5 actions; the model has these 4:" in text
+    assert "The training names joints that the model does not have: waist" in text
+    assert "\ndefault_joint_pos = [0.0, 0.0, 0.0, 0.0, 0.0]" in text
+
+
 def test_a_policy_with_the_file_of_its_training_beside_it_needs_nothing(stepgap: Command) -> None:
     Path("run/exported").mkdir(parents=True)
     Path("run/params").mkdir()
@@ -108,12 +121,13 @@ def test_a_policy_with_the_file_of_its_training_beside_it_needs_nothing(stepgap:
 
 def test_texts_of_others_do_not_leave_their_place(stepgap: Command) -> None:
     said = mjlab_metadata() | {"observation_names": 'base_ang_vel,evil\nperiod = 1\n"""', "run_path": "\x00"}
+    said |= {"joint_names": "a\nperiod = 1,b,c,d"}
     write_network(Path("walk.onnx"), driving(), said)
     named = cart_xml().replace("front_left", "a&#10;b = 1&#34;]")
     Path("cart.xml").write_text(named)
     made = stepgap("new", "cart", "--policy", "walk.onnx", "--mjcf", "cart.xml")
     assert made.code == 0, made.err
-    refused(stepgap("run", "cart/experiment.toml", "--out", "out"), "cart/policy.toml: observation: missing")
+    refused(stepgap("run", "cart/experiment.toml", "--out", "out"), "cart/policy.toml: joints: missing")
 
 
 @pytest.mark.parametrize(

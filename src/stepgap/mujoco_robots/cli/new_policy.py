@@ -98,8 +98,9 @@ def _walk_of(
     from stepgap.mujoco_robots.velocity.walking_robot import Walk
 
     seconds = step_seconds(settings)
-    positions = settings.get("default_joint_pos", [])
-    fall_height = 0.5 * standing_height(settings.get("joints", []), positions, folder / MODEL_FILE)
+    joints = settings.get("joints", [])
+    positions = settings.get("default_joint_pos", []) if joints else []
+    fall_height = 0.5 * standing_height(joints, positions, folder / MODEL_FILE)
     if not is_complete:
         return seconds, fall_height, ""
     walk = Walk(seconds=seconds, fall_height=fall_height, **ranges)

@@ -38,6 +38,9 @@ SETTINGS: dict[str, Any] = {
 }
 
 
+BOX = '<body name="box" pos="3 0 0.1"><freejoint/><geom size="0.1"/></body>'
+
+
 def actuators(kind: str, attributes: str = "") -> str:
     each = "".join(f'<{kind} name="{wheel}" joint="{wheel}" {attributes}/>' for wheel in reversed(WHEELS))
     return f"<actuator>{each}</actuator>"
@@ -189,6 +192,7 @@ def test_it_starts_on_the_ground_in_its_default_posture_and_drives_as_commanded(
         ({"model": "none.xml"}, "model = none.xml: "),
         ({"model": cart_xml(actuators("motor")), "stiffness": [], "damping": []}, "the actuator of joint front_left"),
         ({"model": cart_xml(actuators("motor")).replace("<freejoint/>", "")}, "its first body has no free joint"),
+        ({"model": cart_xml(ground=BOX)}, "its first body, 'box', has no hinges or slides; put the robot before other"),
         ({"model": cart_xml(actuators("motor", 'gear="0"'))}, "the actuator of joint front_left has gear 0"),
         ({"model": cart_xml()}, "joint front_left has 0 actuators in the model; it must have one"),
     ],

@@ -104,6 +104,15 @@ def test_terms_and_joints_that_are_unknown_are_said(parts: Parts) -> None:
     assert "joints" not in found.values
 
 
+def test_gains_of_joints_that_the_model_calls_otherwise_are_not_given_to_its_joints_in_their_order(
+    parts: Parts,
+) -> None:
+    other = ",".join(f"base_{name}" for name in WHEELS)
+    found = proposed(NetworkParts(24, 4, mjlab_metadata() | {"joint_names": other}), parts)
+    assert "joints" not in found.values
+    assert found.advice["joints"][2].startswith("The training names joints that the model does not have: base_front_l")
+
+
 @pytest.mark.parametrize("text", ["nan", "1,2", "0.5;0.5", "", "'__import__'"])
 def test_numbers_that_are_none_are_not_used(parts: Parts, text: str) -> None:
     found = proposed(NetworkParts(24, 4, mjlab_metadata() | {"action_scale": text}), parts)

@@ -60,7 +60,9 @@ def _walking_spec(path: Path) -> Any:
         raise ValueError(f"{' '.join(str(error).split()):.300}") from None
     body = spec.worldbody.first_body()
     if body is None or body.first_joint() is None or body.first_joint().type != mujoco.mjtJoint.mjJNT_FREE:
-        raise ValueError("its first body has no free joint; give it <freejoint/>")
+        raise ValueError("its first body has no free joint; give it <freejoint/>, or put the robot before other bodies")
+    if not any(joint.type in _TURNING for joint in body.find_all("joint")):
+        raise ValueError(f"its first body, {body.name!r}, has no hinges or slides; put the robot before other bodies")
     if not np.any(spec.option.gravity):
         raise ValueError("it has no gravity; give it that of the training")
     return spec

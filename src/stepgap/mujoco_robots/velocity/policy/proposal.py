@@ -78,13 +78,18 @@ def _propose_joints(
     """Adds the joints and their default positions."""
     joints = [_in_model(name, list(model.addresses)) for name in said.get("joints", [])]
     driven = driven_joints(model)
-    values["joints"] = joints if joints and all(joints) else driven
-    if values["joints"] is driven and not keyframe:
+    unknown = [name for name, of_model in zip(said.get("joints", []), joints, strict=True) if not of_model]
+    values["joints"] = joints or driven
+    if not joints and not keyframe:
         advice["joints"] = ["Check the order: it is that of the model, not of the training."]
-    if len(values["joints"]) != network.outputs:
-        others = values.pop("joints")
-        advice["joints"] = [f"Fill in the joints of the {network.outputs} actions; the model has these {len(others)}:"]
-        advice["joints"].append(toml_line("joints", others))
+    # Gains and scales of the training are in its order of the joints, so that of the model would give them to others.
+    if unknown or len(values["joints"]) != network.outputs:
+        del values["joints"]
+        advice["joints"] = [f"Fill in the joints of the {network.outputs} actions; the model has these {len(driven)}:"]
+        advice["joints"].append(toml_line("joints", driven))
+        if unknown:
+            names = ", ".join(map(str, unknown))
+            advice["joints"].append(f"The training names joints that the model does not have: {names:.300}")
     positions = said.get("default_joint_pos", [])
     if values.get("joints") is joints and len(positions) == network.outputs:
         values["default_joint_pos"] = positions
@@ -98,7 +103,7 @@ def _propose_joints(
         advice["default_joint_pos"] += [f"Its other keyframes are {', '.join(others):.300}."] if others else []
         if name == keyframe != "":
             del advice["default_joint_pos"]
-    else:
+    elif len(positions) != network.outputs:
         advice["default_joint_pos"] = ["Fill in one number for each joint."]
 
 
