@@ -90,7 +90,9 @@ def test_a_sentence_names_what_is_sure_alone() -> None:
     )
     unsure = replace(quiet, std=np.full(3, 0.2))
     assert unsure.in_words() == "Asked for 0.40 m/s straight on, it has no velocity that is sure."
-    assert replace(unsure, does=np.full(3, 0.03)).in_words() == "Asked for 0.40 m/s straight on, it stands."
+    assert replace(unsure, does=np.zeros(3)).in_words() == unsure.in_words()
+    still = replace(unsure, does=np.zeros(3), std=np.full(3, 0.02))
+    assert still.in_words() == "Asked for 0.40 m/s straight on, it stands."
     aside = Habit(np.array([0, 0.2, 0]), np.array([-0.1, 0.15, 0]), np.full(3, 0.01), True, np.zeros(3))
     assert aside.in_words() == "Asked for 0.20 m/s to the left, it walks 0.10 m/s backward and 0.15 m/s to the left."
 

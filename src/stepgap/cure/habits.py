@@ -20,7 +20,7 @@ _NEAR: Final = 0.35  # A command was driven if it lies so near to one of the log
 _SAME: Final = 0.02  # Commands are the same if they differ by less [half ranges]
 _FEWEST: Final = 3  # Number of steps of which a mean is taken
 _SMALL: Final = (0.02, 0.02, 0.03)  # Velocities that are not worth a word [m/s, m/s, rad/s]
-_STILL: Final = 2.0  # Where nothing is sure, it stands if its velocity is at most so many times that
+_STILL: Final = 3.0  # It stands if nothing is sure, and its velocity with its deviation is at most so many times that
 _SURE: Final = 2.0  # Standard deviations from which on a velocity is not by chance
 NEXT: Final = 10  # Number of commands that are proposed
 _TRIED: Final = 81  # Number of commands that are compared for that
@@ -69,7 +69,8 @@ def _asked_in_words(command: Array) -> str:
 def _done_in_words(velocity: Array, std: Array, asked: Array) -> str:
     sure = (np.abs(velocity) > np.maximum(_SMALL, _SURE * std)).tolist()
     if not any(sure):
-        return "stands" if (np.abs(velocity) <= _STILL * np.array(_SMALL)).all() else "has no velocity that is sure"
+        is_still = (np.abs(velocity) + std <= _STILL * np.array(_SMALL)).all()
+        return "stands" if is_still else "has no velocity that is sure"
     verbs = ["walks ", "drifts "]
     if velocity[1] * asked[1] > 0:  # to the side that was asked for
         verbs[1] = "" if sure[0] else "walks "
