@@ -93,7 +93,7 @@ FAULTS: dict[str, tuple[Toy, str, str]] = {
 @pytest.fixture(autouse=True)
 def _quick(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("stepgap.report.cli.check._draw", lambda run, out: None)
+    monkeypatch.setattr("stepgap.report.drawing.write_picture", lambda path, make: None)
     if "noise" not in request.node.name:
         request.getfixturevalue("no_repeats")
 

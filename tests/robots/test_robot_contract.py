@@ -208,7 +208,7 @@ def test_gait_and_a_step(robot: Robot, package: Path, stepgap: Command) -> None:
 def test_check(robot: Robot, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = robot.name in ("ball", "pitching")  # those of one state, and of more states than commands
     if not drawn:
-        monkeypatch.setattr("stepgap.report.cli.check._draw", lambda run, out: None)
+        monkeypatch.setattr("stepgap.report.drawing.write_picture", lambda path, make: None)
     result = stepgap("check", robot.name)
     assert result.code == 0, result
     assert not drawn or Path("check.png").read_bytes().startswith(b"\x89PNG")
