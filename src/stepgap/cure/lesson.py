@@ -33,7 +33,7 @@ PARTS: Final = 4  # Number of parts of the log that are held out in turn
 DRIVING_ADVICE: Final = "drive by hand, and hold each command for two seconds or more"
 _NARROW: Final = 0.02  # Range of a velocity that was not commanded [m/s, rad/s]
 MOST_CHANGE: Final = 0.5  # Largest change of a command from one step to the next, as a share of its range
-MOST_SURPRISE: Final = 0.3  # As of `control.surprise`; that of new folders of policies
+MOST_SURPRISE: Final = 0.4  # As of `control.surprise`; that of new folders of policies
 _T_95: Final = 3.18  # 97.5 % quantile of Student's t with `PARTS` − 1 degrees of freedom
 
 
