@@ -104,8 +104,8 @@ def test_what_torque_limits_remove_is_learned() -> None:
     before, after = (summarise(log, reference, "") for log in (first, second))
     assert before.cut > 18
     assert after.cut > 18
-    assert (np.abs(after.bias) < [0.01, 0.004]).all()
-    assert (after.rmse < [0.03, 0.008]).all()
+    assert (np.abs(after.bias) < [0.01, 0.003]).all()
+    assert (after.rmse < [0.03, 0.006]).all()
     assert (before.rmse > [0.08, 0.015]).all()
     inside = np.abs(second.next_state - second.predicted) < 1.96 * second.std
     assert (inside.mean(axis=0) > 0.85).all()
