@@ -7,7 +7,7 @@
 A robot is a name, or a file of settings; by default the simulated trot. Each seed is a random individual of it. It is
 driven by random commands, and then follows its 102 targets: without correction, with that of the log, and with that of
 one deployment of these targets ("one redeployment"). Errors are of the true mean velocities of steps of its own
-duration, in half ranges of use. docs/velocity.md has what this gave.
+duration, in half ranges of use. docs/velocity_results.md has what this gave.
 """
 
 # pyright: reportAttributeAccessIssue=false

@@ -12,6 +12,7 @@ does not say: `stepgap cure` finds out, and its node turns it. The remote contro
 import json
 import math
 import sys
+from contextlib import suppress
 
 import rclpy
 from geometry_msgs.msg import Twist
@@ -79,9 +80,8 @@ def main() -> None:
     rclpy.init(args=sys.argv)
     node = Bridge()
     try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        with suppress(KeyboardInterrupt, ExternalShutdownException):
+            rclpy.spin(node)
     finally:
         node.destroy_node()
         rclpy.try_shutdown()

@@ -3,8 +3,6 @@
 import sys
 from pathlib import Path
 
-import numpy as np
-
 from stepgap.base.errors import InputError
 from stepgap.base.files import create, new_folder
 from stepgap.base.output_files import check_new, writing
@@ -49,7 +47,7 @@ def cure(
     drives = [read_drive(one, command, odometry) for one in log]
     responses = [response_of(drive) for drive in drives]  # of all, so that signs, units and clocks of all are checked
     drives = [with_strays(*pair) for pair in zip(drives, responses, strict=True)]
-    response = responses[int(np.argmax([drive.seconds for drive in drives]))]
+    _, response = max(zip(drives, responses, strict=True), key=lambda pair: pair[0].seconds)
     checks = [] if distance is None else [check_distance(drives[0], distance)]
     for note in (*(note for drive in drives for note in drive.notes), *checks):
         print(note)

@@ -90,11 +90,9 @@ def _metadata(metadata: Mapping[str, str]) -> Training | None:
     histories = next((lists[key] for key in _HISTORY if key in used), plain)
     terms = [ObservedTerm(*term) for term in zip(names, scales, (int(times) for times, *_ in histories), strict=True)]
     unused = [key for key in sorted(said.keys() - used) if not (key in _NEUTRAL and set(said[key]) <= _NEUTRAL[key])]
-    return (
-        Training("the metadata of the network", values | observation_settings(terms), unused)
-        if values or names
-        else None
-    )
+    if not values and not names:
+        return None
+    return Training("the metadata of the network", values | observation_settings(terms), unused)
 
 
 _SCALE: Final = "observation_terms_scale"
